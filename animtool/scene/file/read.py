@@ -225,7 +225,7 @@ class _SceneReader:
             self.document, entry_path, stated_values, *self._rate_and_length()
         )
         location = entry_location(self.document, entry_path, spec)
-        return SceneSystem(spec.name, kind, setup, location, unit=self.units.stated)
+        return SceneSystem(spec.name, kind, setup, location, unit=self.units.scene_length)
 
     def _rate_and_length(self) -> tuple[float, float]:
         """Return the frames per second, and the length of the range [s]; 0 unknown."""
@@ -389,7 +389,7 @@ class _PassReader:
             document.add(fault.code, location, fault.message, fault.hint)
             return None
         values = rename_options(document, location, values, "scene")
-        converted_values = self.units.pass_options(name, values)
+        converted_values = self.units.convert_pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
             document.add(fault.code, (*location, *key), fault.message, fault.hint)

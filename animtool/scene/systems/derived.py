@@ -40,7 +40,7 @@ from animtool.systems.framework.fields import (
     CarryingPrimModel,
     CarryingVertexModel,
     CharacterModel,
-    EntryPart,
+    FieldKind,
     GaitsModel,
     MovingMeshModel,
     PhysicsStageModel,
@@ -159,7 +159,7 @@ class SpecPartReader(EntryReader):
             )
             if is_placed or part_reader is None or value is None:
                 continue
-            if EntryPart.ARRAY in _marks(field_info.annotation, field_info.metadata):
+            if FieldKind.ARRAY in _marks(field_info.annotation, field_info.metadata):
                 values = part_reader((*location, key), value)
                 factor = self.units.array_factor(field_info.description)
                 parts[key] = values
@@ -189,9 +189,9 @@ class SpecPartReader(EntryReader):
         With ``check``, the faults of the parsed entries are recorded too.
         """
         for mark in marks:
-            if isinstance(mark, EntryPart):
+            if isinstance(mark, FieldKind):
                 read: Reader = getattr(self, READERS[mark])
-                if mark in {EntryPart.EMITTER_SHAPE, EntryPart.SHAPE}:
+                if mark in {FieldKind.EMITTER_SHAPE, FieldKind.SHAPE}:
                     return lambda location, base: self._checked_part(
                         location, read(location, base), check=check
                     )
@@ -337,11 +337,11 @@ class SpecPartReader(EntryReader):
 
 # Readers of marked entries, or of a model, by the name of the method.
 READERS: Mapping[Any, str] = {
-    EntryPart.ARRAY: "array",
-    EntryPart.NAMES: "names",
-    EntryPart.FORCE: "force",
-    EntryPart.EMITTER_SHAPE: "emitter_shape",
-    EntryPart.SHAPE: "shape",
+    FieldKind.ARRAY: "array",
+    FieldKind.NAMES: "names",
+    FieldKind.FORCE: "force",
+    FieldKind.EMITTER_SHAPE: "emitter_shape",
+    FieldKind.SHAPE: "shape",
     PrototypeModel: "prototype",
     GaitsModel: "gaits",
     PhysicsStageModel: "physics",
@@ -396,7 +396,7 @@ def read_spec(
     The keys `colliders`, `characters`, `systems` and `meshes` name its colliders, if
     the spec has them; other keys are read as their types say.
     """
-    spec = units.converted(spec)
+    spec = units.convert(spec)
     collider_reader, reader = (SpecPartReader(document, roots, units) for _ in range(2))
     collider_parts = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.

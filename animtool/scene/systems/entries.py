@@ -37,7 +37,7 @@ from animtool.systems.framework.fields import (
     CarryingVertexModel,
     CharacterModel,
     MovingMeshModel,
-    Named,
+    NamedOptions,
     PlacedModel,
     SystemColliderModel,
     SystemSurfaceModel,
@@ -155,7 +155,7 @@ class EntryReader:
             "systems": self.surface,
             "meshes": self.mesh,
         }
-        converted_models = map(self.units.converted, models)
+        converted_models = map(self.units.convert, models)
         return tuple(self.read_each((*location, key), converted_models, readers[key]))
 
     def collider(
@@ -169,11 +169,11 @@ class EntryReader:
             collider = record_of(Collider, model, shape=shape, poses=poses)
         return self.checked(location, collider, model)
 
-    def shape(self, location: Location, entry: Named) -> Any:
+    def shape(self, location: Location, entry: NamedOptions) -> Any:
         """Return a collider shape."""
         return self.named(location, entry, SHAPES, "shape", "SIM020")
 
-    def force(self, location: Location, entry: Named) -> Force | None:
+    def force(self, location: Location, entry: NamedOptions) -> Force | None:
         """Return a force, its numbers checked for their ranges."""
         from animtool.systems.particles.forces.table import find_force
 
@@ -189,7 +189,7 @@ class EntryReader:
             )
         return force
 
-    def emitter_shape(self, location: Location, entry: Named) -> Any:
+    def emitter_shape(self, location: Location, entry: NamedOptions) -> Any:
         """Return an emitter shape, which may be the surface of a mesh."""
         from animtool.systems.particles.emitter_shapes import (
             EMITTER_SHAPES,
@@ -313,7 +313,7 @@ class EntryReader:
     def named(
         self,
         location: Location,
-        entry: Named,
+        entry: NamedOptions,
         table: Mapping[str, type[Any]],
         noun: str,
         code: str,

@@ -214,7 +214,7 @@ def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
     has_colliders = any(system.setup.around.has_colliders for system in systems)
     first_values: dict[str, tuple[str, Any]] = {}
     for system in systems:
-        for key, value in system.setup.spec.shared(meets=has_colliders).items():
+        for key, value in system.setup.spec.shared(has_colliders=has_colliders).items():
             name, first_value = first_values.setdefault(key, (system.name, value))
             if value != first_value:
                 message = f"{key} differs from that of {name}: they are "

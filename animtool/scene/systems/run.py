@@ -63,7 +63,7 @@ def last_states(
     for k, t in enumerate(times):
         for i, system_run in final_runs.items():
             with located_systems([systems[i]]):
-                system_run.run.reach(t)
+                system_run.run.sample(t)
         if progress is not None:
             progress((k + 1) / len(times))
     return {i: system_run.run.state.state for i, system_run in final_runs.items()}
@@ -211,7 +211,7 @@ class SystemRun:
         faults = []
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             run = entry_run.run
-            resume_time = run.time(run.state.steps)
+            resume_time = run.step_time(run.state.steps)
             if (
                 run.state.steps
                 and times[0] < resume_time - STEP_TOLERANCE * run.step_length
@@ -284,10 +284,10 @@ class SystemRun:
         """Record the states to save at a time code."""
         for i in self._save_codes:
             # Joined systems stop together, at the same time.
-            self._entry_runs[i].run.receive()
+            self._entry_runs[i].run.apply_pushes()
         for i, save_code in self._save_codes.items():
             if save_code is None or code <= save_code:
-                self._saved_states[i] = float(code), self._entry_runs[i].run.receive()
+                self._saved_states[i] = float(code), self._entry_runs[i].run.apply_pushes()
 
     def save_states(self, folder: Path) -> None:
         """Write the states to save into the scene's folder."""

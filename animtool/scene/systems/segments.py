@@ -57,7 +57,7 @@ def segments_of(
     segment_rows = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
-            state, _ = system_run.run.reach(t)
+            state, _ = system_run.run.sample(t)
         segment_rows.append(state.motion[0, particles])
         if progress is not None:
             progress((k + 1) / len(times))

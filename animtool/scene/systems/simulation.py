@@ -115,7 +115,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     with open_states(path) as saved_states:
         run.state = saved_states.read("", state_clock(member, run), run.state)
     if isinstance(run.simulation, Resumed):
-        t = run.time(run.state.steps)
+        t = run.step_time(run.state.steps)
         reason = run.simulation.incompatibility(run.state.state, t)
         if reason:
             raise OptionError(
@@ -146,7 +146,7 @@ def run_entries(
     start_time = -spec.preroll
     surroundings = Surroundings.of([setup.around for setup in setups])
     colliders = surroundings.build(context.characters, context.built)
-    carriers = {name: context.built[name].tied() for name in surroundings.carriers}
+    carriers = {name: context.built[name].body_carriers() for name in surroundings.carriers}
 
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, BodyCarrier):

@@ -209,9 +209,9 @@ class Surroundings:
         bodies: list[BodyColliders] = []
         for surface_entry in self.systems:
             system_run = run_by_name[surface_entry.system]
-            if system_run.rigid:
+            if system_run.is_rigid:
                 material = record_of(Material, surface_entry)
-                bodies_of_system = system_run.bodies(
+                bodies_of_system = system_run.body_colliders(
                     material.restitution,
                     material.friction,
                     two_way=surface_entry.two_way,

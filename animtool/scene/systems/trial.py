@@ -234,7 +234,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
             status, reason, stable = stats.status, stats.reason, stats.stable_step
     seconds = time.perf_counter() - start_time
     last_diagnostics = run.simulation.diagnostics(
-        run.state.state, run.time(run.state.steps)
+        run.state.state, run.step_time(run.state.steps)
     )
     known_energies = [energy for energy in energies if energy is not None]
     complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)

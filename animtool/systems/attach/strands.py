@@ -14,7 +14,11 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
 from animtool.sim.colliders.on_joints import JointCapsules
-from animtool.systems.framework.meter import ClosedSurface, closed_surfaces, depths_of
+from animtool.systems.framework.meter import (
+    ClosedSurface,
+    closed_surfaces,
+    collider_depths,
+)
 from animtool.systems.springs.contacts import (
     CellColliders,
     Cells,
@@ -201,7 +205,7 @@ class CharacterColliders:
 
         In the deepest collider at a time [s]; below 0 outside of all.
         """
-        deepest = depths_of(self._world, points, t)
+        deepest = collider_depths(self._world, points, t)
         radii, allowed = self._sizes[:, 6], self._allowed + self._radius
         for c, ends in enumerate(self._capsules.world_ends(world)[-1]):
             distances = capsule_distances(points, ends, radii[c])

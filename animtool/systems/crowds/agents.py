@@ -78,7 +78,7 @@ class Agents(Groups):
     @cached_property
     def heights(self) -> FloatArray:
         """Return each agent's height ``(N,)`` [m]."""
-        return self.each([one.height for one in self.entries])
+        return self.per_individual([one.height for one in self.entries])
 
 
 @dataclass(frozen=True, slots=True)

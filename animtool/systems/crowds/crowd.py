@@ -100,7 +100,7 @@ class Crowd:
     @cached_property
     def _relaxation_times(self) -> FloatArray:
         """Relaxation time of each agent to its preferred velocity ``(N,)`` [s]."""
-        return self.agents.each(
+        return self.agents.per_individual(
             [population.acceleration for population in self.agents.entries]
         )
 

@@ -74,9 +74,9 @@ def next_heading(
     Members bank like aircraft: their up vector follows the lift, which is perpendicular
     to the velocity and compensates gravity and the turn.
     """
-    banking_factors = members.each([entry.banking for entry in members.entries])[
-        :, None
-    ]
+    banking_factors = members.per_individual(
+        [entry.banking for entry in members.entries]
+    )[:, None]
     lift = banking_factors * (v1 - v0) / dt + GRAVITY * _UP
     up = so3.rotate(heading.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
@@ -92,7 +92,9 @@ def next_heading(
     rotations = so3.align_signs(look_rotations[None], heading.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
     spins = so3.log(step_rotation) / dt
-    beats = members.each([entry.beat / entry.speed.cruise for entry in members.entries])
+    beats = members.per_individual(
+        [entry.beat / entry.speed.cruise for entry in members.entries]
+    )
     speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
     return MemberHeadings(rotations, spins, heading.phases + beats * speeds * dt)
 

@@ -66,7 +66,7 @@ class Members(Groups):
     @cached_property
     def particles(self) -> ParticleState:
         """Return members as particles, for forces."""
-        masses = self.each([entry.mass for entry in self.entries])
+        masses = self.per_individual([entry.mass for entry in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 

@@ -44,7 +44,9 @@ class Spacing:
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
-        distances = members.each([min_distance(entry) for entry in members.entries])
+        distances = members.per_individual(
+            [min_distance(entry) for entry in members.entries]
+        )
         has_distances = len(distances) > 1 and distances.max() > 0
         return Spacing(distances, periodic_box(domain)) if has_distances else None
 

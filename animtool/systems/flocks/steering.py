@@ -96,8 +96,10 @@ def avoidance(
     squared relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    reach = members.each([entry.avoidance.distance for entry in members.entries])
-    push = members.each([entry.avoidance.weight for entry in members.entries])
+    reach = members.per_individual(
+        [entry.avoidance.distance for entry in members.entries]
+    )
+    push = members.per_individual([entry.avoidance.weight for entry in members.entries])
     samples = colliders.sample(x, t, t + VELOCITY_INTERVAL)
     for distances, normals, speeds in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
@@ -171,8 +173,10 @@ def limit_displacements(
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
-    min_speeds = members.each([entry.speed.least for entry in members.entries])
-    max_speeds = members.each([max_speed(entry) for entry in members.entries])
+    min_speeds = members.per_individual(
+        [entry.speed.least for entry in members.entries]
+    )
+    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
     speeds = np.linalg.norm(v, axis=1)
     is_outside = (speeds > max_speeds) | (
         (speeds < min_speeds) & (speeds > _TINY_LENGTH)

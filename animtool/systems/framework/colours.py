@@ -1,4 +1,4 @@
-"""Colours of points by a quantity: a ramp over a range, or a palette of kinds."""
+"""Point colours by a quantity: a ramp over a range, or a palette of species."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import Name, NumberPair, Real
 
 Colour = Annotated[list[Annotated[Real, Ge(0), Le(1)]], Len(3, 3)]
-# Lazily computes the values of a quantity ``(N,)``.
+# Functions that compute the values of a quantity ``(N,)``, by name.
 Quantities: TypeAlias = Mapping[str, Callable[[], FloatArray | IntArray]]
-# Perceptually even ramp from dark to light, and distinct colours for kinds.
+# Perceptually even ramp from dark to light, and distinct colours for species.
 DEFAULT_RAMP = (
     (0.05, 0.03, 0.25),
     (0.45, 0.1, 0.5),
@@ -38,7 +38,7 @@ DENSITY_NEIGHBOURS = 16
 
 
 class ColourModel(FileModel):
-    """How points are coloured (`displayColor`)."""
+    """How points are coloured by a quantity (`displayColor`)."""
 
     by: Name = key("The quantity.", "speed")
     range: NumberPair | None = key(
@@ -55,7 +55,7 @@ class ColourModel(FileModel):
     )
 
     def faults(self, names: Sequence[str], code: str) -> list[Fault]:
-        """Return faults, given the names of available quantities."""
+        """Return faults, for a kind with some quantities."""
         if self.by not in names:
             message = f"unknown quantity {excerpt(self.by)}"
             return [
@@ -72,7 +72,7 @@ class ColourModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class Colouring:
-    """Colours by a quantity over a fixed range."""
+    """Maps a quantity of points to colours."""
 
     by: str
     range: tuple[float, float]
@@ -80,7 +80,7 @@ class Colouring:
 
     @staticmethod
     def of(model: ColourModel, quantities: Quantities) -> Colouring:
-        """Return the colouring of a model, with ranges from the first state."""
+        """Return the colouring of a model; its default range is of the first state."""
         is_palette = model.by == "species"
         ramp = np.array(
             model.ramp or (DEFAULT_PALETTE if is_palette else DEFAULT_RAMP), np.float64
@@ -96,7 +96,7 @@ class Colouring:
         return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:
-        """Return the colours of points ``(N, 3)``."""
+        """Return the colours of points ``(N, 3)`` by their quantities."""
         values = quantities[self.by]()
         if self.by == "species":
             return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
@@ -122,6 +122,6 @@ def log_density(
     if count < 1:
         return np.zeros(len(points))
     tree = cKDTree(points, boxsize=box)
-    radii = tree.query(points, [count + 1])[0][:, 0]
-    volumes = 4 / 3 * np.pi * np.maximum(radii, 1e-300) ** 3
+    neighbour_distances = tree.query(points, [count + 1])[0][:, 0]
+    volumes = 4 / 3 * np.pi * np.maximum(neighbour_distances, 1e-300) ** 3
     return np.asarray(np.log10(np.maximum(count * masses.mean() / volumes, 1e-300)))

@@ -1,4 +1,4 @@
-"""Conversion of scene numbers with other units to metres and degrees.
+"""Conversion of scene numbers from other units to metres and degrees.
 
 Systems use metres, kilograms, seconds and degrees. The unit of a key is in brackets in
 its description, or in `RECORD_UNITS`. Every power of a length in it is converted, also
@@ -23,7 +23,7 @@ _SUPERSCRIPTS = {"²": 2, "³": 3}
 _BRACKETS = re.compile(r"\[([^\]]+)\]")
 _UNIT_FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
 
-# Units of options without a description; empty for numbers without a unit.
+# Units of options that have no description; empty for numbers without a unit.
 RECORD_UNITS: Mapping[str, Mapping[str, str]] = {
     "box": {"size": "m"},
     "capsule": {"radius": "m", "length": "m", "axis": "", "centre": "m"},
@@ -81,20 +81,20 @@ Model = TypeVar("Model", bound=FileModel)
 
 
 def unit_powers(unit: str) -> tuple[int, int]:
-    """Return the powers of the length and of the degree in a unit.
+    """Return the exponents of length and angle in a unit.
 
     >>> units = ("kg/m³", "N m s/rad", "m³/(kg s²)", "deg/s")
     >>> tuple(unit_powers(unit) for unit in units)
     ((-3, 0), (2, 0), (3, 0), (0, 1))
     """
-    length = angle = 0
+    length_power = angle_power = 0
     numerator, _, denominator = unit.partition(",")[0].partition("/")
     for text, sign in ((numerator, 1), (denominator, -1)):
         for name, superscript in _UNIT_FACTOR.findall(text):
             exponent = sign * _SUPERSCRIPTS.get(superscript, 1)
-            length += exponent * _LENGTH_POWERS.get(name, 0)
-            angle += exponent * (name == "deg")
-    return length, angle
+            length_power += exponent * _LENGTH_POWERS.get(name, 0)
+            angle_power += exponent * (name == "deg")
+    return length_power, angle_power
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,12 +104,12 @@ class SceneUnits:
     Attributes:
         length: Metres in a length of 1 [m].
         angle: Degrees in an angle of 1 [deg].
-        stated: Length unit given in the scene; None if not given.
+        scene_length: Length unit given in the scene; None if not given.
     """
 
     length: float = 1.0
     angle: float = 1.0
-    stated: LengthUnit | None = None
+    scene_length: LengthUnit | None = None
 
     @staticmethod
     def of(length: str | None, angle: str | None) -> SceneUnits:
@@ -120,7 +120,7 @@ class SceneUnits:
 
     @property
     def is_default(self) -> bool:
-        """Whether no conversion is needed."""
+        """Whether no number needs conversion."""
         return self.length == self.angle == 1.0
 
     def factor(self, unit: str) -> float:
@@ -129,101 +129,116 @@ class SceneUnits:
         >>> SceneUnits.of("cm", None).factor("m/s²")
         0.01
         """
-        length, angle = unit_powers(unit)
+        length_power, angle_power = unit_powers(unit)
         # A quotient of integers is more precise than a negative power.
-        scale = self.length**length if length >= 0 else 1 / self.length**-length
-        return scale * float(self.angle**angle)
+        scale = (
+            self.length**length_power
+            if length_power >= 0
+            else 1 / self.length**-length_power
+        )
+        return scale * float(self.angle**angle_power)
 
-    def converted(self, model: Model, kind: str = "", weight: str = "") -> Model:
-        """Return an entry with its specified keys in metres and degrees.
+    def convert(
+        self, model: Model, joint_type: str = "", weight_unit: str = ""
+    ) -> Model:
+        """Return an entry with its specified numbers in metres and degrees.
 
         Args:
             model: The entry; nested entries are converted too.
-            weight: Unit of its key ``weight``, if only the parent key has it.
-            kind: Joint type that selects one of two units: ``prismatic`` uses the
-                second.
+            joint_type: Type that selects one of two units of a key; ``prismatic`` uses
+                the second.
+            weight_unit: Unit of its key ``weight``, if only the parent key has it.
         """
         if self.is_default:
             return model
-        kind = str(getattr(model, "type", kind))
+        joint_type = str(getattr(model, "type", joint_type))
         update: dict[str, Any] = {}
         for key in model.model_fields_set:
-            info, value = type(model).model_fields[key], getattr(model, key)
-            inherited = weight if key == "weight" else ""
-            units = _BRACKETS.findall(info.description or "") or [inherited]
-            unit = units[min(len(units) - 1, int(kind == "prismatic"))]
+            field, value = type(model).model_fields[key], getattr(model, key)
+            inherited = weight_unit if key == "weight" else ""
+            units = _BRACKETS.findall(field.description or "") or [inherited]
+            unit = units[min(len(units) - 1, int(joint_type == "prismatic"))]
             if key == "range" and hasattr(model, "ramp"):
                 unit = _COLOUR_UNITS.get(str(getattr(model, "by", "")), "")
-            is_timed = _contains_marker(info.annotation, TimedVector)
-            update[key] = self._value(value, unit, kind, timed=is_timed)
+            is_timed = _contains_marker(field.annotation, TimedVector)
+            update[key] = self._convert_value(value, unit, joint_type, timed=is_timed)
         return model.model_copy(update=update)
 
-    def _value(self, value: Any, unit: str, kind: str, *, timed: bool) -> Any:
+    def _convert_value(
+        self, value: Any, unit: str, joint_type: str, *, timed: bool
+    ) -> Any:
+        """Return the value of a key in metres and degrees, also of nested entries."""
         if isinstance(value, FileModel):
-            return self.converted(value, kind, unit)
+            return self.convert(value, joint_type, unit)
         if isinstance(value, dict):
             return {
-                name: self.options(name, options or {})
+                name: self.convert_options(name, options or {})
                 for name, options in value.items()
             }
         if isinstance(value, list) and any(
             isinstance(item, FileModel | dict) for item in value
         ):
-            return [self._value(item, unit, kind, timed=timed) for item in value]
+            return [
+                self._convert_value(item, unit, joint_type, timed=timed)
+                for item in value
+            ]
         if timed and value:
-            return [[row[0], *self._scaled(row[1:], unit)] for row in value]
-        return self._scaled(value, unit)
+            return [[row[0], *self._scale_numbers(row[1:], unit)] for row in value]
+        return self._scale_numbers(value, unit)
 
-    def options(self, name: str, source: dict[str, Any]) -> dict[str, Any]:
-        """Return options of a named force, shape or emitter in metres."""
+    def convert_options(self, name: str, options: dict[str, Any]) -> dict[str, Any]:
+        """Return the options of a named force, shape or emitter in metres."""
         units = dict(RECORD_UNITS.get(name, {}))
-        options = {
-            key: self._scaled(value, units.get(key, ""))
-            for key, value in source.items()
+        converted = {
+            key: self._scale_numbers(value, units.get(key, ""))
+            for key, value in options.items()
         }
-        if name == "central" and isinstance(source.get("strength"), (int, float)):
-            options["strength"] = self._convert_central(source)
-        return options
+        if name == "central" and isinstance(options.get("strength"), (int, float)):
+            converted["strength"] = self._convert_central(options)
+        return converted
 
     def _convert_central(self, options: Mapping[str, Any]) -> float:
-        """Return the acceleration at one metre from that at one length unit.
+        """Return the strength of a central force in metres.
 
-        It scales with a power of the distance.
+        It is the acceleration at one metre, instead of at one length unit.
         """
-        power = options.get("power", -2.0)
-        power = power if isinstance(power, (int, float)) else -2.0
-        return float(options["strength"]) * float(self.length ** (1.0 - power))
+        exponent = options.get("power", -2.0)
+        exponent = exponent if isinstance(exponent, (int, float)) else -2.0
+        return float(options["strength"]) * float(self.length ** (1.0 - exponent))
 
-    def pass_options(self, name: str, options: Mapping[str, Any]) -> dict[str, Any]:
+    def convert_pass_options(
+        self, name: str, options: Mapping[str, Any]
+    ) -> dict[str, Any]:
         """Return the specified options of a pass in metres."""
         units = PASS_UNITS.get(name, {})
         return {
-            key: self._scaled(value, units.get(key, ""))
+            key: self._scale_numbers(value, units.get(key, ""))
             for key, value in options.items()
         }
 
-    def _scaled(self, value: Any, unit: str) -> Any:
-        """Return a number, or numbers in lists, converted from a unit."""
+    def _scale_numbers(self, value: Any, unit: str) -> Any:
+        """Return numbers, also in nested lists, converted from a unit."""
         factor = self.factor(unit) if unit else 1.0
         if factor == 1.0 or isinstance(value, bool):
             return value
         if isinstance(value, (int, float)):
             return value * factor
         if isinstance(value, (list, tuple)):
-            return [self._scaled(item, unit) for item in value]
+            return [self._scale_numbers(item, unit) for item in value]
         return value
 
     def array_factor(self, description: str | None) -> float:
-        """Return the factor for arrays of a key, by the unit in its description."""
+        """Return the factor for arrays of a key, from the unit in its description."""
         units = _BRACKETS.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 
 
 def _contains_marker(annotation: Any, marker: Any) -> bool:
+    """Return whether a type annotation contains a marker."""
     return annotation == marker or any(
         _contains_marker(arg, marker) for arg in get_args(annotation)
     )
 
 
-# Default units.
+# The default units: metres and degrees.
 METRES = SceneUnits()

@@ -27,25 +27,28 @@ from animtool.documents.fields import (
 from animtool.documents.forms import EntryExamples
 from animtool.sim.contact import Contact, Material
 
-# A name of a table with its options.
-Named = Annotated[
+# A name with its options, such as a force field.
+NamedOptions = Annotated[
     dict[str, dict[str, Any] | None], Len(1, 1), AfterValidator(check_numbers)
 ]
 
 
-class EntryPart(StrEnum):
-    """Kinds of parts that field entries are read as, for the build context."""
+class FieldKind(StrEnum):
+    """How the entry of a field is read for the build context.
 
-    ARRAY = "array"  # array of a file, as floats
-    NAMES = "names"  # a name or number, or numbers of a file as a list
-    FORCE = "force"  # one of the shared force fields: `Force`
-    EMITTER_SHAPE = "place"  # an emitter shape: `Place`
-    SHAPE = "shape"  # a shape of colliders, a mesh among them: `Shape`
+    A field has its kind in the annotation of its type.
+    """
+
+    ARRAY = "array"  # array of floats from a file
+    NAMES = "names"  # name or number, or list of numbers from a file
+    FORCE = "force"  # force field, as `Force`
+    EMITTER_SHAPE = "place"  # emitter shape, as `EmitterShape`
+    SHAPE = "shape"  # collider shape or mesh, as `Shape`
 
 
-ArrayEntry = Annotated[Name, EntryPart.ARRAY]
-NameEntry = Annotated[str | Integer, EntryPart.NAMES]
-ForceEntry = Annotated[Named, EntryPart.FORCE]
+ArrayEntry = Annotated[Name, FieldKind.ARRAY]
+NameEntry = Annotated[str | Integer, FieldKind.NAMES]
+ForceEntry = Annotated[NamedOptions, FieldKind.FORCE]
 # Syntax of shapes.
 SHAPE_FORMS = EntryExamples(
     {
@@ -57,10 +60,10 @@ SHAPE_FORMS = EntryExamples(
         "sphere": {"radius": 0.1},
     }
 )
-EmitterShapeEntry = Annotated[Named, EntryPart.EMITTER_SHAPE]
-ShapeEntry = Annotated[Named, EntryPart.SHAPE, SHAPE_FORMS]
+EmitterShapeEntry = Annotated[NamedOptions, FieldKind.EMITTER_SHAPE]
+ShapeEntry = Annotated[NamedOptions, FieldKind.SHAPE, SHAPE_FORMS]
 
-# Seconds from the first frame, and a vector.
+# Row of seconds from the first frame, and a vector.
 TimedVector = Annotated[list[Real], Len(4, 4)]
 
 Velocities = Annotated[
@@ -92,7 +95,7 @@ Preroll = Annotated[
 
 
 class FollowedPrimModel(FileModel):
-    """A moving prim of a USD file."""
+    """A moving prim of a USD file to follow."""
 
     file: UsdFile = Field(examples=["props.usda"])
     prim: PrimPath = Field(examples=["/Set/hook"])
@@ -114,7 +117,7 @@ class PrimMeshModel(FileModel):
 
 
 class _CarrierModel(FileModel):
-    """Base of entries that carry particles; they are read for `SimContext.poses`."""
+    """Base of entries that carry particles, for `SimContext.poses`."""
 
     offset: Vector | None = key(
         "Position in its frame where the particles are held [m]; the whole system is "
@@ -146,7 +149,7 @@ class CarryingPrimModel(FollowedPrimModel, _CarrierModel):
 
 
 class CarryingBodyModel(_CarrierModel):
-    """A rigid body of the scene, which is pulled by the particles."""
+    """A rigid body of the scene that carries particles, and is pulled by them."""
 
     system: Name = key("Name of its system, of kind `rigid`.", "crates")
     body: Name = key(
@@ -155,14 +158,14 @@ class CarryingBodyModel(_CarrierModel):
 
 
 class RecordModel(FileModel):
-    """An entry that becomes a record."""
+    """An entry that is read as a record."""
 
-    makes: ClassVar[str]  # the record, as ``module:class``; it checks its values
+    makes: ClassVar[str]  # record class as ``module:class``; it checks its values
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
-        """Return the record, from the parts read for its keys."""
-        kind: Any = load_object(self.makes)
-        record: Checked = record_of(kind, self, **parts)
+        """Return the record, from the values that were read for its keys."""
+        record_class: Any = load_object(self.makes)
+        record: Checked = record_of(record_class, self, **parts)
         return record
 
 
@@ -178,9 +181,9 @@ class PlacementModel(FileModel):
 
 
 class PlacedModel(PlacementModel):
-    """A placement that may move."""
+    """A placement that may move over time."""
 
-    code: ClassVar[str] = "SIM020"  # of an invalid placement
+    code: ClassVar[str] = "SIM020"  # fault code of an invalid placement
 
     moves: list[TimedVector] = key(
         "Displacement over time, from `at`: rows of seconds from the first frame and "
@@ -219,7 +222,7 @@ class SystemColliderModel(PlacedModel, _MaterialModel):
     )
 
 
-class _Entries:
+class _ColliderListSchema:
     """Lets pydantic validate pass options as system colliders."""
 
     @staticmethod
@@ -227,8 +230,8 @@ class _Entries:
         return handler.generate_schema(list[SystemColliderModel])
 
 
-# Colliders among the options of a pass: `Collider` once they are read.
-ColliderEntries = Annotated[Sequence[Any], _Entries]
+# Colliders in the options of a pass, as `Collider` once they are read.
+ColliderEntries = Annotated[Sequence[Any], _ColliderListSchema]
 
 
 @with_fields(Contact, "margin", before_key="mesh")
@@ -318,7 +321,7 @@ class PhysicsStageModel(FollowedPrimModel):
     prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
-# Keys of obstacles of a system; listed in `AROUND`.
+# Keys of the obstacles of a system; listed in `AROUND`.
 Colliders = Annotated[
     list[SystemColliderModel],
     shared_key(

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True)
 class Groups:
-    """N individuals, entry by entry.
+    """N individuals of several entries, such as species, in order.
 
     Attributes:
         noun: Word for an individual in messages.
@@ -33,33 +33,33 @@ class Groups:
 
     @cached_property
     def rows_by_entry(self) -> list[slice]:
-        """Return the index range of each entry."""
+        """Index range of each entry."""
         starts = [0, *self.ends[:-1]]
         return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
 
     @cached_property
     def kinds(self) -> IntArray:
-        """Return the entry index of each individual ``(N,)``."""
+        """Entry index of each individual ``(N,)``."""
         return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.ends]))
 
-    def each(self, values: Sequence[float]) -> FloatArray:
+    def per_individual(self, values: Sequence[float]) -> FloatArray:
         """Return values of entries, repeated for their individuals ``(N,)``."""
         return np.asarray(values, np.float64)[self.kinds]
 
     @cached_property
     def radii(self) -> FloatArray:
-        """Return the radius of each ``(N,)`` [m]."""
-        return self.each([entry.radius for entry in self.entries])
+        """Radius of each individual ``(N,)`` [m]."""
+        return self.per_individual([entry.radius for entry in self.entries])
 
     def label(self, i: int) -> str:
         """Return the name of an individual for messages."""
-        kind = int(self.kinds[i])
-        number = i - self.rows_by_entry[kind].start
-        return f"{self.noun} {number} of {self.entries[kind].name!r}"
+        entry = int(self.kinds[i])
+        number = i - self.rows_by_entry[entry].start
+        return f"{self.noun} {number} of {self.entries[entry].name!r}"
 
 
 def duplicate_names(key: str, names: Sequence[str]) -> Iterator[Problem]:
-    """Yield entries of a key whose names are not unique."""
+    """Yield a problem for each entry of a key with a repeated name."""
     for k, name in enumerate(names):
         if name in names[:k]:
             yield f"two {key} are named {excerpt(name)}", f"{key}[{k}]", None

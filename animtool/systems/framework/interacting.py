@@ -26,7 +26,7 @@ from animtool.systems.framework.colours import Colouring, Quantities, log_densit
 from animtool.systems.framework.matter import PointMasses
 from animtool.systems.framework.simulation import Diagnostics, SimContext, StoppedError
 
-# Relative energy change that counts as blow-up.
+# Relative energy change that counts as divergence [1].
 MAX_ENERGY_GROWTH = 0.5
 
 
@@ -57,12 +57,12 @@ def integrate_step(
 
 
 class StepSystem(SecondOrder, Generic[InteractionSums]):
-    """Bodies for one step, with cached sums at the last positions.
+    """Interacting bodies during one step, with cached interaction sums.
 
     Args:
         bodies: The interaction.
         motion: Positions and velocities ``(2, N, 3)``.
-        cached: Sums at these positions.
+        initial_sums: Sums at these positions.
         check: Called with time, positions and sums.
     """
 
@@ -72,21 +72,21 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         self,
         bodies: Interacting[Any, InteractionSums],
         motion: FloatArray,
-        cached: InteractionSums,
+        initial_sums: InteractionSums,
         check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> None:
         self._bodies, self._motion, self._check = bodies, motion, check
-        self._cached = motion[0], cached
+        self._cached = motion[0], initial_sums
 
     @property
     def state(self) -> FloatArray:
-        """Initial state."""
+        """Initial positions and velocities ``(2, N, 3)``."""
         return self._motion
 
-    def at(self, x: FloatArray) -> InteractionSums:
-        """Return the sums at positions ``(N, 3)``, cached."""
-        cached, sums = self._cached
-        if x is not cached and not np.array_equal(x, cached):
+    def sums_at(self, x: FloatArray) -> InteractionSums:
+        """Return the interaction sums at positions ``(N, 3)``, cached."""
+        cached_positions, sums = self._cached
+        if x is not cached_positions and not np.array_equal(x, cached_positions):
             sums = self._bodies.compute_sums(np.ascontiguousarray(x), sums)
         self._cached = x, sums
         return sums
@@ -95,15 +95,15 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         """Return accelerations ``(N, 3)``; NaN if a position is not finite."""
         if not np.isfinite(x).all():
             return np.full_like(x, np.nan)
-        sums = self.at(x)
+        sums = self.sums_at(x)
         self._check(t, x, sums)
         return self._bodies.accelerations_from(t, x, sums)
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return why a state is hard to integrate, for messages."""
+        """Return why a state is hard to integrate, for messages; may be empty."""
         if not np.isfinite(state).all():
             return ""
-        return self._bodies.suspect(state[0], self.at(state[0]))
+        return self._bodies.suspect(state[0], self.sums_at(state[0]))
 
 
 class Interacting(ABC, Generic[State, InteractionSums]):
@@ -113,14 +113,14 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     defines a step.
 
     Attributes:
-        checked: Whether steps check that all numbers are finite.
+        checked: Whether steps raise if a number is not finite.
         unit: Unit of energies in messages.
         external_forces: External forces with their poses.
         bodies: Initial positions, velocities and masses.
         radii: Displayed radii ``(N,)`` [m].
         species: Entry index of each body ``(N,)``.
         has_many_species: Whether there is more than one entry.
-        shown: Indices of written bodies ``(M,)``.
+        written_bodies: Indices of the bodies in frames ``(M,)``.
         inertia: Divisor from forces to accelerations ``(N, 1)``; None is 1.
         box: Size of the periodic box ``(3,)``; None without.
     """
@@ -132,7 +132,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
     has_many_species: bool
-    shown: IntArray
+    written_bodies: IntArray
     box: FloatArray | None = None
     inertia: FloatArray | None = None
 
@@ -153,23 +153,25 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     def begin(self) -> None:
         """Check the method, and set colour ranges from the first state."""
-        first = self.initial()
-        check_supported(Equations(self._system(first)), self._integrator)
+        state = self.initial()
+        check_supported(Equations(self._system(state)), self._integrator)
         if self._spec.colour is not None:
-            quantities = self._quantities(first, self._begin)
+            quantities = self._quantities(state, self._begin)
             self._colouring = Colouring.of(self._spec.colour, quantities)
 
     @abstractmethod
     def _start(self, motion: FloatArray) -> State:
-        """Return the initial state, from the motion of `bodies`."""
+        """Return the initial state, with the motion of `bodies`."""
 
     @abstractmethod
     def _state_sums(self, state: State) -> InteractionSums:
         """Return the sums of a state."""
 
     @abstractmethod
-    def compute_sums(self, x: FloatArray, before: InteractionSums) -> InteractionSums:
-        """Return interaction sums at positions ``(N, 3)``; ``before`` are the last."""
+    def compute_sums(
+        self, x: FloatArray, last_sums: InteractionSums
+    ) -> InteractionSums:
+        """Return interaction sums at positions ``(N, 3)``, given the last sums."""
 
     @abstractmethod
     def _forces(self, sums: InteractionSums) -> FloatArray:
@@ -186,9 +188,12 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def external_effect(
-        self, force: Any, at: FloatArray, x: FloatArray
+        self, force: Any, position: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return accelerations and energies by an external force at ``(3,)``."""
+        """Return accelerations ``(N, 3)`` and energies ``(N,)`` by an external force.
+
+        Its position is ``(3,)``, those of the bodies are ``x`` ``(N, 3)``.
+        """
 
     def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
         """Return why positions are hard to integrate; may be empty."""
@@ -196,19 +201,19 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def _potential(self, state: State, t: float) -> float:
-        """Return their potential energy."""
+        """Return the potential energy of a state."""
 
     @abstractmethod
-    def _values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return reported values."""
+    def _report_values(self, state: State, t: float) -> Mapping[str, float]:
+        """Return the values of a state for the report."""
 
     def _exchanged_energy(self, state: State, energy: Energy) -> float:  # noqa: ARG002
-        """Return energy exchanged in addition to the initial energy."""
+        """Return the magnitude of energy exchanged with heat baths."""
         return abs(self._bath_energy(state))
 
     @abstractmethod
     def _suggested_step(self, state: State, t: float) -> float:
-        """Return an advised step [s]."""
+        """Return the step that a message suggests [s]."""
 
     def _bath_energy(self, state: State) -> float:  # noqa: ARG002
         """Return the energy added by a heat bath so far."""
@@ -228,7 +233,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @cached_property
     def _is_driven(self) -> bool:
-        """Whether an external force moves, and so may supply energy."""
+        """Whether an external force moves, and may supply energy."""
         return any(force.moves or force.prim for force, _ in self.external_forces)
 
     def external_accelerations(
@@ -249,49 +254,50 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def _integrate(
         self, system: StepSystem[InteractionSums], t: float, dt: float, step: float
     ) -> FloatArray:
-        """Return the motion after a duration, in steps [s], as `integrate_step`."""
+        """Return the motion after a duration [s], in steps [s] of the integrator."""
         options = replace(self._options, step=step * self._time_scale)
         return integrate_step(
             system, options, t * self._time_scale, dt * self._time_scale
         )
 
     def _check_energy(self, state: State, t: float) -> None:
-        """Stop if energy is not conserved (SIM102)."""
+        """Raise SIM102 if energy is not conserved."""
         initial, energy = self._initial_energy, self._energy(state, t)
         scale = max(
             initial.kinetic,
             abs(initial.potential),
             self._exchanged_energy(state, energy),
         )
-        supplied = self._is_driven or not scale
+        has_supply = self._is_driven or not scale
         if (
-            not supplied
+            not has_supply
             and not abs(self._energy_gain(state, energy)) <= MAX_ENERGY_GROWTH * scale
         ):
             message = f"its energy changed to {energy.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{initial.total:.4g} {self.unit}")
 
     def _stop(self, state: State, t: float, reason: str) -> None:
+        """Raise SIM102 with a reason."""
         message = f"{self._spec.name} blew up at {t:g} s: {reason}"
         step = min(self._suggested_step(state, t), self._spec.step / 4)
         raise StoppedError([Fault("SIM102", message, hint=f"use step: {step:.2g}")])
 
-    def _kinetic(self, motion: FloatArray) -> float:
+    def _kinetic_energy(self, motion: FloatArray) -> float:
         return 0.5 * float(self.bodies.masses @ (motion[1] ** 2).sum(axis=1))
 
     def _energy(self, state: State, t: float) -> Energy:
-        return Energy(self._kinetic(state.motion), self._potential(state, t))
+        return Energy(self._kinetic_energy(state.motion), self._potential(state, t))
 
     @cached_property
     def _initial_energy(self) -> Energy:
         return self._energy(self._initial_state, self._begin)
 
     def _energy_gain(self, state: State, energy: Energy) -> float:
-        """Return the unexplained energy gain."""
+        """Return the energy gain since the start, without that from heat baths."""
         return energy.total - self._bath_energy(state) - self._initial_energy.total
 
-    def _drift(self, state: State, energy: Energy) -> float:
-        """Return the unexplained gain relative to the initial energy [1]."""
+    def _energy_drift(self, state: State, energy: Energy) -> float:
+        """Return the energy gain relative to the initial energy [1]."""
         scale = max(
             abs(self._initial_energy.total), self._initial_energy.kinetic, 1e-300
         )
@@ -303,16 +309,16 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @np.errstate(all="ignore")
     def frame(self, state: State, t: float) -> PointsFrame:
-        """Return the frame of the shown bodies."""
-        shown = self.shown
-        points, velocities = self._to_scene(state.motion)[:, shown]
+        """Return the frame of the written bodies."""
+        rows = self.written_bodies
+        points, velocities = self._to_scene(state.motion)[:, rows]
         primvars: dict[str, Any] = {}
         if self.has_many_species:
-            primvars["species"] = self.species[shown]
+            primvars["species"] = self.species[rows]
         if self._colouring is not None:
             colours = self._colouring.colours(self._quantities(state, t))
-            primvars["displayColor"] = colours[shown]
-        return PointsFrame(shown, points, velocities, self.radii[shown], primvars)
+            primvars["displayColor"] = colours[rows]
+        return PointsFrame(rows, points, velocities, self.radii[rows], primvars)
 
     def _quantities(self, state: State, t: float) -> Quantities:  # noqa: ARG002
         (x, v), box = state.motion, self.box
@@ -326,17 +332,17 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @np.errstate(all="ignore")
     def values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return reported values that are finite."""
-        values = self._values(state, t)
+        """Return the finite values for the report."""
+        values = self._report_values(state, t)
         return {key: value for key, value in values.items() if math.isfinite(value)}
 
     @np.errstate(all="ignore")
     def diagnostics(self, state: State, t: float) -> Diagnostics:
-        """Return reported values, and the conserved energy."""
+        """Return report values, and the energy if it is conserved."""
         energy = self._energy(state, t)
-        conserved = replace(
+        conserved_energy = replace(
             energy, potential=energy.potential - self._bath_energy(state)
         )
         return Diagnostics(
-            None if self._is_driven else conserved, self.values(state, t)
+            None if self._is_driven else conserved_energy, self.values(state, t)
         )

@@ -9,10 +9,10 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True)
 class SystemKind:
-    """A kind of system, its parts as ``module:object``."""
+    """A kind of system; its spec and builder are given as ``module:object``."""
 
-    spec: str  # the model of its keys
-    build: str  # from the spec and a `SimContext` to a `Simulation`
+    spec: str  # model of its keys
+    build: str  # function from a spec and a `SimContext` to a `Simulation`
     description: str  # description for the schema
     example: dict[str, Any]  # example entry
     surface: bool = False  # whether it has faces that others can collide with
@@ -20,7 +20,7 @@ class SystemKind:
     weldable: bool = False  # whether its particles can be merged with those of others
 
     def __post_init__(self) -> None:
-        """Set `surface` for rigid kinds."""
+        """Set `surface` if the kind has rigid bodies."""
         object.__setattr__(self, "surface", self.surface or self.rigid)
 
 

@@ -27,7 +27,7 @@ def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class UnitFrame:
-    """Placement of a frame with local units in a scene."""
+    """A frame in the scene with its own units of length and time."""
 
     at: FloatArray  # origin (3,) [m]
     rotation: FloatArray  # a quaternion x, y, z, w
@@ -43,21 +43,21 @@ class UnitFrame:
         return UnitFrame(np.array(pose.at), rotation, scale, time_scale)
 
     def to_local(self, points: FloatArray) -> FloatArray:
-        """Transform scene points ``(…, 3)`` [m] to local units."""
+        """Transform scene points ``(…, 3)`` [m] to the frame."""
         offsets = so3.rotate(so3.conjugate(self.rotation), points - self.at)
         return np.asarray(offsets / self.scale)
 
     def to_scene(self, x: FloatArray) -> FloatArray:
-        """Transform local points ``(…, 3)`` to the scene [m]."""
+        """Transform points ``(…, 3)`` of the frame to the scene [m]."""
         return np.asarray(self.at + so3.rotate(self.rotation, self.scale * x))
 
     def velocities_to_local(self, v: FloatArray) -> FloatArray:
-        """Transform scene velocities ``(…, 3)`` [m/s] to local units."""
+        """Transform scene velocities ``(…, 3)`` [m/s] to the frame."""
         rotated = so3.rotate(so3.conjugate(self.rotation), v)
         return np.asarray(rotated / (self.scale * self.time_scale))
 
     def velocities_to_scene(self, v: FloatArray) -> FloatArray:
-        """Transform local velocities ``(…, 3)`` to the scene [m/s]."""
+        """Transform velocities ``(…, 3)`` of the frame to the scene [m/s]."""
         return np.asarray(so3.rotate(self.rotation, self.scale * self.time_scale * v))
 
 
@@ -71,17 +71,17 @@ class PointMasses(Rows):
 
     @staticmethod
     def read(
-        parts: Mapping[str, Any], mass: float, kind: str, code: str, where: str
+        parts: Mapping[str, Any], mass: float, noun: str, code: str, where: str
     ) -> PointMasses:
-        """Return bodies from arrays of a file, by default at rest and of equal mass."""
-        check_rows(parts, kind, code, where)
+        """Return bodies from arrays of files, by default at rest and of equal mass."""
+        check_rows(parts, noun, code, where)
         points, velocities = parts["points"], parts.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
         masses = parts.get("masses")
         masses = np.full(len(points), mass) if masses is None else masses
         if (masses <= 0).any():
             i = int(np.argmax(masses <= 0))
-            message = f"the mass of {kind} {i} is {masses[i]:g} kg; it must be above 0"
+            message = f"the mass of {noun} {i} is {masses[i]:g} kg; it must be above 0"
             refuse(code, message, where)
         return PointMasses(points, velocities, masses)
 
@@ -95,7 +95,7 @@ def normal_samples(u: FloatArray) -> FloatArray:
 
 
 def random_directions(u: FloatArray) -> FloatArray:
-    """Return uniform directions ``(N, 3)`` from numbers in [0, 1) ``(N, 2)``."""
+    """Return uniform directions ``(N, 3)`` from random numbers in [0, 1) ``(N, 2)``."""
     y = 2 * u[:, 0] - 1
     horizontal, angle = np.sqrt(np.maximum(1 - y**2, 0.0)), 2 * np.pi * u[:, 1]
     return np.stack([horizontal * np.sin(angle), y, horizontal * np.cos(angle)], axis=1)
@@ -103,33 +103,33 @@ def random_directions(u: FloatArray) -> FloatArray:
 
 def check_distinct(
     points: FloatArray,
-    pair: Callable[[int, int], str],
+    pair_names: Callable[[int, int], str],
     code: str,
     where: str,
     hint: str,
-    why: str = "",
+    reason: str = "",
 ) -> None:
-    """Raise if two of points ``(N, 3)`` coincide.
+    """Raise if two of the points ``(N, 3)`` coincide.
 
     Args:
         points: Positions.
-        pair: Returns the names of two points.
+        pair_names: Returns the names of two points, by index.
         code: Code of the fault.
         where: Key of the fault.
         hint: What to do.
-        why: Why they must not coincide.
+        reason: Why they must not coincide.
     """
     order = np.lexsort(points.T)
     coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
     if coincident.any():
         i = int(np.argmax(coincident))
-        names = pair(*sorted(order[[i, i + 1]].tolist()))
-        message = f"{names} start at the same position{': ' if why else ''}{why}"
+        names = pair_names(*sorted(order[[i, i + 1]].tolist()))
+        message = f"{names} start at the same position{': ' if reason else ''}{reason}"
         refuse(code, message, where, hint)
 
 
 def check_rows(
-    arrays: Mapping[str, FloatArray | None], kind: str, code: str, where: str
+    arrays: Mapping[str, FloatArray | None], noun: str, code: str, where: str
 ) -> None:
     """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
 
@@ -149,6 +149,6 @@ def check_rows(
             )
             if finite.all():
                 continue
-            message = f"{name} of {kind} {int(np.argmin(finite))} are not finite"
+            message = f"{name} of {noun} {int(np.argmin(finite))} are not finite"
         problems.append((message, where, None))
     refuse_all(code, problems)

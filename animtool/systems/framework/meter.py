@@ -1,4 +1,4 @@
-"""Meter of depth, piercing and strain of simulated surfaces."""
+"""Measured depth, piercing and strain of simulated surfaces."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
 @dataclass(frozen=True, slots=True)
 class PeakValue:
-    """Largest value over the frames, with its frame and position."""
+    """The largest value over all frames, with its frame and position."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
     frame: float | None = None  # time code; None for a system, or without a value
-    point: int | None = None  # particle index, the first of two
+    point: int | None = None  # particle index; of an edge, the first
     at: tuple[float, float, float] | None = None  # its position [m]
     time: float | None = None  # time of a system [s]
 
@@ -56,9 +56,9 @@ class ClosedSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSurface:
-    """Particles, triangles and edges of a surface to measure."""
+    """Particles, triangles and edges of a surface that are measured."""
 
-    free: IntArray  # free particles ``(M,)``
+    free_particles: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
     edges: IntArray  # particles of each edge ``(S, 2)``
     rest_lengths: FloatArray  # rest lengths of the edges, above 0 ``(S,)`` [m]
@@ -66,7 +66,7 @@ class MeasuredSurface:
 
 @dataclass(slots=True)
 class ContactMeter:
-    """Peaks of depth, piercing and strain over the measured frames."""
+    """Measures the peaks of depth, piercing and strain over frames."""
 
     seconds: bool = False  # whether frames are times in [s], as for systems
     depth: PeakValue = field(default_factory=PeakValue)  # in a skin or a collider [m]
@@ -92,25 +92,25 @@ class ContactMeter:
             frame: Time code, or time [s].
             points: Particle positions ``(N, 3)`` [m].
             surface: Sides and triangles to measure.
-            solids: Closed surfaces to stay outside of.
+            solids: Closed surfaces that particles must stay outside of.
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
             layers: Other open surfaces, only tested for piercing.
         """
         max_depths = np.zeros(len(points)) if depths is None else depths.copy()
-        free = surface.free
+        free = surface.free_particles
         for solid in solids:
             max_depths[free] = np.maximum(
-                max_depths[free], depths_in(solid, points[free])
+                max_depths[free], surface_depths(solid, points[free])
             )
         if len(free):
             deepest = int(free[max_depths[free].argmax()])
             depth = float(max_depths[deepest])
-            self.depth = self._larger(self.depth, depth, frame, points, deepest)
+            self.depth = self._larger_peak(self.depth, depth, frame, points, deepest)
         if len(surface.triangles):
             pairs = pierced_pairs(points, surface.triangles, [*solids, *layers])
             first = int(surface.triangles[0, 0])
             count = float(pairs)
-            self.pierced = self._larger(self.pierced, count, frame, points, first)
+            self.pierced = self._larger_peak(self.pierced, count, frame, points, first)
         if len(surface.rest_lengths):
             i, j = surface.edges.T
             lengths = np.linalg.norm(points[j] - points[i], axis=1)
@@ -118,12 +118,12 @@ class ContactMeter:
             largest = int(strains.argmax())
             particle = int(i[largest])
             value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
-            self.strain = self._larger(self.strain, value, frame, points, particle)
-            self.strain_99 = self._larger(
+            self.strain = self._larger_peak(self.strain, value, frame, points, particle)
+            self.strain_99 = self._larger_peak(
                 self.strain_99, quantile, frame, points, particle
             )
 
-    def _larger(
+    def _larger_peak(
         self,
         peak: PeakValue,
         value: float,
@@ -131,7 +131,7 @@ class ContactMeter:
         points: FloatArray,
         point: int,
     ) -> PeakValue:
-        """Return the larger of the peak so far and a frame's value."""
+        """Return the larger of a peak and a value of a frame."""
         if not value > peak.value:
             return peak
         x, y, z = points[point].tolist()
@@ -140,13 +140,13 @@ class ContactMeter:
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
-        """Measured values for a report."""
+        """Peaks for a report, by name."""
         names = ("depth", "pierced", "strain", "strain_99")
         return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
-        """Measured values as text; empty without contact and strain."""
+        """Peaks as text; empty without contact and strain."""
         phrases = []
         if self.depth.value > 0:
             depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
@@ -159,17 +159,19 @@ class ContactMeter:
             )
         return ", ".join(phrases)
 
-    def notices(self, what: str) -> list[Fault]:
-        """Return warnings about visible faults (SIM180, SIM181, SIM182)."""
+    def notices(self, subject: str) -> list[Fault]:
+        """Return warnings of visible depth, piercing and strain (SIM180 to SIM182)."""
         notices, remedy = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
-            message = f"{what} is {1000 * self.depth.value:.2g} mm deep in what it "
+            message = f"{subject} is {1000 * self.depth.value:.2g} mm deep in what it "
             message += f"touches ({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
-            message = f"{pairs} of edges and triangles of {what} and what it touches "
+            message = (
+                f"{pairs} of edges and triangles of {subject} and what it touches "
+            )
             message += f"intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
@@ -177,7 +179,9 @@ class ContactMeter:
             self.strain_99.value > VISIBLE_STRAIN_99
             or self.strain.value > VISIBLE_STRAIN
         ):
-            message = f"{what} is strained by up to {percent_text(self.strain.value)} "
+            message = (
+                f"{subject} is strained by up to {percent_text(self.strain.value)} "
+            )
             message += f"({self.strain.text}), 99th percentile "
             message += f"{percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
@@ -195,14 +199,14 @@ def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
     ]
 
 
-def depths_of(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
-    """Return depths of points in rigid colliders ``(N,)`` [m], below 0 outside."""
+def collider_depths(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
+    """Return depths of points in rigid colliders ``(N,)`` [m]; below 0 is outside."""
     if not colliders.rigid:
         return np.full(len(points), -np.inf)
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
 
-def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
+def surface_depths(surface: ClosedSurface, points: FloatArray) -> FloatArray:
     """Return depths of points ``(N, 3)`` in a closed surface ``(N,)`` [m].
 
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
@@ -211,16 +215,16 @@ def depths_in(solid: ClosedSurface, points: FloatArray) -> FloatArray:
     >>> depths_in(ClosedSurface(corners, faces), points).round(3).tolist()
     [0.1, 0.0]
     """
-    low, high = solid.points.min(axis=0), solid.points.max(axis=0)
-    in_bounds = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    candidates = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     depths = np.zeros(len(points))
-    if len(in_bounds):
-        positions, kernel = solid.points, solid.kernel
+    if len(candidates):
+        positions, kernel = surface.points, surface.kernel
         if kernel is None:
-            positions, triangles = Mesh(positions, solid.triangles).weld()
+            positions, triangles = Mesh(positions, surface.triangles).weld()
             kernel = _kernels.MeshSurface(positions, triangles)
-        distances = kernel.distances(positions, points[in_bounds])
-        depths[in_bounds] = np.maximum(-distances, 0.0)
+        distances = kernel.distances(positions, points[candidates])
+        depths[candidates] = np.maximum(-distances, 0.0)
     return depths
 
 
@@ -236,8 +240,8 @@ def pierced_pairs(
     low, high = points.min(axis=0), points.max(axis=0)
     for solid in solids:
         corners = solid.points[solid.triangles]
-        nearby = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
-        faces = solid.triangles[nearby.all(axis=1)]
+        is_near = (corners.max(axis=1) >= low) & (corners.min(axis=1) <= high)
+        faces = solid.triangles[is_near.all(axis=1)]
         if not len(faces):
             continue
         all_points = np.concatenate([points, solid.points])

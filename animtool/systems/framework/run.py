@@ -1,4 +1,4 @@
-"""Runs a simulation in steps of equal length, and samples it at any time."""
+"""Runs of a simulation in steps of equal length, sampled at any time."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from animtool.systems.framework.tied import TiedBodies
 
 Observer = TypeVar("Observer", SystemSurface, BodyColliders)
 
-# Tolerance for a time at the end of a step [steps].
+# Rounding tolerance for a time at the end of a step, in steps [1].
 STEP_TOLERANCE = 1e-9
 
 
@@ -43,7 +43,7 @@ class ReachedState(Generic[State]):
 
 
 class EntryRun:
-    """View of one scene entry on a simulation run.
+    """Samples one scene entry of a simulation run.
 
     Attributes:
         name: Name of the entry.
@@ -63,7 +63,7 @@ class EntryRun:
     ) -> None:
         self.name, self.run, self.reports_steps = name, run, reports_steps
         self.simulation: Any = view
-        self._was_empty: bool | None = None  # None before the first look
+        self._was_empty: bool | None = None  # None before the first frame
 
     def at(self, t: float) -> Frame:
         """Return the frame at a time [s] not before the last requested one.
@@ -72,20 +72,20 @@ class EntryRun:
             OptionError: The time is before the last one (SIM002).
             ToleranceError: It blew up (SIM102), or the method failed.
         """
-        frame: Frame = self.simulation.frame(*self.run.reach(t))
+        frame: Frame = self.simulation.frame(*self.run.sample(t))
         check_bounds(self.name, frame, t, self.run.step_length)
         self._was_empty = self._was_empty is not False and not len(frame.points)
         return frame
 
     @property
-    def rigid(self) -> bool:
-        """Whether it has rigid bodies."""
+    def is_rigid(self) -> bool:
+        """Whether the entry has rigid bodies."""
         return isinstance(self.simulation, RigidSystem)
 
-    def bodies(
+    def body_colliders(
         self, restitution: float, friction: float, *, two_way: bool
     ) -> BodyColliders:
-        """Return its bodies as colliders of others, which push them if two-way."""
+        """Return its rigid bodies as colliders of other systems."""
         assert isinstance(self.simulation, RigidSystem)
         return self.run.add_observer(
             BodyColliders(
@@ -93,21 +93,21 @@ class EntryRun:
             )
         )
 
-    def tied(self) -> TiedBodies:
-        """Return its bodies as carriers of particles of others."""
+    def body_carriers(self) -> TiedBodies:
+        """Return its rigid bodies as carriers of particles of other systems."""
         run, simulation = self.run, self.simulation
         bodies = TiedBodies(run, simulation, run.begin, run.step_length)
         run.add_observer(bodies)
         return bodies
 
     def surface(self) -> SystemSurface:
-        """Return its surface as a collider of others."""
+        """Return its surface as a collider of other systems."""
         return self.run.add_observer(SystemSurface(self.run, self.simulation))
 
     @property
     def diagnostics(self) -> Diagnostics:
         """Diagnostics of the last sampled state."""
-        diagnostics: Diagnostics = self.simulation.diagnostics(*self.run.observed)
+        diagnostics: Diagnostics = self.simulation.diagnostics(*self.run.last_sample)
         return diagnostics
 
     @property
@@ -122,7 +122,7 @@ class EntryRun:
         ]
 
     def report(self) -> dict[str, object]:
-        """Return result values for a report."""
+        """Return values for the report; empty if there are none."""
         values = dict(self.diagnostics.values)
         if not values:
             return {}
@@ -139,7 +139,7 @@ class SimulationRun(EntryRun):
     not finite is stopped.
 
     Attributes:
-        observed: The last sampled state and its time [s].
+        last_sample: The last sampled state and its time [s].
         begin: Time of the first step [s].
         step_length: Length of every step [s].
         state: State at the end of the last full step.
@@ -171,45 +171,49 @@ class SimulationRun(EntryRun):
         self._pullers: list[tuple[TiedBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
         self._pushed_states: dict[int, ReachedState[Any]] = {}
-        self.observed: tuple[Any, float] = self.state.state, self.time(self.state.steps)
+        self.last_sample: tuple[Any, float] = (
+            self.state.state,
+            self.step_time(self.state.steps),
+        )
         self._last_time: float | None = None  # last requested time [s]
         stepper = simulation if isinstance(simulation, ManySteps) else None
         self._many_steps = None if stepper is None else stepper.steps
 
-    def reach(self, t: float) -> tuple[Any, float]:
-        """Return the state at a time [s] not before the last one, and its time."""
+    def sample(self, t: float) -> tuple[Any, float]:
+        """Return the state at a time [s], and its time; times must not decrease."""
         if t == self._last_time:
-            return self.observed
-        count = self.advance(t)
+            return self.last_sample
+        steps = self.advance(t)
         start = self.state
-        if count < start.steps:
+        if steps < start.steps:
             # Systems coupled to it may have advanced it beyond the frame.
-            earlier = [past for past in self._past_states or () if past.steps <= count]
+            earlier = [past for past in self._past_states or () if past.steps <= steps]
             if not earlier:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
             start = earlier[-1]
-        time = self.time(count)
+        time = self.step_time(steps)
         state = self._partial_step(start, t)
         if state is start and self._pullers:
             state = self._with_pushes(start)
         elif state is not start:
             for bodies, puller in self._pullers:
                 state = replace(state, state=bodies.pulled_by(puller, state.state, t))
-        self.observed, self._last_time = (state.state, max(t, time)), t
-        return self.observed
+        self.last_sample, self._last_time = (state.state, max(t, time)), t
+        return self.last_sample
 
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
-        """Return the pull on bodies in the step at a time [s].
+        """Return the impulses on bodies by attached particles in a step.
 
-        Also returns start and end of the step [s]; None without a pull.
+        The step is the one at a time [s]. Also returns its start and end [s]; None
+        without a pull.
         """
-        count = self.advance(t)
-        start = self.time(count)
+        steps = self.advance(t)
+        start = self.step_time(steps)
         is_within = t - start > STEP_TOLERANCE * self.step_length
-        if not is_within or count != self.state.steps or t < self.begin:
+        if not is_within or steps != self.state.steps or t < self.begin:
             return None
-        end = self.time(count + 1)
+        end = self.step_time(steps + 1)
         wrenches = self.simulation.pulls(self.state.state, start)
         index = [pushed is bodies for pushed in self._pushed_bodies].index(True)
         return wrenches[index], start, end
@@ -229,19 +233,21 @@ class SimulationRun(EntryRun):
         ):
             steps, count = self.state.steps, end_step - self.state.steps
             step = self.step_length
-            stepped = self._many_steps(self.state.state, self.time(steps), step, count)
+            result = self._many_steps(
+                self.state.state, self.step_time(steps), step, count
+            )
             self.state, self.steps_taken = (
-                ReachedState(end_step, stepped.state),
+                ReachedState(end_step, result.state),
                 self.steps_taken + count,
             )
-            self._record_notices(stepped.notices)
+            self._record_notices(result.notices)
         while self.state.steps < end_step:
             self._full_step()
         return end_step
 
     def _full_step(self) -> None:
-        """Take a full step."""
-        begin, end = self.receive(), self.time(self.state.steps + 1)
+        """Take a full step, and push the bodies of other systems."""
+        begin, end = self.apply_pushes(), self.step_time(self.state.steps + 1)
         self.state, wrenches = self._step_until(begin, end)
         if self._past_states is None:
             self._pushed_states.clear()
@@ -254,26 +260,28 @@ class SimulationRun(EntryRun):
 
     def _partial_step(self, state: ReachedState[Any], t: float) -> ReachedState[Any]:
         """Return a state advanced by a partial step to a time [s]."""
-        if t <= self.time(state.steps) + STEP_TOLERANCE * self.step_length:
+        if t <= self.step_time(state.steps) + STEP_TOLERANCE * self.step_length:
             return state
         return self._step_until(self._with_pushes(state), t)[0]
 
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
-        """Return a state with pushes applied, as the next step starts."""
-        current = state.steps == self.state.steps
+        """Return a state with pushes applied, as the next step starts from it."""
+        is_current = state.steps == self.state.steps
         return (
-            self.receive() if current else self._pushed_states.get(state.steps, state)
+            self.apply_pushes()
+            if is_current
+            else self._pushed_states.get(state.steps, state)
         )
 
-    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
-        """Queue a push of bodies at a time [s] by the pusher's index."""
+    def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
+        """Queue impulses on its bodies at a time [s]."""
         if (
             wrenches.impulses.any()
             and t > self.begin + STEP_TOLERANCE * self.step_length
         ):
-            self._queued_pushes.append((t, who, wrenches))
+            self._queued_pushes.append((t, pusher_index, wrenches))
 
-    def receive(self) -> ReachedState[Any]:
+    def apply_pushes(self) -> ReachedState[Any]:
         """Return the last state with all pushes until then applied.
 
         Pushers are advanced to the same time first, so that the result does not depend
@@ -285,32 +293,32 @@ class SimulationRun(EntryRun):
         if steps in self._pushed_states:
             return self._pushed_states[steps]
         assert isinstance(self.simulation, RigidSystem)
-        time = self.time(steps)
+        time = self.step_time(steps)
         for pusher in self._pushers:
             pusher.advance(time)
         limit = time + STEP_TOLERANCE * self.step_length
-        pushes = sorted(
+        due_pushes = sorted(
             (push for push in self._queued_pushes if push[0] <= limit),
             key=lambda push: push[:2],
         )
         self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
         self._pushed_states[steps] = self.state
-        if pushes:
+        if due_pushes:
             pushed_state = self.simulation.pushed(
                 self.state.state,
-                Wrenches.sum([push[2].after(time - push[0]) for push in pushes]),
+                Wrenches.sum([push[2].after(time - push[0]) for push in due_pushes]),
             )
             self._pushed_states[steps] = ReachedState(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
-        """Register bodies of other systems that it pushes."""
+        """Register bodies of other systems that this one pushes."""
         self._pushed_bodies = bodies
         for system in bodies:
             system.register_pusher(self)
 
     def register_pusher(self, pusher: Pusher) -> int:
-        """Register a pusher of its bodies; return its index."""
+        """Register a system that pushes its bodies; return the index of the pusher."""
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
@@ -318,28 +326,28 @@ class SimulationRun(EntryRun):
         """Register a system whose particles are attached to its bodies."""
         self._pullers.append((bodies, puller))
 
-    def add_observer(self, watcher: Observer) -> Observer:
-        """Register an observer of past states; states are kept from now on."""
+    def add_observer(self, observer: Observer) -> Observer:
+        """Register an observer of past states, which are stored from now on."""
         if self._past_states is None:
             self._past_states = [self.state]
-        self._observers.append(watcher)
-        return watcher
+        self._observers.append(observer)
+        return observer
 
     def _record_notices(self, notices: Sequence[Fault]) -> None:
-        """Keep warnings of a step with new codes."""
+        """Record the warnings of a step that have new codes."""
         for notice in notices:
             if notice.code not in {earlier.code for earlier in self.step_notices}:
                 self.step_notices.append(notice)
 
-    def time(self, steps: int) -> float:
-        """Return the end time of a number of steps [s]."""
+    def step_time(self, steps: int) -> float:
+        """Return the time after a number of steps [s]."""
         return self.begin + steps * self.step_length
 
-    def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
-        """Return a past or current state at a time [s], and its time.
+    def past_state(self, t: float, *, with_pushes: bool = False) -> tuple[Any, float]:
+        """Return a past or the current state at a time [s], and its time.
 
-        Times before the start return the first state. With ``begins``, pushes until
-        then are applied.
+        Times before the start return the first state. With ``with_pushes``, pushes
+        until then are applied.
         """
         assert self._past_states is not None
         count = self.advance(t)
@@ -348,22 +356,22 @@ class SimulationRun(EntryRun):
             past for past in reversed(self._past_states) if past.steps <= count
         )
         state = next(candidates, self._past_states[0])
-        time, observed = self.time(state.steps), self._partial_step(state, t)
-        if begins and observed is state:
-            observed = self._with_pushes(state)
-        return observed.state, max(t, time)
+        time, sampled = self.step_time(state.steps), self._partial_step(state, t)
+        if with_pushes and sampled is state:
+            sampled = self._with_pushes(state)
+        return sampled.state, max(t, time)
 
     def forget(self) -> None:
         """Drop past states that no observer needs."""
         assert self._past_states is not None
-        t = min(observer.since for observer in self._observers)
+        t = min(observer.earliest_time for observer in self._observers)
         if t == -math.inf:
             return
         count = math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
-        expired = [
+        expired_rows = [
             k for k, entry in enumerate(self._past_states) if entry.steps <= count
         ]
-        del self._past_states[: expired[-1] if expired else 0]
+        del self._past_states[: expired_rows[-1] if expired_rows else 0]
         first_step = self._past_states[0].steps
         self._pushed_states = {
             k: entry for k, entry in self._pushed_states.items() if k >= first_step
@@ -372,11 +380,11 @@ class SimulationRun(EntryRun):
     def _step_until(
         self, state: ReachedState[Any], end: float
     ) -> tuple[ReachedState[Any], Sequence[Wrenches]]:
-        """Return the state after a full or partial step until a time [s].
+        """Return the state after a full or partial step to a time [s].
 
-        Also returns its pushes on bodies of other systems.
+        Also returns impulses on bodies of other systems.
         """
-        start = self.time(state.steps)
+        start = self.step_time(state.steps)
         result = self.simulation.step(state.state, start, end - start)
         result = result if isinstance(result, Stepped) else Stepped(result)
         self.steps_taken += 1

@@ -29,9 +29,9 @@ _Arrays = dict[str, npt.NDArray[Any]]
 
 @dataclass(frozen=True, slots=True)
 class StateClock:
-    """Clock of a state, which must match that of the resumed system."""
+    """Kind, start and step of a saved state, to compare with those of the scene."""
 
-    kind: str  # kind of the system or attachment
+    kind: str  # kind of system or attachment
     begin: float  # time of the first step [s]; for an attachment the frame
     step: float  # step length [s]; for an attachment one frame
 
@@ -41,12 +41,12 @@ def write_states(
 ) -> None:
     """Write states by name, replacing the file; a single state has no name."""
     arrays: _Arrays = {"format": np.array(FORMAT)}
-    for name, (clocked, reached) in states.items():
+    for name, (clock, reached_state) in states.items():
         prefix = f"{name}/" if name else ""
-        head = [clocked.begin, clocked.step, float(reached.steps)]
-        state = _state_arrays(reached.state)
-        arrays[f"{prefix}kind"] = np.array(clocked.kind)
-        arrays[f"{prefix}clock"] = np.array(head)
+        clock_row = [clock.begin, clock.step, float(reached_state.steps)]
+        state = _state_arrays(reached_state.state)
+        arrays[f"{prefix}kind"] = np.array(clock.kind)
+        arrays[f"{prefix}clock"] = np.array(clock_row)
         arrays[f"{prefix}state"] = np.array(_names_text(state))
         arrays |= {f"{prefix}state/{key}": rows for key, rows in state.items()}
     try:
@@ -84,9 +84,9 @@ class SavedStates:
         return [prefix for prefix, _, key in names if key == "clock"]
 
     def read(
-        self, name: str, clocked: StateClock, start: ReachedState[Any]
+        self, name: str, expected_clock: StateClock, initial: ReachedState[Any]
     ) -> ReachedState[Any]:
-        """Return a state with the structure of an initial one."""
+        """Return a saved state that has the structure of an initial state."""
         archives, path = self.archives, self.path
         prefix = f"{name}/" if name else ""
 
@@ -97,31 +97,42 @@ class SavedStates:
         if name and not archives.has(path, f"{prefix}kind"):
             raise mismatch("the state does not exist")
         kind = archives.text(path, f"{prefix}kind")
-        if kind != clocked.kind:
-            raise mismatch(f"it contains a state of {kind}, not of {clocked.kind}")
-        clock = archives.load(path, f"{prefix}clock")
-        if clock.shape != (3,) or not 0 <= clock[2] <= MAX_STEPS or clock[2] % 1:
+        if kind != expected_clock.kind:
+            raise mismatch(
+                f"it contains a state of {kind}, not of {expected_clock.kind}"
+            )
+        saved_clock = archives.load(path, f"{prefix}clock")
+        if (
+            saved_clock.shape != (3,)
+            or not 0 <= saved_clock[2] <= MAX_STEPS
+            or saved_clock[2] % 1
+        ):
             raise mismatch("its clock is not a start, a step and a count")
-        begin, step, steps = clock.tolist()
+        begin, step, steps = saved_clock.tolist()
         if not (
-            math.isclose(begin, clocked.begin) and math.isclose(step, clocked.step)
+            math.isclose(begin, expected_clock.begin)
+            and math.isclose(step, expected_clock.step)
         ):
             message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
-            message += f"scene, of {clocked.step:g} s, start at {clocked.begin:g} s"
+            message += (
+                f"scene, of {expected_clock.step:g} s, start at "
+                f"{expected_clock.begin:g} s"
+            )
             hint = "keep the step and the pre-roll it was saved with"
             raise mismatch(message, hint)
-        expected, metadata = _state_arrays(start.state), _FieldMetadata()
-        _collect_metadata(start.state, metadata)
+        expected_arrays, metadata = _state_arrays(initial.state), _FieldMetadata()
+        _collect_metadata(initial.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
         names_in_file = set(saved_names.split(", "))
-        missing = metadata.added - names_in_file
+        missing_names = metadata.added - names_in_file
         names = sorted(
-            (expected.keys() - missing)
-            | {n for n in names_in_file if metadata.is_later(n)}
+            (expected_arrays.keys() - missing_names)
+            | {n for n in names_in_file if metadata.starts_as_none(n)}
         )
         if saved_names != _names_text(names):
             raise mismatch(
-                f"its state has {saved_names}, but the scene's {_names_text(expected)}"
+                f"its state has {saved_names}, but the scene's "
+                f"{_names_text(expected_arrays)}"
             )
         arrays: _Arrays = {}
         lengths = set()
@@ -153,41 +164,41 @@ class SavedStates:
                 f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
             )
         try:
-            arrays |= {key: expected[key] for key in missing}
-            return ReachedState(int(steps), _restore(start.state, arrays, metadata))
+            arrays |= {key: expected_arrays[key] for key in missing_names}
+            return ReachedState(int(steps), _restore(initial.state, arrays, metadata))
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
 
 
-def _is_in_bounds(values: npt.NDArray[Any], expected: npt.NDArray[Any]) -> bool:
-    """Return whether numbers are in bounds for a state; -1 is a missing count."""
-    if expected.dtype.kind == "f":
+def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
+    """Return whether numbers are in the bounds of a state; -1 is a missing count."""
+    if template.dtype.kind == "f":
         # The precision of a file may differ from that of a state.
         with np.errstate(over="ignore"):
             magnitudes = np.abs(values[np.isfinite(values)].astype(np.float64))
         return bool(magnitudes.max(initial=0.0) <= MAX_MAGNITUDE)
-    if expected.ndim or expected.dtype.kind not in "iu":
+    if template.ndim or template.dtype.kind not in "iu":
         return True
     return -1 <= int(values) <= MAX_STEPS
 
 
 @dataclass(frozen=True, slots=True)
 class _FieldMetadata:
-    """Metadata of state fields, by name."""
+    """Metadata of state fields by name, from `growing`, `later` and `added`."""
 
     axes: dict[str, int] = field(default_factory=dict)  # `growing`
     later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
     added: set[str] = field(default_factory=set)  # `added`
 
-    def is_later(self, name: str) -> bool:
-        """Return whether an array belongs to a part missing in the first state."""
+    def starts_as_none(self, name: str) -> bool:
+        """Return whether an array is in a field that starts as None."""
         return any(f"{name}.".startswith(f"{prefix}.") for prefix in self.later)
 
 
 def _collect_metadata(
     state: Any, metadata: _FieldMetadata, prefix: str = "", axis: int | None = None
 ) -> None:
-    """Collect field metadata of a state; all arrays of a growing record grow."""
+    """Collect the metadata of a state's fields, also of nested records."""
     if axis is not None:
         metadata.axes[prefix] = axis
     state_fields = fields(state) if is_dataclass(state) else ()
@@ -206,7 +217,7 @@ def _names_text(names: Collection[str]) -> str:
 
 
 def _state_arrays(state: Any, prefix: str = "") -> _Arrays:
-    """Return the arrays and numbers of a state by name; None is skipped."""
+    """Return the arrays and numbers of a state by name; None values are left out."""
     if state is None:
         return {}
     if not (isinstance(state, Mapping) or is_dataclass(state)):
@@ -217,13 +228,13 @@ def _state_arrays(state: Any, prefix: str = "") -> _Arrays:
             )
         return {prefix: array}
     arrays: _Arrays = {}
-    for name, part in _fields_by_name(state).items():
-        arrays |= _state_arrays(part, f"{prefix}.{name}" if prefix else name)
+    for name, value in _fields_by_name(state).items():
+        arrays |= _state_arrays(value, f"{prefix}.{name}" if prefix else name)
     return arrays
 
 
 def _fields_by_name(state: Any) -> dict[str, Any]:
-    """Return the parts of a record or a mapping, by name."""
+    """Return the fields of a record, or the items of a mapping."""
     if isinstance(state, Mapping):
         return dict(state)
     return {entry.name: getattr(state, entry.name) for entry in fields(state)}
@@ -232,7 +243,7 @@ def _fields_by_name(state: Any) -> dict[str, Any]:
 def _restore(
     template: Any, arrays: _Arrays, metadata: _FieldMetadata, prefix: str = ""
 ) -> Any:
-    """Return a state with the structure of another, from arrays."""
+    """Return a state with the structure of a template, from arrays."""
     if prefix in metadata.later:
         return _read_missing(arrays, metadata.later[prefix], prefix)
     if template is None:
@@ -249,8 +260,10 @@ def _restore(
     return array if isinstance(template, np.ndarray) else type(template)(array.item())
 
 
-def _read_missing(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) -> Any:
-    """Return a part missing in the first state; None if the arrays lack it too."""
+def _read_missing(
+    arrays: _Arrays, record_types: Sequence[type[Any]], prefix: str
+) -> Any:
+    """Return the value of a field that starts as None; None without arrays."""
     values_by_name = {
         name.removeprefix(f"{prefix}."): values if values.ndim else values.item()
         for name, values in arrays.items()
@@ -259,9 +272,13 @@ def _read_missing(arrays: _Arrays, records: Sequence[type[Any]], prefix: str) ->
     if not values_by_name:
         return None
     (value, *others) = values_by_name.values()
-    if prefix in values_by_name and not others and type(value) in (records or (float,)):
+    if (
+        prefix in values_by_name
+        and not others
+        and type(value) in (record_types or (float,))
+    ):
         return value
-    for record in records:
+    for record in record_types:
         if record is np.ndarray:
             continue
         hints = get_type_hints(record)

@@ -35,15 +35,15 @@ State_contra = TypeVar("State_contra", contravariant=True)
 
 @dataclass(frozen=True, slots=True)
 class Diagnostics:
-    """Diagnostics of a state, for reports and tables."""
+    """Energy, warnings and report values of a state."""
 
     energy: Energy | None = None  # None if it is not conserved
     values: Mapping[str, Any] = field(default_factory=dict)  # for the report
     notices: Sequence[Fault] = ()  # warnings so far
     if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
     steps: int | None = None  # method steps so far; None is one per step
-    # Returns the largest stable step from here on [s]: 0 if none is, infinite if all
-    # are, None if unknown.
+    # Returns the largest step that is stable from here on [s]: 0 if none is, infinite
+    # if all are, None if unknown.
     stable_step: Callable[[], float | None] = lambda: None
     # Largest strain of a spring so far [1].
     stretch: float | None = None
@@ -51,7 +51,7 @@ class Diagnostics:
 
 @dataclass(frozen=True, slots=True)
 class Stepped(Generic[State]):
-    """A state after a step, with impulses on bodies of other systems."""
+    """A state after a step, with impulses on bodies of other systems, and warnings."""
 
     state: State
     wrenches: Sequence[Wrenches] = ()  # one for each of the colliders' `bodies`
@@ -60,24 +60,25 @@ class Stepped(Generic[State]):
 
 @dataclass(frozen=True, slots=True)
 class SimContext:
-    """Context for building a simulation.
+    """What a kind needs to build a simulation.
 
     Attributes:
         begin: Time of its first step [s].
         last: Last requested time [s].
         colliders: Colliders of its entry: shapes, characters, meshes of files, and
             surfaces of other systems, at any time of a step.
-        parts: Parts read for the other keys of its entry, by key, a list for a list:
-            forces, emitter shapes, shapes and arrays marked by `EntryPart`, a
-            `Collider` for an entry with a shape, the record of a `RecordModel`, and
-            nested parts of other models, with ``poses`` of placed ones. Plain values
+        parts: Data read for the keys of its entry, by key; a list for a list of
+            entries. It has forces, emitter shapes, shapes and arrays (`FieldKind`), a
+            `Collider` for an entry with a shape, the record of a `RecordModel`, and a
+            nested mapping for other models, with ``poses`` of placed ones. Plain values
             are only in the spec.
-        poses: Returns the poses of a carrier over time.
-        budget: Most evaluations of a step; None is the default.
+        poses: Function that returns the poses of a carrier over time.
+        budget: Largest number of evaluations of a step; None is the default.
         members: Entries that are simulated as one; a single one if joins are not
             supported.
-        clock: Returns a callback for the time reached in a long call [s].
-        phase: Returns a callback for the fraction done before the first step.
+        clock: Function that returns a progress callback for the simulated time [s].
+        phase: Function that returns a progress callback for the fraction done before
+            the first step.
         carriers: Rigid systems whose bodies carry particles, by name.
     """
 
@@ -94,7 +95,7 @@ class SimContext:
 
 
 class SystemView(Protocol[State_contra]):
-    """View of an entry on a simulation."""
+    """Frames and diagnostics of one entry of a simulation."""
 
     def frame(self, state: State_contra, t: float) -> Frame:
         """Return the frame of a state at its time [s]."""
@@ -139,7 +140,7 @@ class ManySteps(Protocol[State]):
 
 @runtime_checkable
 class Joined(Protocol[State_contra]):
-    """A simulation of joined entries; its frame shows all of them."""
+    """A simulation of several joined entries."""
 
     @property
     def views(self) -> Sequence[SystemView[State_contra]]:
@@ -170,16 +171,16 @@ class Resumed(Protocol[State_contra]):
 class TrialSettings:
     """Settings of a work-precision table of a system."""
 
-    chosen: Setting  # configured setting
+    chosen: Setting  # the setting of the spec
     settings: Callable[[], list[Setting]]  # as in `Trial`
     references: Callable[[], list[list[Setting]]]  # as in `Trial`
-    # Maps a setting to changed keys of the spec.
+    # Maps a setting to the keys of the spec that it changes.
     changes: Callable[[Setting], Mapping[str, Any]]
 
 
 @runtime_checkable
 class Tried(Protocol):
-    """A simulation that provides settings for its table."""
+    """A simulation that provides the settings of its work-precision table."""
 
     def trial_settings(self) -> TrialSettings:
         """Return settings around the configured one."""
@@ -189,12 +190,12 @@ class Tried(Protocol):
 
 
 def growing(axis: int = 0) -> dict[str, Any]:
-    """Mark a field whose arrays change their length along an axis, all equally."""
+    """Mark a field whose arrays grow along an axis, together with all others."""
     return {"grows": axis}
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that starts as None, and is later a number or one of the records.
+    """Mark a field that starts as None and later has a number or a record.
 
     ``np.ndarray`` allows an array.
     """
@@ -202,12 +203,12 @@ def later(*records: type[Any]) -> dict[str, Any]:
 
 
 def added() -> dict[str, Any]:
-    """Mark a field missing in older state files: it keeps its initial value."""
+    """Mark a field that older state files lack; it then keeps its initial value."""
     return {"added": True}
 
 
 class StoppedError(ToleranceError):
-    """A failed method with its statistics; None from another process."""
+    """Raised if a method cannot continue; has its statistics, if known."""
 
     def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)

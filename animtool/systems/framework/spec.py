@@ -31,12 +31,12 @@ class SystemSpec(FileModel):
     Attributes:
         methods: Choices of its key ``method``, if it adds one; ``--table`` compares
             them with several steps or tolerances. None is every integrator.
-        exact: Reference integrator of a table, in finer steps; empty is the configured
-            one.
+        exact: Reference integrator of a table, used with finer steps; empty is the
+            configured one.
         method_key: Key that names the method, if there is one.
-        tried: Whether its simulation provides `TrialSettings`.
-        components: Keys whose entries are counted as components.
-        acted_on: Keys whose entries are counted as external forces.
+        tried: Whether its simulation provides settings for a table (`Tried`).
+        components: Keys whose entries `counts` counts.
+        acted_on: Keys whose entries `reads` counts.
         code: Code of the faults from `problems`; SIM032 is conflicting options.
         quantities: Choices of its key ``colour``, if it adds one.
     """
@@ -95,7 +95,7 @@ class SystemSpec(FileModel):
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
         """Return faults of conflicting keys, with the key as ``where``.
 
-        ``parts`` are those of a `SimContext`.
+        ``parts`` is the data read for the keys, as in a `SimContext`.
         """
         faults = [
             Fault(self.code, message, hint=hint, where=where)
@@ -105,28 +105,29 @@ class SystemSpec(FileModel):
         return faults + (colour.faults(self.quantities, self.code) if colour else [])
 
     def problems(self) -> Iterator[Problem]:
-        """Yield conflicts between keys that show without other files."""
+        """Yield conflicts between keys that need no other files to detect."""
         yield from ()
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
-        """Return the record of the entry when the file is read, and its faults.
+        """Return the record of the entry and its faults, when the file is read.
 
-        A kind with facts beyond its keys, or one that can be joined to others, returns
+        A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
-        `SimContext.members`. Parts that cannot be read are None.
+        `SimContext.members`. ``parts`` is the data read for the keys, as in a
+        `SimContext`; data that cannot be read is None.
         """
         return None, ()
 
-    def shared(self, *, meets: bool = True) -> Mapping[str, Any]:  # noqa: ARG002
-        """Return the keys it sets for all joined entries.
+    def shared(self, *, has_colliders: bool = True) -> Mapping[str, Any]:  # noqa: ARG002
+        """Return the keys whose values apply to all joined entries.
 
-        ``meets``: whether any of them has colliders.
+        ``has_colliders``: whether any of them has colliders.
         """
         return {}
 
 
 class CollidingSpec(SystemSpec):
-    """A system with colliders: see `AROUND`."""
+    """Base model of a system with colliders."""
 
     colliders: Colliders = Field([])
     characters: Characters = Field([])
@@ -135,34 +136,34 @@ class CollidingSpec(SystemSpec):
 
 
 class ForcedSpec(CollidingSpec):
-    """A system with colliders and external forces."""
+    """Base model of a system with colliders and external forces."""
 
     forces: Forces = Field([])
 
 
 @dataclass(frozen=True, slots=True)
 class Member:
-    """A scene entry among those that are simulated as one."""
+    """One of the scene entries that are simulated together."""
 
     name: str
     kind: str
     spec: Any
-    parts: Mapping[str, Any]  # parts read for its keys, by key
+    parts: Mapping[str, Any]  # data read for its keys, by key
     record: Any = None  # record built by its spec
 
 
 @dataclass(frozen=True, slots=True)
 class PinnedPoints:
-    """Points held by a carrier."""
+    """Points that follow a carrier."""
 
-    where: str  # its key
+    where: str  # location in the scene entry
     carrier: Any  # carrier, for `SimContext.poses`
     # Maps carrier poses to positions in its frame ``(P, 3)`` [m].
     local_positions: Callable[[Any], FloatArray]
 
 
 class EntryRecord(Protocol):
-    """Record of an entry after reading, with its title and counts."""
+    """Properties of an entry after reading."""
 
     @property
     def title(self) -> str:
@@ -181,4 +182,4 @@ class EntryRecord(Protocol):
         """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
-        """Return faults of joins with others, each with its key."""
+        """Return faults of joins with other systems, each with its key."""

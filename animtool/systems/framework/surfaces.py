@@ -20,17 +20,17 @@ from animtool.sim.colliders.bodies import Pusher, Wrenches
 class ObservedRun(Protocol):
     """A simulation run whose present and past states can be sampled."""
 
-    def past_state(self, t: float, *, begins: bool = False) -> tuple[Any, float]:
+    def past_state(self, t: float, *, with_pushes: bool = False) -> tuple[Any, float]:
         """Return the state at a time [s] and its time, before or after pushes."""
 
     def forget(self) -> None:
         """Drop past states that no observer needs."""
 
-    def push(self, t: float, who: int, wrenches: Wrenches) -> None:
-        """Queue a push of bodies at a time [s] by the pusher's index."""
+    def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
+        """Queue impulses on its bodies at a time [s]."""
 
     def register_pusher(self, pusher: Pusher) -> int:
-        """Register a pusher of its bodies; return its index."""
+        """Register a system that pushes its bodies; return the index of the pusher."""
 
     def add_puller(self, bodies: Any, puller: Any) -> None:
         """Register a system whose particles are attached to its bodies."""
@@ -38,13 +38,13 @@ class ObservedRun(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class SystemBodies:
-    """State-independent data of B rigid bodies for other systems."""
+    """Names, masses and shapes of B rigid bodies, for other systems."""
 
     names: Sequence[str]  # (B,)
-    dynamic: IntArray  # dynamic bodies (count,)
+    dynamic: IntArray  # indices of dynamic bodies (count,)
     masses: FloatArray  # masses of dynamic bodies (count,) [kg]
-    reaches: Sequence[float]  # radius about the centre (B,) [m]
-    shapes: Sequence[Collider]  # of all bodies (C,)
+    bounding_radii: Sequence[float]  # about the centres of mass (B,) [m]
+    shapes: Sequence[Collider]  # shapes of all bodies (C,)
     shape_bodies: IntArray  # body index of each shape (C,)
 
     @property
@@ -54,7 +54,7 @@ class SystemBodies:
 
     @property
     def owners(self) -> IntArray:
-        """Index of each shape's body among the dynamic bodies; -1 if kinematic."""
+        """Index of each shape's body among the dynamic bodies (C,); -1 if kinematic."""
         numbers = np.full(len(self.names), -1)
         numbers[self.dynamic] = np.arange(self.count)
         return numbers[self.shape_bodies]
@@ -66,7 +66,7 @@ class RigidSystem(Protocol):
 
     @property
     def shared(self) -> SystemBodies:
-        """Its body data."""
+        """Names, masses and shapes of its bodies."""
 
     def initial(self) -> Any:
         """Return the state at the time of the first step."""
@@ -74,23 +74,23 @@ class RigidSystem(Protocol):
     def step(self, state: Any, t: float, dt: float) -> Any:
         """Return a new state, a step [s] after a time [s]."""
 
-    def frames(self, state: Any, t: float) -> FloatArray:
+    def body_poses(self, state: Any, t: float) -> FloatArray:
         """Return the poses of all bodies ``(B, 7)`` at a time [s]."""
 
     def poses(self, state: Any, t: float) -> FloatArray:
         """Return the poses of the shapes ``(C, 7)`` at a time [s]."""
 
-    def speeds(self, state: Any) -> FloatArray:
-        """Return linear and angular velocities at the centres ``(count, 6)``."""
+    def body_velocities(self, state: Any) -> FloatArray:
+        """Return linear and angular velocities of dynamic bodies ``(count, 6)``."""
 
     def is_free(self, t: float) -> BoolArray:
         """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
-        """Return a state after impulses on its bodies."""
+        """Return a state with impulses applied to its bodies."""
 
-    def push_to(self, state: Any, other: Any) -> Wrenches:
-        """Return the push that changes a state to another at the same time."""
+    def push_to(self, state: Any, target: Any) -> Wrenches:
+        """Return the impulses that change a state to another at the same time."""
 
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
@@ -103,7 +103,7 @@ class RigidSystem(Protocol):
 
 @runtime_checkable
 class HasCollisionSurface(Protocol):
-    """A simulation with a collision surface other than its frame."""
+    """A simulation whose collision surface differs from its frame."""
 
     radius: float  # half its thickness [m]
     closed: bool  # whether collisions are from outside only
@@ -120,7 +120,7 @@ Observed = TypeVar("Observed")
 
 
 class _RecentSamples(Generic[Observed]):
-    """Cache of samples at the last requested times."""
+    """Caches samples at the last requested times."""
 
     def __init__(self, past_state: Callable[[float], Observed]) -> None:
         self._sample = past_state
@@ -135,28 +135,28 @@ class _RecentSamples(Generic[Observed]):
 
 
 class _StateObserver:
-    """An observer of present and past states of a simulation."""
+    """Samples present and past states of a run."""
 
     def __init__(self, run: ObservedRun) -> None:
         self._run = run
-        self.since = -math.inf  # earliest time that may still be requested [s]
+        self.earliest_time = -math.inf  # earliest time that may still be requested [s]
 
     def forget(self, t: float) -> None:
-        """Allow states before a time to be dropped [s]."""
-        if t > self.since:
-            self.since = t
+        """Let the run drop states before a time [s]."""
+        if t > self.earliest_time:
+            self.earliest_time = t
             self._run.forget()
 
 
 class SystemSurface(_StateObserver):
-    """The mesh of a simulation or of one entry."""
+    """The surface of a simulation, or of one of its entries, as a collider."""
 
     def __init__(self, run: ObservedRun, view: Any) -> None:
         super().__init__(run)
-        skinned = isinstance(view, HasCollisionSurface)
-        self.radius: float = view.radius if skinned else DEFAULT_RADIUS
-        self.closed: bool = view.closed if skinned else True
-        frame_of = view.surface if skinned else view.frame
+        has_surface = isinstance(view, HasCollisionSurface)
+        self.radius: float = view.radius if has_surface else DEFAULT_RADIUS
+        self.closed: bool = view.closed if has_surface else True
+        frame_of = view.surface if has_surface else view.frame
         self._frames: _RecentSamples[MeshFrame] = _RecentSamples(
             lambda t: frame_of(*run.past_state(t))
         )
@@ -176,7 +176,7 @@ class SystemSurface(_StateObserver):
 
 
 class BodyColliders(_StateObserver):
-    """The rigid bodies of a simulation as `MovingBodies`."""
+    """The rigid bodies of a simulation as colliders (`MovingBodies`)."""
 
     def __init__(
         self,
@@ -205,12 +205,12 @@ class BodyColliders(_StateObserver):
         self._states = _RecentSamples(run.past_state)
         self._poses = _RecentSamples(lambda t: simulation.poses(*self._states(t)))
         self._begins = _RecentSamples(
-            lambda t: simulation.poses(*run.past_state(t, begins=True))
+            lambda t: simulation.poses(*run.past_state(t, with_pushes=True))
         )
         self._pusher_index = 0
 
     def ends(self, t0: float, t1: float) -> FloatArray:
-        """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
+        """Return the poses of shapes at both ends of a step ``(C, 2, 7)``."""
         ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
         if t1 > t0 and len(ends):
             distances = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
@@ -222,7 +222,8 @@ class BodyColliders(_StateObserver):
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
-        Of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        They are those of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors
+        ``(K, 3)``.
         """
         state, _ = self._states(t)
         return self._simulation.inverse_masses(state, owners, points, directions)
@@ -234,7 +235,9 @@ class BodyColliders(_StateObserver):
 
         At a time [s], at the start or end of a step; inertias in the world [1/(kg m²)].
         """
-        state, _ = self._run.past_state(t, begins=True) if begins else self._states(t)
+        state, _ = (
+            self._run.past_state(t, with_pushes=True) if begins else self._states(t)
+        )
         return self._simulation.inertias(state)
 
     def register_pusher(self, pusher: Pusher) -> None:

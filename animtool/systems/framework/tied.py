@@ -58,7 +58,7 @@ class TiedBodies(BodyColliders):
 
     def start(self, carrier: BodyCarrier) -> Poses:
         """Return the initial pose of a body."""
-        frames = self.system.frames(self._start_state, self.begin)
+        frames = self.system.body_poses(self._start_state, self.begin)
         pose = frames[self.body_index(carrier)]
         return Poses.fixed(pose[:3], pose[3:])
 
@@ -80,7 +80,7 @@ class TiedBodies(BodyColliders):
         if not shapes:
             return 0.0, np.inf
         distances = Colliders(shapes).sample(points, self.begin).distances
-        return max(float(distances.min()), 0.0), float(shared.reaches[index])
+        return max(float(distances.min()), 0.0), float(shared.bounding_radii[index])
 
     def register_pusher(self, pusher: Any) -> None:
         """Register a system whose particles are attached to the bodies."""
@@ -113,7 +113,7 @@ class TiedBodies(BodyColliders):
 
     def step_over(self, t0: float, t1: float) -> TiedStep:
         """Return the bodies over a step [s], without pulls."""
-        start_state, _ = self._run.past_state(t0, begins=True)
+        start_state, _ = self._run.past_state(t0, with_pushes=True)
         end_state, _ = self._run.past_state(t1)
         return TiedStep(self.system, start_state, end_state, t0, t1)
 
@@ -130,7 +130,7 @@ class TiedStep:
         t1: float,
     ) -> None:
         self._simulation, self._end_state, self._t1 = simulation, end_state, t1
-        self.start_poses = simulation.frames(
+        self.start_poses = simulation.body_poses(
             start_state, t0
         )  # poses of all bodies ``(B, 7)``
         self.start_state, self.duration = (
@@ -139,13 +139,13 @@ class TiedStep:
         )  # state at the start; duration [s]
         self.is_free = simulation.is_free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(end_state)
-        self._end_velocities = simulation.speeds(end_state)[:, :3]
+        self._end_velocities = simulation.body_velocities(end_state)[:, :3]
         self._pull_time = PULL_DISPLACEMENT * self.duration
 
     @property
     def max_angle(self) -> float:
         """Largest rotation of a body in the step [rad]."""
-        spins = self._simulation.speeds(self.start_state)[self.is_free, 3:]
+        spins = self._simulation.body_velocities(self.start_state)[self.is_free, 3:]
         return self.duration * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
 
     def subcell(self, state: Any, t: float, dt: float) -> TiedStep:
@@ -161,7 +161,7 @@ class TiedStep:
         self, state: Any, index: int, points: FloatArray
     ) -> FloatArray:
         """Return velocities of points ``(P, 3)`` on a dynamic body [m/s]."""
-        speeds = self._simulation.speeds(state)[index]
+        speeds = self._simulation.body_velocities(state)[index]
         centre = self._simulation.inertias(state)[0][index]
         velocities: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
         return velocities
@@ -185,7 +185,7 @@ class TiedStep:
     def pushed(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
         """Return the end state after impulses, and poses of all bodies ``(B, 7)``."""
         state = self._simulation.pushed(self._end_state, wrenches)
-        return state, self._simulation.frames(state, self._t1)
+        return state, self._simulation.body_poses(state, self._t1)
 
 
 def local_to_world(frame: FloatArray, local_points: FloatArray) -> FloatArray:

@@ -152,7 +152,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self.radii, self.species = self.atoms.radii, self.atoms.kinds
         self.has_many_species = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
-        self.shown = np.arange(len(self.species))
+        self.written_bodies = np.arange(len(self.species))
         self._periodic_box, self.box = periodic_box, periodic_box.size
         self._interactions = Interactions(spec, self.atoms, periodic_box)
         self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
@@ -240,9 +240,9 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         i = int(np.argmax(distances))
         if not distances[i] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
             self._stop(state, t + dt, f"atom {i} moves {distances[i]:.3g} nm in a step")
-        (forces, reference), heat = system.at(motion[0]), state.heat
+        (forces, reference), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
-            kinetic = self._kinetic(motion)
+            kinetic = self._kinetic_energy(motion)
             factor = bath_factor(
                 spec.thermostat,
                 spec.seed,
@@ -287,7 +287,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             "energy": lambda: 0.5 * self.bodies.masses * squares + energies,
         }
 
-    def _values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
+    def _report_values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
         """Return temperature [K], pressure [MPa] and energies [kJ/mol]."""
         energy, volume = self._energy(state, t), float(self._periodic_box.size.prod())
         pressure = (2 * energy.kinetic + state.acting.virial) / (3 * volume)
@@ -299,7 +299,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             "potential_energy": energy.potential,
         }
         if not self._is_driven:
-            values["energy_drift"] = self._drift(state, energy)
+            values["energy_drift"] = self._energy_drift(state, energy)
         return values
 
 

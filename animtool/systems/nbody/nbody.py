@@ -124,7 +124,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
             np.arange(count) < count - dark
             for count, dark in zip(counts, dark_counts, strict=True)
         ]
-        self.shown = np.flatnonzero(np.concatenate(is_visible))
+        self.written_bodies = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
         is_large = (
             len(self.bodies.masses) > CROSSOVER * accuracy_factor**CROSSOVER_POWER
@@ -200,7 +200,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
                 state.encounters + (substeps > 1),
                 max(state.divided, substeps),
             )
-            after = NbodyState(motion, system.at(motion[0]), encounters, max_substeps)
+            after = NbodyState(
+                motion, system.sums_at(motion[0]), encounters, max_substeps
+            )
             self._check_energy(after, t + dt)
             return after
         raise self._encounter_error(dt, *closest.args)
@@ -265,13 +267,13 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
             ),
         }
 
-    def _values(self, state: NbodyState, t: float) -> Mapping[str, float]:
+    def _report_values(self, state: NbodyState, t: float) -> Mapping[str, float]:
         """Return drifts of conserved quantities, and the closest approach."""
         x, v = state.motion
         values = {"bodies": float(len(x)), "encounters": float(state.encounters)}
         values["substeps"] = float(state.divided)
         if not self.external_forces:
-            values["energy_drift"] = self._drift(state, self._energy(state, t))
+            values["energy_drift"] = self._energy_drift(state, self._energy(state, t))
             sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
             scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
             momentum_change = self._momenta(state) - self._momenta(self.initial())

@@ -63,7 +63,7 @@ class SharedBodies:
 
     bodies: RigidBodies
 
-    def frames(self, state: RigidState, t: float) -> FloatArray:
+    def body_poses(self, state: RigidState, t: float) -> FloatArray:
         """Return body frames ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
@@ -76,7 +76,7 @@ class SharedBodies:
     def poses(self, state: RigidState, t: float) -> FloatArray:
         """Return shape frames ``(C, 7)`` at a time [s]."""
         bodies = self.bodies
-        frames = self.frames(state, t)[bodies.outlines.of]
+        frames = self.body_poses(state, t)[bodies.outlines.of]
         at, rotation = bodies.outlines.at, bodies.outlines.rotations
         origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
         rotations = so3.multiply(frames[:, 3:], rotation)
@@ -95,7 +95,7 @@ class SharedBodies:
             outlines.of,
         )
 
-    def speeds(self, state: RigidState) -> FloatArray:
+    def body_velocities(self, state: RigidState) -> FloatArray:
         """Return linear and angular velocities ``(count, 6)``."""
         spins = self.bodies.spins(state.motion)
         return np.concatenate([state.motion[:, 7:10], spins], axis=1)

@@ -157,7 +157,7 @@ def _run_plan(
     last_grid, states, energies = start_grid, [], []
     for t in times.tolist():
         try:
-            state = simulation_run.reach(t)[0].motion
+            state = simulation_run.sample(t)[0].motion
         except StoppedError:
             break
         last_grid = simulation.grid

@@ -269,10 +269,12 @@ class SpringsModel(SolvedModel):
         result: tuple[Any, Sequence[Fault]] = read_record(self, parts)
         return result
 
-    def shared(self, *, meets: bool = True) -> Mapping[str, Any]:
+    def shared(self, *, has_colliders: bool = True) -> Mapping[str, Any]:
         """Return the keys that apply to all joined systems."""
         wind = ("wind",) if isinstance(self.air, FaceWindModel) else ()
-        specified_keys = self.model_fields_set - (set() if meets else {"radius"})
+        specified_keys = self.model_fields_set - (
+            set() if has_colliders else {"radius"}
+        )
         names = [name for name in (*_SHARED_KEYS, *wind) if name in specified_keys]
         return {name: getattr(self, name) for name in names}
 

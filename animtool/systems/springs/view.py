@@ -18,7 +18,7 @@ from animtool.systems.framework.meter import (
     ContactMeter,
     MeasuredSurface,
     closed_surfaces,
-    depths_of,
+    collider_depths,
 )
 from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import Member
@@ -102,7 +102,10 @@ class SpringView:
             self._measured_surface = _surface_to_measure(
                 shape, system.fixed[self.rows], body, has_self_contact
             )
-        solids, depths = closed_surfaces(colliders, t), depths_of(colliders, points, t)
+        solids, depths = (
+            closed_surfaces(colliders, t),
+            collider_depths(colliders, points, t),
+        )
         surface, torn = self._measured_surface, self.torn(state)
         if torn.any():
             surface = _surface_to_measure(

@@ -19,7 +19,7 @@ from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.skins import capped, margin_for, skins_of
-from animtool.systems.framework.meter import ClosedSurface, depths_in
+from animtool.systems.framework.meter import ClosedSurface, surface_depths
 
 SIZE = 10
 BOX = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -55,7 +55,7 @@ def deepest(take: Take) -> float:
     roots = take.world().positions[:, 0]
     frames = zip(moved(take), roots, strict=True)
     return max(
-        float(depths_in(ClosedSurface(points + root, TRIANGLES), x).max())
+        float(surface_depths(ClosedSurface(points + root, TRIANGLES), x).max())
         for x, root in frames
     )
 
@@ -122,7 +122,7 @@ def test_strands_stay_out_of_a_skin_if_asked(skin: bool | None) -> None:
     blow = {"wind": (0.0, 0.0, -3.0), "drag": 2.0, "frequency": 0.2}
     strands, _ = simulated(take, settle=0.3, skin=skin, **blow)
     solid = ClosedSurface(take.rig.meshes[0].points.load(), TRIANGLES)
-    depth = max(float(depths_in(solid, x).max()) for x in moved(strands))
+    depth = max(float(surface_depths(solid, x).max()) for x in moved(strands))
     assert depth < 1e-4 if skin else depth > 5e-3
 
 
@@ -153,7 +153,7 @@ def wagged(rig: Rig, skin: bool | None) -> np.ndarray:
 @pytest.mark.parametrize("skin", [True, False, None])
 def test_a_chain_stays_out_of_a_skin_if_asked(skin: bool | None) -> None:
     solid = ClosedSurface(TAIL_BOX, TRIANGLES)
-    depth = max(float(depths_in(solid, x).max()) for x in wagged(tailed(), skin))
+    depth = max(float(surface_depths(solid, x).max()) for x in wagged(tailed(), skin))
     assert depth < 1e-4 if skin else depth > 5e-3
 
 

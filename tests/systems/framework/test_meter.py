@@ -10,8 +10,8 @@ from animtool.systems.framework.meter import (
     ClosedSurface,
     ContactMeter,
     MeasuredSurface,
-    depths_in,
     pierced_pairs,
+    surface_depths,
 )
 
 CORNERS = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -35,7 +35,9 @@ def sides(points: np.ndarray, free: tuple[int, ...] = (0, 1, 2)) -> MeasuredSurf
 
 def test_depth_is_the_way_out_of_the_nearest_face() -> None:
     points = np.array([[0.5, 0.5, 0.25], [0.9, 0.4, 0.4], [1.5, 0.5, 0.5]])
-    np.testing.assert_allclose(depths_in(CUBE, points), [0.25, 0.1, 0.0], atol=1e-12)
+    np.testing.assert_allclose(
+        surface_depths(CUBE, points), [0.25, 0.1, 0.0], atol=1e-12
+    )
 
 
 def test_a_surface_that_deforms_is_measured_where_it_is() -> None:
@@ -45,9 +47,9 @@ def test_a_surface_that_deforms_is_measured_where_it_is() -> None:
     for _ in range(3):
         corners = 2 * CORNERS + rng.uniform(-0.2, 0.2, CORNERS.shape)
         points = rng.uniform(-0.5, 2.5, (200, 3))
-        depths = depths_in(ClosedSurface(corners, FACES, kernel), points)
+        depths = surface_depths(ClosedSurface(corners, FACES, kernel), points)
         np.testing.assert_array_equal(
-            depths, depths_in(ClosedSurface(corners, FACES), points)
+            depths, surface_depths(ClosedSurface(corners, FACES), points)
         )
         assert 20 < (depths > 0).sum() < 180
 

@@ -137,11 +137,11 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
     v = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1], [0, 0, 2]])
     made = nbody(X, v, MASSES, 2.0, 0.5, 0.01)
     begin = made.initial()
-    values = made._values(begin, 0.0)
+    values = made._report_values(begin, 0.0)
     assert (values["bodies"], values["encounters"], values["substeps"]) == (4, 0, 1)
     assert values["energy_drift"] == values["momentum_drift"] == 0
     faster = replace(begin, motion=np.stack([X, v + np.array([0.5, 0, 0])]))
-    values = made._values(faster, 0.0)
+    values = made._report_values(faster, 0.0)
     fast = np.linalg.norm(v + np.array([0.5, 0, 0]), axis=1)
     usual = MASSES @ fast
     assert values["momentum_drift"] == pytest.approx(0.5 * 6.5 / usual)
@@ -161,7 +161,7 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
         "attractors": [{"poses": Poses.fixed((9, 9, 9))}],
     }
     outside = build(placed, _Context(parts))
-    assert "energy_drift" not in outside._values(outside.initial(), 0.0)
+    assert "energy_drift" not in outside._report_values(outside.initial(), 0.0)
     # At an attractor without softening nothing is infinite.
     found = outside.external_effect(placed.attractors[0], X[0], X[:1])
     assert np.isfinite(found[0]).all()
@@ -311,7 +311,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     made = build(spec, _Context({}))
     assert made.has_many_species
     assert made.species.tolist() == [0] * 20 + [1]
-    assert_array_equal(made.shown, np.arange(21))
+    assert_array_equal(made.written_bodies, np.arange(21))
     assert nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01).has_many_species is False
 
 

@@ -226,7 +226,7 @@ def test_pushes_of_others_are_felt_by_mass_and_inertia(tmp_path: Path) -> None:
     found = simulation.inverse_masses(state, owners, points, ways)
     np.testing.assert_allclose(found, 1 / masses[owners, 0] + oscillation_rates)
     spins = np.einsum("kij,kj->ki", ease, state.motion[:, 10:13])
-    speeds = simulation.speeds(state)
+    speeds = simulation.body_velocities(state)
     np.testing.assert_allclose(speeds[:, 3:], spins, atol=1e-9)
     np.testing.assert_allclose(speeds[:, :3], state.motion[:, 7:10])
 

@@ -61,7 +61,7 @@ def test_who_is_run_into_moves_as_if_alone(tmp_path: Path) -> None:
 
 def test_bodies_are_where_they_were(tmp_path: Path) -> None:
     found = Rigid(tmp_path, BLOCK, colliders=[FLOOR])
-    one, other = (found.run.bodies(0.0, 0.5, two_way=False) for _ in range(2))
+    one, other = (found.run.body_colliders(0.0, 0.5, two_way=False) for _ in range(2))
     assert [collider.friction for collider in one.colliders] == [0.5]
     found.to(0.5)
     ends = one.ends(0.3, 0.305)
@@ -72,7 +72,7 @@ def test_bodies_are_where_they_were(tmp_path: Path) -> None:
     one.forget(0.4)
     other.forget(0.2)
     again = Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run
-    alike = again.bodies(0.0, 0.5, two_way=False)
+    alike = again.body_colliders(0.0, 0.5, two_way=False)
     assert_array_equal(alike.ends(0.25, 0.25), other.ends(0.25, 0.25))
 
 

@@ -68,13 +68,16 @@ class Tied:
     @property
     def sums(self) -> tuple[float, np.ndarray]:
         """Energy [J], and momentum and angular momentum ``(6,)`` of all that moves."""
-        simulation, reached = self.rigid.simulation, self.rigid.run.receive().state
+        simulation, reached = self.rigid.simulation, self.rigid.run.apply_pushes().state
         system = self.tow.run.simulation.system
         x, v = self.tow.run.state.state.motion.copy()
         for tie in system.ties.ties:
             own = system.pinned[tie.columns]
             (n,) = np.flatnonzero(simulation.shared.dynamic == tie.body)
-            speeds, centre = simulation.speeds(reached)[n], reached.motion[n, :3]
+            speeds, centre = (
+                simulation.body_velocities(reached)[n],
+                reached.motion[n, :3],
+            )
             v[own] = speeds[:3] + so3.cross(speeds[3:], x[own] - centre)
         masses, springs = system.body.masses[:, None], system.body.springs
         longer = springs.lengths(x) - springs.rest
