@@ -23,7 +23,7 @@ from animtool.rig.file import load_rig
 from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.stepping import cells_of
+from animtool.systems.attach.stepping import cells_and_substeps
 from animtool.systems.attach.take_pass import simulate
 
 STRANDS, POINTS = 1000, 32
@@ -132,7 +132,7 @@ def floor(section: str, bare: list[float], steps: int) -> list[Row]:
         steps: In a frame.
     """
     # States are read and written once a frame, targets as each cell begins and ends.
-    cells, _ = cells_of(steps)
+    cells, _ = cells_and_substeps(steps)
     traffic = 3 * 8 * (4 + cells + 1) / (steps * CONSTRAINTS / POINTS)
     least = slowest()
     figures = {

@@ -44,10 +44,10 @@ from animtool.systems.attach.bodies import (
     AttachedBody,
     ChainBody,
     SurfaceBody,
-    bodies_of,
+    build_bodies,
 )
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import moves
+from animtool.systems.attach.take_pass import has_effect
 
 ATTACH_METHOD = "xpbd"
 # Step factors around the chosen setting, which is usually finer than needed.
@@ -171,7 +171,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
         if not _is_spring_pass(entry):
             continue
         with entry.location.located():
-            bodies = bodies_of(take.rig, entry.options.what)
+            bodies = build_bodies(take.rig, entry.options.what)
         for body in bodies:
             options = replace(entry.options, what=(body.name,))
             pass_entry = replace(entry, options=options)
@@ -190,7 +190,7 @@ def _is_ik_pass(entry: ScenePass) -> bool:
 
 
 def _is_spring_pass(entry: ScenePass) -> bool:
-    return isinstance(entry.options, SimulateOptions) and moves(entry.options)
+    return isinstance(entry.options, SimulateOptions) and has_effect(entry.options)
 
 
 def _attach_trial(

@@ -17,13 +17,13 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
 from animtool.skin.deform import deform
-from animtool.systems.attach.network import Network, diagonals_of_faces, folds_of_faces
+from animtool.systems.attach.network import Network, fold_pairs, quad_diagonals
 from animtool.systems.attach.poses import PosePath
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttachedBody(ABC):
-    """Particles of an attachment.
+    """An attachment of a rig as particles.
 
     Attributes:
         name: Name in the rig.
@@ -44,16 +44,16 @@ class AttachedBody(ABC):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ChainBody(AttachedBody):
-    """A chain of joints: the first origin is pinned, bone ends swing."""
+    """A chain of joints: the first origin is pinned, and the bone ends swing."""
 
-    joints: IntArray  # from the root on ``(C,)``
+    joints: IntArray  # joint indices, from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
     # Whether nothing follows the rotation of the last joint: it has no tip, and no
-    # joint, skin, collider or strands below it.
-    bare: bool = False
+    # joint, skin, collider or strands attached to it.
+    has_free_tip: bool = False
 
     def targets(self, path: PosePath) -> FloatArray:
-        """Return the origins of the joints, and the end of the last bone."""
+        """Return animated joint origins, and the end of the last bone."""
         world, last = path.world, self.joints[-1]
         end = (world.linear[:, last] * self.tip).sum(axis=-1)
         end += world.positions[:, last]
@@ -62,21 +62,21 @@ class ChainBody(AttachedBody):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SurfaceBody(AttachedBody):
-    """Cloth or strands: skinned points that are simulated."""
+    """Cloth or strands, as skinned points that are simulated."""
 
     # Skinned mesh; a motion stores its points under the same name.
     mesh: CharacterMesh
 
     def targets(self, path: PosePath) -> FloatArray:
-        """Return the points deformed by shapes and skin."""
+        """Return the animated points, deformed by shapes and skin."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
         return deform(self.mesh.mesh, weights, path.world).points
 
 
-def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
-    """Return attachments by name."""
+def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
+    """Return attachments of a rig by name; raise SIM030 for unknown ones."""
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
@@ -99,9 +99,9 @@ def check_names(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     return [by_name[name] for name in names]
 
 
-def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
-    """Return named attachments of a rig as particles."""
-    entries = check_names(rig, names)
+def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
+    """Return the named attachments of a rig as particles."""
+    entries = find_attachments(rig, names)
     bodies: list[AttachedBody] = []
     faults: list[Fault] = []
     for entry in entries:
@@ -114,16 +114,17 @@ def bodies_of(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
     return bodies
 
 
-def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
+def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
+    """Build the particles of a chain of joints."""
     joints = [rig.index(name) for name in entry.joints]
-    for upper, lower in pairwise(joints):
-        if rig.joints[lower].parent != upper:
-            names = rig.joints[upper].name, rig.joints[lower].name
+    for parent, child in pairwise(joints):
+        if rig.joints[child].parent != parent:
+            names = rig.joints[parent].name, rig.joints[child].name
             message = (
                 f"joints of {entry.name!r} are not a chain: {names[1]!r} is not a child"
             )
             raise OptionError(Fault("SIM033", f"{message} of {names[0]!r}"))
-    tip = _tip(rig, joints)
+    tip = _bone_end(rig, joints)
     bind = bind_world(rig)
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
     points = np.concatenate([bind.positions[0, joints], end[None]])
@@ -131,14 +132,14 @@ def _chain(rig: Rig, entry: Attachment) -> AttachedBody:
     network = Network(points, np.array([0]), ends, strands=1)
     parent = rig.joints[joints[0]].parent
     carrier = parent if parent >= 0 else joints[0]
-    is_bare = _moves_nothing(rig, joints[-1])
+    has_free_tip = _has_free_tip(rig, joints[-1])
     return ChainBody(
-        entry.name, entry.kind, network, carrier, np.array(joints), tip, is_bare
+        entry.name, entry.kind, network, carrier, np.array(joints), tip, has_free_tip
     )
 
 
-def _moves_nothing(rig: Rig, joint: int) -> bool:
-    """Return whether the rotation of a joint moves nothing."""
+def _has_free_tip(rig: Rig, joint: int) -> bool:
+    """Return whether nothing follows the rotation of a chain's last joint."""
     name = rig.joints[joint].name
     skin_joints = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
     attach_joints = {collider.joint for collider in rig.colliders}
@@ -150,8 +151,8 @@ def _moves_nothing(rig: Rig, joint: int) -> bool:
     )
 
 
-def _tip(rig: Rig, joints: list[int]) -> FloatArray:
-    """Return the end of a chain's last bone in the frame of its joint.
+def _bone_end(rig: Rig, joints: list[int]) -> FloatArray:
+    """Return the end of a chain's last bone, in the frame of its joint.
 
     It is the tip of the joint, or its first child, or a copy of the bone before it.
     """
@@ -164,26 +165,28 @@ def _tip(rig: Rig, joints: list[int]) -> FloatArray:
     return np.array(last.translation)
 
 
-def _strands(rig: Rig, entry: Attachment) -> AttachedBody:
+def _build_strands(rig: Rig, entry: Attachment) -> AttachedBody:
+    """Build the particles of strands."""
     (strands,) = [
         candidate for candidate in strands_of(rig) if candidate.name == entry.name
     ]
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
-    index = np.arange(count * length).reshape(count, length)
+    particles = np.arange(count * length).reshape(count, length)
     network = Network(
         strands.points.reshape(-1, 3),
-        index[:, 0],
+        particles[:, 0],
         # Root to tip over all strands: the order in which springs are solved.
-        np.stack([index[:, :-1], index[:, 1:]], axis=-1).reshape(-1, 2),
-        bends=np.stack([index[:, :-2], index[:, 2:]], axis=-1).reshape(-1, 2),
+        np.stack([particles[:, :-1], particles[:, 1:]], axis=-1).reshape(-1, 2),
+        bends=np.stack([particles[:, :-2], particles[:, 2:]], axis=-1).reshape(-1, 2),
         strands=count,
     )
     carrier = rig.index(strands.joint)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 
 
-def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
+def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
+    """Build the particles of cloth from its mesh."""
     (surface,) = [
         candidate for candidate in surfaces_of(rig) if candidate.name == entry.mesh
     ]
@@ -194,10 +197,11 @@ def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     if not len(ends):
         message = f"the mesh of {entry.name!r} has no faces"
         raise OptionError(Fault("SIM033", message))
-    without_face = np.setdiff1d(np.arange(len(surface.points)), ends)
-    if len(without_face):
+    isolated_points = np.setdiff1d(np.arange(len(surface.points)), ends)
+    if len(isolated_points):
         message = (
-            f"points of {entry.name!r} are in no face: {listed(without_face.tolist())}"
+            f"points of {entry.name!r} are in no face: "
+            f"{listed(isolated_points.tolist())}"
         )
         raise OptionError(Fault("SIM033", message))
     pins = np.zeros(0, np.int64)
@@ -210,28 +214,28 @@ def _cloth(rig: Rig, entry: Attachment) -> AttachedBody:
         bind_points,
         pins,
         ends,
-        diagonals_of_faces(*faces),
-        folds_of_faces(*faces),
+        quad_diagonals(*faces),
+        fold_pairs(*faces),
         triangulated(*faces),
     )
-    carrier = _carrier(rig, surface, network)
+    carrier = _main_joint(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)
 
 
-def _carrier(rig: Rig, surface: Surface, network: Network) -> int:
+def _main_joint(rig: Rig, surface: Surface, network: Network) -> int:
     """Return the joint with the largest skin weight on pinned points."""
     skin = surface.skin
     if skin is None:
         return rig.roots[0]
     rows = network.pinned if len(network.pinned) else np.arange(network.count)
-    sums = np.bincount(
+    weight_by_joint = np.bincount(
         skin.indices[rows].ravel(), skin.weights[rows].ravel(), len(skin.joints)
     )
-    return rig.index(skin.joints[int(sums.argmax())])
+    return rig.index(skin.joints[int(weight_by_joint.argmax())])
 
 
 _BUILDERS = {
-    AttachKind.SPRING_CHAIN: _chain,
-    AttachKind.STRANDS: _strands,
-    AttachKind.CLOTH: _cloth,
+    AttachKind.SPRING_CHAIN: _build_chain,
+    AttachKind.STRANDS: _build_strands,
+    AttachKind.CLOTH: _build_cloth,
 }

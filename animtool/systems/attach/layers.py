@@ -1,4 +1,4 @@
-"""Simulated cloth as a collider of the attachments that are named after it."""
+"""Simulated cloth as a collider of attachments that are named after it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.sim.colliders import Sheet
 
 @dataclass(eq=False)
 class ClothMotion:
-    """Points of simulated cloth over its last frame.
+    """Points of simulated cloth over the last simulated frame.
 
     They are linear within the frame, and constant before and after it.
     """
@@ -22,7 +22,7 @@ class ClothMotion:
     times: tuple[float, float] = (0.0, 0.0)  # of start and end [s]
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points at a time [s] ``(N, 3)`` [m]."""
         first, last = self.times
         if t >= last:
             return self.end
@@ -32,11 +32,11 @@ class ClothMotion:
         return self.begin + fraction * (self.end - self.begin)
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return its triangles ``(T, 3)``."""
+        """Return the triangles ``(T, 3)``; they are constant."""
         return self.faces
 
     def forget(self, t: float) -> None:
-        """Ignore the time: only the last frame is stored."""
+        """Do nothing: only the last frame is stored."""
 
 
 def cloth_sheet(
@@ -47,7 +47,7 @@ def cloth_sheet(
     friction: float,
     depenetration: float,
 ) -> Sheet:
-    """Return cloth at points ``(N, 3)`` [m] as a moving collider of a thickness [m]."""
+    """Return cloth at points ``(N, 3)`` [m] as a collider with a thickness [m]."""
     motion = ClothMotion(np.asarray(triangles, np.int64), points, points)
     return Sheet(
         motion,

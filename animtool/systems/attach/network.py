@@ -20,73 +20,73 @@ from animtool.maths.faces import (
 from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
-# Frequency of springs that count as rigid [rad/s].
-RIGID = 1e6
+# Frequency of springs that are treated as rigid [rad/s].
+RIGID_FREQUENCY = 1e6
 # Area density of cloth [kg/m²], and smallest particle mass relative to the largest [1].
-CLOTH_WEIGHT = 0.3
+CLOTH_AREA_DENSITY = 0.3
 MIN_MASS_FRACTION = 1e-3
 
 
-def _empty_rows(columns: int) -> IntArray:
+def _no_rows(columns: int) -> IntArray:
     return np.zeros((0, columns), np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """N points in their rest positions, and the springs between them."""
+    """Particles of an attachment at bind, and the springs between them."""
 
     points: FloatArray  # bind positions ``(N, 3)`` [m]
     pinned: IntArray  # points that follow the animation ``(P,)``, ascending
-    sides: IntArray  # ends of structural springs ``(L, 2)``
-    # Face diagonals, against shear ``(L, 2)``.
-    diagonals: IntArray = field(default_factory=lambda: _empty_rows(2))
-    # Across folds, against bending ``(L, 2)``.
-    bends: IntArray = field(default_factory=lambda: _empty_rows(2))
-    # Corners of the surface ``(T, 3)``.
-    triangles: IntArray = field(default_factory=lambda: _empty_rows(3))
-    # Number of strands of equal length, each from its pinned root, one after the other;
-    # 0 for a surface.
+    sides: IntArray  # ends of structural springs, along edges ``(L, 2)``
+    # Ends of springs along face diagonals, against shear ``(L, 2)``.
+    diagonals: IntArray = field(default_factory=lambda: _no_rows(2))
+    # Ends of springs across edges, against bending ``(L, 2)``.
+    bends: IntArray = field(default_factory=lambda: _no_rows(2))
+    # Corners of surface triangles ``(T, 3)``.
+    triangles: IntArray = field(default_factory=lambda: _no_rows(3))
+    # Number of strands with equally many particles, stored one after the other from
+    # their pinned roots; 0 for a surface.
     strands: int = 0
 
     @property
     def count(self) -> int:
-        """N."""
+        """Number of particles N."""
         return len(self.points)
 
     @property
     def free(self) -> IntArray:
-        """Free particles, ascending."""
+        """Indices of free particles, ascending."""
         return np.setdiff1d(np.arange(self.count), self.pinned)
 
     @property
     def rests(self) -> FloatArray:
-        """Rest lengths of the sides ``(L,)`` [m]."""
+        """Rest lengths of structural springs ``(L,)`` [m]."""
         return self.lengths(self.sides)
 
     def lengths(self, ends: IntArray) -> FloatArray:
-        """Return rest lengths between ends ``(L, 2)`` ``(L,)`` [m]."""
+        """Return rest lengths of springs by their ends ``(L, 2)`` [m]."""
         gaps = self.points[ends[:, 1]] - self.points[ends[:, 0]]
         return np.asarray(np.linalg.norm(gaps, axis=-1))
 
     @property
     def masses(self) -> FloatArray:
-        """Particle masses ``(N,)`` [kg]: by area for cloth, else 1."""
+        """Particle masses ``(N,)`` [kg]: by area for cloth, else 1 each."""
         corners = self.triangles
         if not len(corners):
             return np.ones(self.count)
         a, b, c = (self.points[corners[:, k]] for k in range(3))
         areas = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
-        thirds = np.repeat(areas * (CLOTH_WEIGHT / 3), 3)
-        masses = np.bincount(corners.ravel(), thirds, self.count)
+        corner_masses = np.repeat(areas * (CLOTH_AREA_DENSITY / 3), 3)
+        masses = np.bincount(corners.ravel(), corner_masses, self.count)
         # Particles with degenerate faces alone get a small mass.
         min_mass = MIN_MASS_FRACTION * float(masses.max(initial=0.0))
         return np.maximum(masses, min_mass if min_mass > 0 else 1.0)
 
     def body(self, diagonals: float, bends: float) -> Body:
-        """Return the spring body, with spring frequencies [Hz]."""
+        """Return the spring body, with shear and bend frequencies [Hz]."""
         is_free = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
-            (self.sides, RIGID / (2 * math.pi)),
+            (self.sides, RIGID_FREQUENCY / (2 * math.pi)),
             (self.diagonals, diagonals),
             (self.bends, bends),
         )
@@ -98,7 +98,7 @@ class Network:
         return build_body(self.points, self.masses, springs, self.triangles)
 
 
-def reach(network: Network) -> int:
+def max_pin_hops(network: Network) -> int:
     """Return the largest number of springs from a pinned particle to any other.
 
     Without pinned particles it is counted from the first.
@@ -110,26 +110,26 @@ def reach(network: Network) -> int:
     for i, j in network.sides.tolist():
         neighbours[i].append(j)
         neighbours[j].append(i)
-    starts = network.pinned.tolist() or [0]
-    distances = dict.fromkeys(starts, 0)
-    queue = deque(starts)
+    start_points = network.pinned.tolist() or [0]
+    hops = dict.fromkeys(start_points, 0)
+    queue = deque(start_points)
     while queue:
         point = queue.popleft()
         for neighbour in neighbours[point]:
-            if neighbour not in distances:
-                distances[neighbour] = distances[point] + 1
+            if neighbour not in hops:
+                hops[neighbour] = hops[point] + 1
                 queue.append(neighbour)
-    return max(distances.values(), default=0)
+    return max(hops.values(), default=0)
 
 
-def typical_edge(network: Network) -> float:
+def median_edge_length(network: Network) -> float:
     """Return the median length of structural springs [m]; 0 without any."""
     rests = network.rests
     return float(np.median(rests[rests > 0])) if rests.any() else 0.0
 
 
-def lost_links(network: Network, points: FloatArray) -> int:
-    """Return the number of springs with coincident ends at points ``(N, 3)``.
+def coincident_link_count(network: Network, points: FloatArray) -> int:
+    """Return the number of springs whose ends coincide at points ``(N, 3)``.
 
     Springs of rest length 0 do not count, unless all have it.
 
@@ -139,13 +139,13 @@ def lost_links(network: Network, points: FloatArray) -> int:
     1
     """
     i, j = network.sides.T
-    coincident = (points[i] == points[j]).all(axis=1)
+    is_coincident = (points[i] == points[j]).all(axis=1)
     rests = network.rests
-    return int((coincident & ((rests > 0) | ~rests.any())).sum())
+    return int((is_coincident & ((rests > 0) | ~rests.any())).sum())
 
 
-def surface_problems(network: Network) -> list[str]:
-    """Return surface defects of the triangles as text.
+def surface_defects(network: Network) -> list[str]:
+    """Return defects of a surface as text: degenerate triangles, shared edges.
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     >>> network = Network(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
@@ -156,16 +156,22 @@ def surface_problems(network: Network) -> list[str]:
     if not len(corners):
         return []
     a, b, c = (network.points[corners[:, k]] for k in range(3))
-    degenerate = int((~np.cross(b - a, c - a).any(axis=1)).sum())
+    degenerate_count = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
-    nonmanifold = int((face_counts > 2).sum())
-    problems = [f"{counted(degenerate, 'triangle')} without area"] if degenerate else []
-    if nonmanifold:
-        problems.append(f"{counted(nonmanifold, 'edge')} of more than two triangles")
-    return problems
+    nonmanifold_count = int((face_counts > 2).sum())
+    defects = (
+        [f"{counted(degenerate_count, 'triangle')} without area"]
+        if degenerate_count
+        else []
+    )
+    if nonmanifold_count:
+        defects.append(
+            f"{counted(nonmanifold_count, 'edge')} of more than two triangles"
+        )
+    return defects
 
 
-def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
+def quad_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     """Return both diagonals of each quadrangle ``(L, 2)``.
 
     >>> diagonals_of_faces(np.array([4]), np.array([0, 1, 2, 3])).tolist()
@@ -175,8 +181,8 @@ def diagonals_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     return distinct_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
 
 
-def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return bend pairs across each edge shared by faces ``(L, 2)``.
+def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return pairs of points for bend springs across shared edges ``(L, 2)``.
 
     For two triangles these are the opposite corners, for two quadrangles the neighbours
     of both ends. An edge of three faces bends between each two of them.
@@ -184,15 +190,17 @@ def folds_of_faces(counts: IntArray, indices: IntArray) -> IntArray:
     >>> folds_of_faces(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
-    starts, sizes = np.repeat([np.cumsum(counts) - counts, counts], counts, axis=1)
-    corner_offsets = np.arange(len(indices)) - starts
-    side_corners = directed_edges(counts, indices)
+    first_corners, sizes = np.repeat(
+        [np.cumsum(counts) - counts, counts], counts, axis=1
+    )
+    corner_offsets = np.arange(len(indices)) - first_corners
+    edge_corners = directed_edges(counts, indices)
     # Neighbours of the first end of a side, and of the second.
     neighbours = np.stack(
-        [indices[starts + (corner_offsets + k) % sizes] for k in (-1, 2)], axis=1
+        [indices[first_corners + (corner_offsets + k) % sizes] for k in (-1, 2)], axis=1
     )
-    is_reversed = side_corners[:, 0] > side_corners[:, 1]
+    is_reversed = edge_corners[:, 0] > edge_corners[:, 1]
     neighbours[is_reversed] = neighbours[is_reversed, ::-1]
-    first_sides, second_sides = coincident_edges(side_corners)
-    pairs = np.stack([neighbours[first_sides], neighbours[second_sides]], axis=-1)
+    first_edges, second_edges = coincident_edges(edge_corners)
+    pairs = np.stack([neighbours[first_edges], neighbours[second_edges]], axis=-1)
     return distinct_pairs(pairs.reshape(-1, 2))

@@ -1,4 +1,4 @@
-"""Character poses between frames, and the travel of a cycle."""
+"""Character poses between frames, and the travel over a cycle."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
-# A root that ends within this many steps of its start is stationary [1].
+# A root is stationary if a cycle ends within this many steps of its start [1].
 STATIONARY_STEPS = 2.0
-# Fraction of the cycle over which the seam residual is blended [1], and over which a
-# cycle is steered to the one before.
-SEAM, STEERED = 0.25, 0.5
+# Fractions of a cycle over which the seam residual is blended [1], and over which a
+# cycle is steered to the last one [1].
+SEAM_FRACTION, STEERED_FRACTION = 0.25, 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LocalPose:
-    """One frame of a motion."""
+    """Local joint transforms and shape weights of one frame."""
 
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
@@ -33,7 +33,7 @@ class LocalPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePath:
-    """A character at K times from one frame to another, inclusive."""
+    """World transforms and shape weights at K even times between two frames."""
 
     world: WorldTransforms  # joint transforms
     # Shape weights ``(K, S)`` [1]; None without shapes.
@@ -41,28 +41,33 @@ class PosePath:
 
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
-    """Return the local pose at one frame of a motion."""
+    """Return the local pose at a frame of a motion."""
 
-    def values(channel: Channel | None) -> FloatArray | None:
+    def frame_values(channel: Channel | None) -> FloatArray | None:
         if channel is None:
             return None
         dense = channel.rest.copy()
         dense[channel.animated] = channel.values[frame]
         return dense
 
-    translations, rotations = values(motion.translations), values(motion.rotations)
+    translations, rotations = (
+        frame_values(motion.translations),
+        frame_values(motion.rotations),
+    )
     assert translations is not None
     assert rotations is not None
-    weights = values(motion.weights)
+    weights = frame_values(motion.weights)
     return LocalPose(
         translations,
         rotations,
-        values(motion.scales),
+        frame_values(motion.scales),
         None if weights is None else weights[:, 0],
     )
 
 
-def pose_path(rig: Rig, before: LocalPose, after: LocalPose, steps: int) -> PosePath:
+def interpolate_poses(
+    rig: Rig, before: LocalPose, after: LocalPose, steps: int
+) -> PosePath:
     """Return a character at even times between two poses.
 
     Local rotations are interpolated by slerp and other values linearly, as for motion
@@ -97,7 +102,7 @@ def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
     return rotations
 
 
-def extrapolated(
+def extrapolate_roots(
     rig: Rig, first: LocalPose, second: LocalPose, frames: float
 ) -> LocalPose:
     """Return the pose some frames before the first, at the speed of the roots."""
@@ -116,19 +121,17 @@ class CycleShift:
     rotation: FloatArray  # about the up axis, at the world's origin ``(4,)``
 
 
-def travel_between(
-    rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]
-) -> CycleShift:
+def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
     It is zero if the first root returns to its start. Else the step from the last frame
     to the next cycle has the mean speed of both ends.
     """
     root = rig.roots[0]
-    first, second, before, last = (pose.translations[root] for pose in poses)
-    outgoing, incoming = second - first, last - before
-    step = max(np.linalg.norm(outgoing), np.linalg.norm(incoming))
-    if np.linalg.norm(last - first) <= STATIONARY_STEPS * step + 1e-9:
+    first, second, second_last, last = (pose.translations[root] for pose in poses)
+    start_step, end_step = second - first, last - second_last
+    max_step = max(np.linalg.norm(start_step), np.linalg.norm(end_step))
+    if np.linalg.norm(last - first) <= STATIONARY_STEPS * max_step + 1e-9:
         return CycleShift(np.zeros(3), so3.IDENTITY)
     rotations = [pose.rotations[root] for pose in poses]
     next_rotation = so3.multiply(
@@ -137,13 +140,13 @@ def travel_between(
     change = so3.multiply(next_rotation, so3.conjugate(rotations[0]))
     twist = float((change[:3] * up).sum()) * up
     rotation = so3.normalize(np.append(twist, change[3]))
-    goal = last + (incoming + so3.rotate(rotation, outgoing)) / 2
+    goal = last + (end_step + so3.rotate(rotation, start_step)) / 2
     shift = goal - so3.rotate(rotation, first)
     return CycleShift(shift - float((shift * up).sum()) * up, rotation)
 
 
-def onward(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
-    """Return a pose moved by the travel of a cycle."""
+def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
+    """Return a pose moved by the travel of one cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
     translations[roots] = (
@@ -153,13 +156,15 @@ def onward(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
     return replace(pose, translations=translations, rotations=rotations)
 
 
-def seam_weights(frames: int, seam: float = SEAM) -> FloatArray:
+def seam_weights(frames: int, seam_fraction: float = SEAM_FRACTION) -> FloatArray:
     """Return the weight of the seam correction for each frame ``(F,)``.
 
-    It grows from 0 to 1 over the last part of a cycle, a fraction ``seam`` of it.
+    It increases from 0 to 1 over a fraction of the cycle, at its end.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]
     """
-    fractions = np.clip((np.arange(frames) / frames - 1 + seam) / seam, 0.0, 1.0)
+    fractions = np.clip(
+        (np.arange(frames) / frames - 1 + seam_fraction) / seam_fraction, 0.0, 1.0
+    )
     return np.asarray(fractions * fractions * (3 - 2 * fractions))

@@ -31,17 +31,17 @@ from animtool.systems.framework.fields import (
 )
 
 # Default frequency of the pull to the animated pose by kind [Hz].
-_FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
-# Default strain limit by kind [1]: long rows of particles need many steps, and strain
+_DEFAULT_FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
+# Default strain limit by kind [1]. Long rows of particles need many steps, and strain
 # of cloth and hair is hardly visible.
-_STRETCHES = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
-STRETCH = 0.01
+_DEFAULT_STRAINS = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
+DEFAULT_STRAIN = 0.01
 # Default frequency of bending by kind [Hz].
-_BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
+_DEFAULT_BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
 
 
 class PreRoll(StrEnum):
-    """Motion of the character before its first frame.
+    """How the character moves before its first frame.
 
     ``hold`` keeps the first pose; ``extrapolate`` travels into it at the speed that the
     roots have from the first frame to the second.
@@ -124,19 +124,19 @@ class SimulateOptions:
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files written alongside the take."""
+        """Files that are written besides the take."""
         return (self.save,) if self.save else ()
 
 
 @dataclass(frozen=True, slots=True)
 class AttachSettings:
-    """Option values for one kind of attachment, with defaults, in SI units."""
+    """Options for one kind of attachment, with defaults, in SI units."""
 
     options: SimulateOptions  # options shared by all kinds
-    frequency: float  # of the pull to the animated pose [Hz]
-    bend: float  # of folds [Hz]
-    stretch: float  # target strain [1]
-    radius: float  # distance kept from colliders [m]
+    frequency: float  # frequency of the pull to the animated pose [Hz]
+    bend: float  # bending frequency [Hz]
+    stretch: float  # strain limit [1]
+    radius: float  # distance from colliders [m]
     # Self-contact distance of cloth [m]; 0 is off, None depends on edge lengths.
     thickness: float | None
 
@@ -146,28 +146,28 @@ def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
     attach_kind = AttachKind(kind)
     frequency, bend, stretch = options.frequency, options.bend, options.stretch
     if frequency is None:
-        frequency = _FREQUENCIES.get(attach_kind, 0.0)
+        frequency = _DEFAULT_FREQUENCIES.get(attach_kind, 0.0)
     if bend is None:
-        bend = _BENDS.get(attach_kind, 0.0)
+        bend = _DEFAULT_BENDS.get(attach_kind, 0.0)
     if stretch is None:
-        stretch = _STRETCHES.get(attach_kind, STRETCH)
+        stretch = _DEFAULT_STRAINS.get(attach_kind, DEFAULT_STRAIN)
     thickness: float | None = 0.0
     if options.self_contact and attach_kind is AttachKind.CLOTH:
         thickness = None
         if options.thickness is not None:
-            thickness = length_of(options.thickness)
+            thickness = length_in_metres(options.thickness)
     return AttachSettings(
         options,
         frequency,
         bend,
         stretch,
-        length_of(options.radius),
+        length_in_metres(options.radius),
         thickness,
     )
 
 
-def length_of(value: str | float) -> float:
-    """Parse a length such as ``5mm``, or a number of metres [m]."""
+def length_in_metres(value: str | float) -> float:
+    """Return a length [m] from text such as ``5mm``, or from a number of metres."""
     if isinstance(value, str):
         return parse_length(value)
     if not 0 <= value < math.inf:
@@ -177,7 +177,7 @@ def length_of(value: str | float) -> float:
 
 
 def option_checks(options: SimulateOptions) -> OptionChecks:
-    """Return checks of the options that need no take."""
+    """Return the checks of options that need no take, by option."""
     checks: dict[str, Callable[[], object]] = {
         name: partial(_check_range, options, name)
         for name in ranges_of(SimulateOptions)
@@ -187,7 +187,7 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
         for name in ("radius", "loop_tolerance")
     }
     checks["thickness"] = partial(_check_thickness, options)
-    checks["what"] = partial(_check_what, options)
+    checks["what"] = partial(_check_names, options)
     checks["wind"] = partial(_check_finite, options.wind, "wind")
     checks["teleports"] = partial(_check_finite, options.teleports, "teleports")
     checks["lead"] = partial(parse_choice, PreRoll, options.lead, "lead")
@@ -201,7 +201,8 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
     return checks
 
 
-def _check_what(options: SimulateOptions) -> None:
+def _check_names(options: SimulateOptions) -> None:
+    """Raise SIM030 if no attachment is named, or one is named twice."""
     if not options.what:
         message = "what names no attachment of the rig"
         raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
@@ -212,35 +213,40 @@ def _check_what(options: SimulateOptions) -> None:
 
 
 def _check_range(options: SimulateOptions, name: str) -> None:
+    """Raise if a number is outside the range of its option."""
     faults = [fault for fault in range_faults(options) if fault.where == name]
     if faults:
         raise OptionError(faults)
 
 
 def _check_finite(values: tuple[float, ...], name: str) -> None:
+    """Raise SIM004 if any value is not finite."""
     if not all(map(math.isfinite, values)):
         message = f"{name} contains a number that is not finite"
         raise OptionError(Fault("SIM004", message))
 
 
 def _check_length(options: SimulateOptions, name: str) -> None:
+    """Raise SIM004 if an option is not a length."""
     try:
-        length_of(getattr(options, name))
+        length_in_metres(getattr(options, name))
     except ValueError as error:
         raise OptionError(Fault("SIM004", f"{name}: {error}")) from error
 
 
 def _check_thickness(options: SimulateOptions) -> None:
+    """Raise SIM004 if the thickness is not a length above 0."""
     if options.thickness is None:
         return
     _check_length(options, "thickness")
-    if not length_of(options.thickness) > 0:
+    if not length_in_metres(options.thickness) > 0:
         message = f"thickness is {options.thickness!r}; it must be more than 0"
         hint = "remove it where cloth may pass through itself"
         raise OptionError(Fault("SIM004", message, hint=hint))
 
 
 def _check_save(options: SimulateOptions) -> None:
+    """Raise SIM032 if only one of ``save`` and ``save_at`` is set, or no npz file."""
     if bool(options.save) != bool(options.save_at):
         message = "save and save_at belong together: a file, and frames"
         raise OptionError(Fault("SIM032", message))
@@ -250,7 +256,10 @@ def _check_save(options: SimulateOptions) -> None:
 
 
 def _check_loop(options: SimulateOptions) -> None:
-    conflicting = [name for name in ("save", "resume") if getattr(options, name)]
-    if options.loop and conflicting:
-        message = f"a cycle has no {conflicting[0]}: it ends where it began"
+    """Raise SIM032 if a cycle is saved or resumed."""
+    conflicting_options = [
+        name for name in ("save", "resume") if getattr(options, name)
+    ]
+    if options.loop and conflicting_options:
+        message = f"a cycle has no {conflicting_options[0]}: it ends where it began"
         raise OptionError(Fault("SIM032", message))

@@ -22,24 +22,23 @@ from animtool.skin.deform import deform
 from animtool.systems.attach.poses import PosePath
 from animtool.systems.framework.meter import ClosedSurface
 
-# Minimum distance of cloth from skins, relative to its edge length [1]: it bounds how
+# Minimum distance of cloth from skins, relative to its edge length [1]. It limits how
 # deep an edge cuts into a limb.
-CORNERS = 1 / 4
+MIN_CLEARANCE = 1 / 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SkinSurface:
-    """A skinned mesh, closed by a triangle fan at each border."""
+    """A skinned mesh whose borders are closed by triangle fans."""
 
     mesh: CharacterMesh  # deforms its V points
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``; middles from V on
-    # Border points ``(P,)``, and the border index of each ``(P,)``.
-    border_points: IntArray
-    borders: IntArray
-    joints: BoolArray  # joints with skin weight ``(J,)``
+    border_points: IntArray  # points at borders ``(P,)``
+    borders: IntArray  # border index of each of them ``(P,)``
+    joints: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, path: PosePath) -> FloatArray:
-        """Return its points and border middles ``(K, V + B, 3)`` [m]."""
+        """Return the points and border middles ``(K, V + B, 3)`` [m]."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
@@ -52,58 +51,61 @@ class SkinSurface:
         return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
 
 
-def skins_of(rig: Rig, moving: Sequence[int] = ()) -> list[SkinSurface]:
-    """Return the skinned meshes of a rig, except its cloth.
+def build_skins(rig: Rig, moving_joints: Sequence[int] = ()) -> list[SkinSurface]:
+    """Return the skinned meshes of a rig except its cloth, as colliders.
 
-    Faces skinned to the ``moving`` joints are left out.
+    Faces with a skin weight on the ``moving_joints`` are left out.
     """
-    cloth = {one.mesh for one in rig.attach if one.kind == AttachKind.CLOTH}
+    cloth = {entry.mesh for entry in rig.attach if entry.kind == AttachKind.CLOTH}
     surfaces = [
-        one
-        for one in surfaces_of(rig)
-        if one.skin is not None and one.name not in cloth
+        entry
+        for entry in surfaces_of(rig)
+        if entry.skin is not None and entry.name not in cloth
     ]
     shapes = [shape.name for shape in rig.shapes]
     meshes = character_meshes(surfaces, rig.names, bind_matrices(rig), shapes)
     skins = [
-        _skin(rig, surface, mesh, moving)
+        _build_skin(rig, surface, mesh, moving_joints)
         for surface, mesh in zip(surfaces, meshes, strict=True)
     ]
     return [skin for skin in skins if len(skin.triangles)]
 
 
-def _skin(
+def _build_skin(
     rig: Rig, surface: Surface, mesh: CharacterMesh, moving_joints: Sequence[int]
 ) -> SkinSurface:
+    """Build the collision surface of a skinned mesh."""
     skin, vertices = surface.skin, surface.points
     assert skin is not None
-    joint_numbers = np.array([rig.index(name) for name in skin.joints], np.int64)
-    is_moved = (skin.weights > 0) & np.isin(joint_numbers[skin.indices], moving_joints)
-    corners = np.asarray(is_moved.any(axis=1))[surface.indices]
-    face_numbers = np.repeat(np.arange(len(surface.counts)), surface.counts)
-    is_kept = np.bincount(face_numbers, corners, len(surface.counts)) == 0
-    faces = surface.counts[is_kept], surface.indices[is_kept[face_numbers]]
-    triangles, points, borders = capped(*faces, len(vertices))
+    joint_indices = np.array([rig.index(name) for name in skin.joints], np.int64)
+    has_moving_weight = (skin.weights > 0) & np.isin(
+        joint_indices[skin.indices], moving_joints
+    )
+    corners = np.asarray(has_moving_weight.any(axis=1))[surface.indices]
+    face_of_corner = np.repeat(np.arange(len(surface.counts)), surface.counts)
+    is_used = np.bincount(face_of_corner, corners, len(surface.counts)) == 0
+    faces = surface.counts[is_used], surface.indices[is_used[face_of_corner]]
+    triangles, points, borders = triangulate_capped(*faces, len(vertices))
     middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
     corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])
-    used_joints = np.zeros(len(rig.joints), np.bool_)
-    used_joints[joint_numbers[skin.indices[skin.weights > 0]]] = True
-    used_joints[list(moving_joints)] = False
-    return SkinSurface(mesh, triangles, points, borders, used_joints)
+    has_weight = np.zeros(len(rig.joints), np.bool_)
+    has_weight[joint_indices[skin.indices[skin.weights > 0]]] = True
+    has_weight[list(moving_joints)] = False
+    return SkinSurface(mesh, triangles, points, borders, has_weight)
 
 
-def capped(
-    counts: IntArray, indices: IntArray, size: int
+def triangulate_capped(
+    counts: IntArray, indices: IntArray, point_count: int
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Triangulate polygons and close each border with a fan.
+    """Triangulate polygons, and close each border with a triangle fan.
 
     Args:
         counts: Corners of each polygon ``(M,)``.
         indices: Corners, polygon by polygon.
-        size: Number of points.
+        point_count: Number of points.
 
     Returns:
         Triangles ``(T, 3)``, with border middles numbered after the points; border
@@ -117,50 +119,54 @@ def capped(
     from scipy.sparse.csgraph import connected_components
 
     triangles = triangulated(counts, indices)
-    side_corners = directed_edges(counts, indices)
-    edge_keys = np.sort(side_corners, axis=1) @ [size, 1]
+    edge_corners = directed_edges(counts, indices)
+    edge_keys = np.sort(edge_corners, axis=1) @ [point_count, 1]
     _, edge_numbers, face_counts = np.unique(
         edge_keys, return_inverse=True, return_counts=True
     )
-    border_edges = side_corners[face_counts[edge_numbers.reshape(-1)] == 1]
-    points, ends = np.unique(border_edges, return_inverse=True)
-    ends = ends.reshape(-1, 2)
-    graph = coo_array((np.ones(len(ends)), ends.T), (len(points), len(points)))
+    border_edges = edge_corners[face_counts[edge_numbers.reshape(-1)] == 1]
+    points, edge_points = np.unique(border_edges, return_inverse=True)
+    edge_points = edge_points.reshape(-1, 2)
+    graph = coo_array(
+        (np.ones(len(edge_points)), edge_points.T), (len(points), len(points))
+    )
     borders = np.zeros(0, np.int64)
     if len(points):
         borders = connected_components(graph, directed=False)[1].astype(np.int64)
-    middles = size + borders[ends[:, 0]]
+    middles = point_count + borders[edge_points[:, 0]]
     fans = np.stack([border_edges[:, 1], border_edges[:, 0], middles], axis=1)
     return np.concatenate([triangles, fans]), points, borders
 
 
-def margin_for(edge: float, radius: float) -> float:
-    """Return the additional distance between cloth and skins, beyond the radius [m].
+def skin_margin(edge: float, radius: float) -> float:
+    """Return the distance between cloth and skins beyond the radius [m].
 
-    Long edges need it: their ends are outside, but they cut the corner of a limb.
+    Long edges need it: they cut into a round limb even if their ends are outside.
 
     >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
     (0.005, 0.0)
     """
-    return max(0.0, CORNERS * edge - radius)
+    return max(0.0, MIN_CLEARANCE * edge - radius)
 
 
-def nearness(
-    solid: ClosedSurface, points: FloatArray, kept: float, *, inside: bool = False
+def contact_offsets(
+    surface: ClosedSurface, points: FloatArray, distance: float, *, inside: bool = False
 ) -> FloatArray:
-    """Return contact distance offsets of points near a skin ``(N,)`` [m].
+    """Return offsets of the contact distance for points near a skin ``(N,)`` [m].
 
     Offsets are at most 0: points that start closer keep their initial distance. With
     ``inside``, points that start inside may stay as deep.
     """
-    collider = Colliders([Collider(Mesh(solid.points, solid.triangles, closed=True))])
+    collider = Colliders(
+        [Collider(Mesh(surface.points, surface.triangles, closed=True))]
+    )
     distances = collider.sample(points, 0.0, 1.0).distances[0]
-    lower = -np.inf if inside else 0.0
-    return np.asarray(np.clip(distances, lower, kept) - kept)
+    min_distance = -np.inf if inside else 0.0
+    return np.asarray(np.clip(distances, min_distance, distance) - distance)
 
 
 class SkinContacts:
-    """Skins as kernel surfaces, frame by frame."""
+    """Skins of a character as kernel surfaces, frame by frame."""
 
     def __init__(
         self,
@@ -172,27 +178,31 @@ class SkinContacts:
         """Set up the constants of all frames."""
         self._skins = skins
         self._kernels: list[Any] = []
-        self._distinct: list[bool] = []  # whether no two points of a skin coincide
-        self._numbers = (0.0, friction, margin, depenetration, SPEED_LIMIT)
+        self._has_distinct_points: list[
+            bool
+        ] = []  # whether no two points of a skin coincide
+        self._contact_settings = (0.0, friction, margin, depenetration, SPEED_LIMIT)
 
     def depths(
         self, path: PosePath, targets: FloatArray, radius: float, *, inside: bool
     ) -> list[FloatArray]:
-        """Return contact distance offsets for each skin ``(N,)`` [m].
+        """Return offsets of the contact distance for each skin ``(N,)`` [m].
 
         They are measured in the first pose of a path.
         """
-        distance = radius + self._numbers[2]
+        distance = radius + self._contact_settings[2]
         solids = [
             ClosedSurface(skin.points(path)[0], skin.triangles) for skin in self._skins
         ]
-        return [nearness(solid, targets, distance, inside=inside) for solid in solids]
+        return [
+            contact_offsets(solid, targets, distance, inside=inside) for solid in solids
+        ]
 
     def __bool__(self) -> bool:
         """Return whether there are any skins."""
         return bool(self._skins)
 
-    def over(self, points: list[FloatArray]) -> list[tuple[Any, ...]]:
+    def kernel_surfaces(self, points: list[FloatArray]) -> list[tuple[Any, ...]]:
         """Return kernel arguments for the cells between K poses.
 
         Args:
@@ -203,18 +213,20 @@ class SkinContacts:
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
                 for skin, rows in zip(self._skins, points, strict=True)
             ]
-            self._distinct = [
+            self._has_distinct_points = [
                 len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
             ]
         return [
-            (kernel, rows, self._numbers, 1, 0)
+            (kernel, rows, self._contact_settings, 1, 0)
             for kernel, rows in zip(self._kernels, points, strict=True)
         ]
 
     def solids(self, points: list[FloatArray]) -> list[ClosedSurface]:
-        """Return the skins in the last of K poses that `over` was given."""
-        columns = zip(self._skins, points, self._kernels, self._distinct, strict=True)
+        """Return the skins at the last of K poses, after `kernel_surfaces`."""
+        skins = zip(
+            self._skins, points, self._kernels, self._has_distinct_points, strict=True
+        )
         return [
             ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
-            for skin, rows, kernel, is_distinct in columns
+            for skin, rows, kernel, is_distinct in skins
         ]

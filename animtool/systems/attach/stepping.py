@@ -12,7 +12,12 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
-from animtool.systems.attach.network import RIGID, Network, reach, typical_edge
+from animtool.systems.attach.network import (
+    RIGID_FREQUENCY,
+    Network,
+    max_pin_hops,
+    median_edge_length,
+)
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
 from animtool.systems.springs.contacts import CellColliders
@@ -26,23 +31,23 @@ from animtool.systems.springs.system import SpringSystem
 DESIGN_ACCELERATION = 20.0
 # Design angular velocity of strand springs for the step rate [rad/s].
 DESIGN_SPIN = 30.0
-# Load of cloth springs relative to a single row, as measured [1].
-ACROSS = 10.0
+# Measured load of cloth springs, relative to a single row of particles [1].
+CLOTH_LOAD_FACTOR = 10.0
 # Lowest step rates of cloth and of strands [1/s].
-MIN_STEPS = 240.0
-MIN_STRAND_STEPS = 360.0
-MAX_STEPS = 20_000.0
-# Largest refinement of a cloth frame with too much strain or self-piercing.
-FINER = 4
+MIN_CLOTH_RATE = 240.0
+MIN_STRAND_RATE = 360.0
+MAX_RATE = 20_000.0
+# Largest refinement of steps in a cloth frame with too much strain or piercing [1].
+MAX_REFINEMENT = 4
 # Default self-contact distance of cloth, relative to its edges [1].
-THICK = 1 / 3
-# Frequency of the pull that steers a cycle to the one before, at its strongest [Hz].
-STEERING = 40.0
-# Cells of a frame, over which the animation is linear.
+THICKNESS_RATIO = 1 / 3
+# Largest frequency of the pull that steers a cycle to the last one [Hz].
+STEERING_FREQUENCY = 40.0
+# Limits of the number of cells of a frame; the animation is linear in a cell.
 MIN_CELLS, MAX_CELLS = 5, 8
 
 
-def steps_per_second(network: Network, settings: AttachSettings) -> float:
+def step_rate(network: Network, settings: AttachSettings) -> float:
     """Return the step rate that keeps springs within their strain limit [1/s].
 
     Springs of strands are solved together: a spring that rotates by an angle in a step
@@ -54,13 +59,13 @@ def steps_per_second(network: Network, settings: AttachSettings) -> float:
         return settings.options.rate
     if network.strands:
         rate = DESIGN_SPIN / math.sqrt(2 * settings.stretch)
-        return min(max(rate, MIN_STRAND_STEPS), MAX_STEPS)
-    edge = typical_edge(network)
+        return min(max(rate, MIN_STRAND_RATE), MAX_RATE)
+    edge = median_edge_length(network)
     if not edge:
-        return MIN_STEPS
-    load = reach(network) * DESIGN_ACCELERATION * ACROSS
+        return MIN_CLOTH_RATE
+    load = max_pin_hops(network) * DESIGN_ACCELERATION * CLOTH_LOAD_FACTOR
     rate = math.sqrt(load / (settings.stretch * edge))
-    return min(max(rate, MIN_STEPS), MAX_STEPS)
+    return min(max(rate, MIN_CLOTH_RATE), MAX_RATE)
 
 
 def check_motion(motion: FloatArray) -> None:
@@ -68,17 +73,17 @@ def check_motion(motion: FloatArray) -> None:
     if np.abs(motion).max(initial=0.0) <= MAX_VALUE:
         return
     magnitudes = np.abs(motion[0])
-    number = int(
+    particle = int(
         np.argmax(np.where(np.isnan(magnitudes), np.inf, magnitudes).max(axis=-1))
     )
-    message = f"the simulation blew up: particle {number} is at "
-    message += f"{np.array2string(motion[0, number], precision=3)} m"
+    message = f"the simulation blew up: particle {particle} is at "
+    message += f"{np.array2string(motion[0, particle], precision=3)} m"
     hint = "lower its frequency, bend, diagonals, gravity, wind or drag"
     raise ToleranceError(Fault("SIM102", message, hint=hint))
 
 
-def cells_of(steps: int) -> tuple[int, int]:
-    """Return the cells of a frame and the steps in each, for at least as many steps.
+def cells_and_substeps(steps: int) -> tuple[int, int]:
+    """Return the cells of a frame, and the steps in each, for at least some steps.
 
     >>> cells_of(3), cells_of(10), cells_of(46)
     ((3, 1), (5, 2), (8, 6))
@@ -86,34 +91,34 @@ def cells_of(steps: int) -> tuple[int, int]:
     if steps <= MAX_CELLS:
         return steps, 1
     cell_counts = range(MAX_CELLS, MIN_CELLS - 1, -1)
-    divisions = [(cells, math.ceil(steps / cells)) for cells in cell_counts]
-    return min(divisions, key=math.prod)
+    candidates = [(cells, math.ceil(steps / cells)) for cells in cell_counts]
+    return min(candidates, key=math.prod)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleSteering:
-    """Another motion of the particles over a frame, which pulls them to itself."""
+    """A motion over a frame that particles are pulled to."""
 
-    motions: FloatArray  # its states at the start and end ``(2, 2, N, 3)`` [m, m/s]
+    motions: FloatArray  # states at the start and end ``(2, 2, N, 3)`` [m, m/s]
     weight: float  # strength of the pull, from 0 to 1
 
-    def path(self, count: int, span: float) -> FloatArray:
-        """Return its positions over a span [s] ``(count + 1, N, 3)`` [m]."""
+    def path(self, count: int, duration: float) -> FloatArray:
+        """Return positions at even times over a duration ``(count + 1, N, 3)`` [m]."""
         u = (np.arange(count + 1) / count)[:, None, None]
         (x0, v0), (x1, v1) = self.motions
         ends = x0 + u * u * (3 - 2 * u) * (x1 - x0)
-        return np.asarray(ends + span * u * (1 - u) * ((1 - u) * v0 - u * v1))
+        return np.asarray(ends + duration * u * (1 - u) * ((1 - u) * v0 - u * v1))
 
 
 class AttachedSprings:
-    """Steps the springs of an attachment over frames with xpbd.
+    """Steps the springs of an attachment over frames, with xpbd.
 
     Springs along strands are solved directly, others once per step in order.
 
     Attributes:
         thickness: Self-contact distance of cloth [m]; 0 is off.
         cells: Cells of a frame.
-        substeps: Fewest steps in each.
+        substeps: Lower limit of the steps in a cell.
     """
 
     def __init__(
@@ -121,33 +126,41 @@ class AttachedSprings:
         network: Network,
         settings: AttachSettings,
         down: FloatArray,
-        span: float,
+        frame_duration: float,
     ) -> None:
-        """Build the kernel arguments for frames of length ``span`` [s].
+        """Build the kernel arguments for frames of a duration [s].
 
         ``down`` is the direction of gravity ``(3,)``.
         """
-        min_steps = math.ceil(steps_per_second(network, settings) * span - 1e-9)
-        self.cells, self.substeps = cells_of(max(1, min_steps))
-        self.thickness, self._span = thickness_of(network, settings), span
+        min_steps = math.ceil(step_rate(network, settings) * frame_duration - 1e-9)
+        self.cells, self.substeps = cells_and_substeps(max(1, min_steps))
+        self.thickness, self._frame_duration = (
+            self_contact_distance(network, settings),
+            frame_duration,
+        )
         self._network, self._settings, self._down = network, settings, down
         if network.strands:
-            self._strands = _strands(network, settings, down)
+            self._strands = _build_strands(network, settings, down)
         else:
-            self._system = _system(network, settings, down, self.thickness)
+            self._system = _build_system(network, settings, down, self.thickness)
 
-    def steered(
+    def with_steering(
         self, path: FloatArray, steering: CycleSteering
     ) -> tuple[AttachedSprings, FloatArray]:
-        """Return springs that another motion also pulls, and what they are pulled to.
+        """Return springs that are also pulled to another motion, and their targets.
 
-        Both pulls are one: to the mean of the animated particles ``(K, N, 3)`` [m] and
-        that motion, by their strengths.
+        One pull replaces both. Its target is the mean of the animated particles
+        ``(K, N, 3)`` [m] and that motion, weighted by stiffness.
         """
         settings, options = self._settings, self._settings.options
-        pull, steer = settings.frequency**2, (steering.weight * STEERING) ** 2
-        frequency = math.sqrt(pull + steer)
-        damping = options.ratio * settings.frequency + steering.weight * STEERING
+        pull_stiffness, steer_stiffness = (
+            settings.frequency**2,
+            (steering.weight * STEERING_FREQUENCY) ** 2,
+        )
+        frequency = math.sqrt(pull_stiffness + steer_stiffness)
+        damping = (
+            options.ratio * settings.frequency + steering.weight * STEERING_FREQUENCY
+        )
         springs = AttachedSprings(
             self._network,
             replace(
@@ -156,112 +169,129 @@ class AttachedSprings:
                 options=replace(options, ratio=damping / frequency),
             ),
             self._down,
-            self._span,
+            self._frame_duration,
         )
-        goal, free = path.copy(), self._network.free
-        other = steering.path(len(path) - 1, self._span)[:, free]
-        goal[:, free] += steer / (pull + steer) * (other - goal[:, free])
+        goal, free_particles = path.copy(), self._network.free
+        other_points = steering.path(len(path) - 1, self._frame_duration)[
+            :, free_particles
+        ]
+        goal[:, free_particles] += (
+            steer_stiffness
+            / (pull_stiffness + steer_stiffness)
+            * (other_points - goal[:, free_particles])
+        )
         return springs, goal
 
     def start(self, positions: FloatArray) -> TimeGrid:
-        """Return the grid at rest in positions ``(N, 3)`` [m]."""
+        """Return the time grid at rest in positions ``(N, 3)`` [m]."""
         motion = np.stack([positions, np.zeros_like(positions)])
         torn = np.zeros(0, np.uint8)
         if not self._network.strands:
             torn = self._system.untorn_flags
         state = SpringState(motion, torn, self.substeps, self.substeps)
-        return TimeGrid(Solver.XPBD, 0.0, self._span / self.cells, 0, state)
+        return TimeGrid(Solver.XPBD, 0.0, self._frame_duration / self.cells, 0, state)
 
-    def cross(
+    def advance_frame(
         self,
         grid: TimeGrid,
         path: FloatArray,
-        met: CellColliders,
-        own: tuple[int, int],
+        colliders: CellColliders,
+        character_colliders: tuple[int, int],
     ) -> TimeGrid:
         """Return the grid a frame later.
 
         Args:
-            grid: State at its start.
+            grid: State at the start of the frame.
             path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
-            met: Colliders in these cells.
-            own: Rigid colliders of the character: first index and count. Only
-                particles of strands collide with them.
+            colliders: Colliders in these cells.
+            character_colliders: First index and count of the rigid colliders of the
+                character. Of strands, only particles collide with them.
         """
-        min_substeps, strain = self.substeps, grid.stretch
+        min_substeps, previous_strain = self.substeps, grid.stretch
         if self._network.strands:
             grid = advance_strands(
-                self._strands, grid, path, self._span, met, own, threads_allowed()
+                self._strands,
+                grid,
+                path,
+                self._frame_duration,
+                colliders,
+                character_colliders,
+                thread_count(),
             )
         else:
-            system, stretch = self._system, self._settings.stretch
-            system.set_paths(self._span, path)
+            system, strain_limit = self._system, self._settings.stretch
+            system.set_paths(self._frame_duration, path)
             state = replace(grid.state, substeps=min_substeps, calm=0)
             grid = replace(grid, index=0, state=state)
             max_substeps = (
-                min_substeps if self._settings.options.rate else FINER * min_substeps
+                min_substeps
+                if self._settings.options.rate
+                else MAX_REFINEMENT * min_substeps
             )
             # The strain of stiff cloth springs is clamped too.
-            limit = stretch if len(self._network.triangles) else 0.0
+            clamped_strain = strain_limit if len(self._network.triangles) else 0.0
             grid = advance_xpbd(
                 system.network(0),
                 grid,
                 self.cells,
-                met,
+                colliders,
                 system.kernel_self_contact,
-                stretch,
+                strain_limit,
                 max_substeps,
-                limit,
+                clamped_strain,
             )
             frame_strain = self._strain(grid.state.motion[0])
-            grid = replace(grid, stretch=max(strain, frame_strain))
+            grid = replace(grid, stretch=max(previous_strain, frame_strain))
         check_motion(grid.state.motion)
         return grid
 
     def _strain(self, x: FloatArray) -> float:
+        """Return the largest strain of structural springs at positions ``x`` [1]."""
         rests, (i, j) = self._network.rests, self._network.sides.T
         is_measured = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
         lengths = np.linalg.norm(x[j[is_measured]] - x[i[is_measured]], axis=1)
         return float((lengths / rests[is_measured] - 1).max(initial=0.0))
 
 
-def thickness_of(network: Network, settings: AttachSettings) -> float:
+def self_contact_distance(network: Network, settings: AttachSettings) -> float:
     """Return the self-contact distance of cloth [m]; 0 is off."""
     if settings.thickness is not None:
         return settings.thickness
     if not len(network.triangles):
         return 0.0
-    return min(settings.radius or math.inf, THICK * typical_edge(network))
+    return min(
+        settings.radius or math.inf, THICKNESS_RATIO * median_edge_length(network)
+    )
 
 
-def _system(
+def _build_system(
     network: Network, settings: AttachSettings, down: FloatArray, thickness: float
 ) -> SpringSystem:
-    """Return the spring system of a network, pinned and pulled to rest positions."""
+    """Return the spring system of a network, with pins and targets at bind."""
     options = settings.options
     body = network.body(options.diagonals, settings.bend)
-    pulled = network.free if settings.frequency else network.free[:0]
-    masses, omega = body.masses[pulled], 2 * math.pi * settings.frequency
+    target_particles = network.free if settings.frequency else network.free[:0]
+    masses, omega = body.masses[target_particles], 2 * math.pi * settings.frequency
     # Air acts on the triangles of cloth; other kinds have linear drag.
-    wind, cloth = np.array(options.wind), len(network.triangles) > 0
-    linear_drag = 0.0 if cloth else options.drag
+    wind, is_cloth = np.array(options.wind), len(network.triangles) > 0
+    linear_drag = 0.0 if is_cloth else options.drag
     return SpringSystem(
         body,
         pins=Pins(network.pinned),
         targets=PointTargets(
-            pulled,
-            body.positions[pulled],
+            target_particles,
+            body.positions[target_particles],
             masses * omega**2,
             masses * (2 * options.ratio * omega),
         ),
         gravity=options.gravity * down + linear_drag * wind,
         drag=linear_drag,
-        air=Air(wind, options.drag, options.drag / 2) if cloth else None,
+        air=Air(wind, options.drag, options.drag / 2) if is_cloth else None,
         self_contact=SelfContact(thickness, options.friction) if thickness else None,
     )
 
 
-def _strands(
+def _build_strands(
     network: Network, settings: AttachSettings, down: FloatArray
 ) -> _kernels.SpringStrands:
     """Return kernel strands; chains have no bend springs."""
@@ -275,7 +305,7 @@ def _strands(
         bends.reshape(strands, max(springs - 1, 0)),
         gravity=options.gravity * down + options.drag * np.array(options.wind),
         drag=options.drag,
-        stiffness=RIGID**2,
+        stiffness=RIGID_FREQUENCY**2,
         fold_stiffness=(2 * math.pi * settings.bend) ** 2,
         draw_stiffness=omega**2,
         draw_damping=2 * options.ratio * omega,
@@ -283,7 +313,7 @@ def _strands(
     )
 
 
-def threads_allowed() -> int:
+def thread_count() -> int:
     """Return the thread count: ``OMP_NUM_THREADS``, else the number of processors.
 
     Batch workers set it to 1, one worker per processor.

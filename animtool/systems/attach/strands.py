@@ -27,16 +27,17 @@ from animtool.systems.springs.contacts import (
 )
 
 # Bones shorter than this have no direction [m].
-SHORTEST = 1e-9
+MIN_BONE_LENGTH = 1e-9
 # Speed at which particles that start inside a collider are moved out [m/s].
-DEPENETRATION = 1.0
-# Particles deeper than this after every push count as unresolved [m].
-UNRESOLVED = 1e-3
+DEPENETRATION_SPEED = 1.0
+# Particles that stay deeper than this count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
 
 
 def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations ``(F, 4)`` from directions to others ``(F, 3)``.
+    """Return the shortest rotations from directions to others ``(F, 4)``.
 
+    Directions are ``(F, 3)``.
     Identity if either has no length; 180° about a perpendicular axis if they are
     opposite.
 
@@ -46,18 +47,20 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     lengths = [
         np.linalg.norm(vectors, axis=-1, keepdims=True) for vectors in (before, after)
     ]
-    has_length = (lengths[0] > SHORTEST) & (lengths[1] > SHORTEST)
+    has_length = (lengths[0] > MIN_BONE_LENGTH) & (lengths[1] > MIN_BONE_LENGTH)
     a = before / np.where(has_length, lengths[0], 1.0)
     b = after / np.where(has_length, lengths[1], 1.0)
     dots = (a * b).sum(axis=-1, keepdims=True)
     cross = np.cross(a, b)
     rotations = so3.normalize(np.concatenate([cross, 1.0 + dots], axis=-1))
-    opposite = has_length[:, 0] & (dots[:, 0] < -1 + 1e-12)
-    if opposite.any():
-        smallest_axes = np.eye(3)[np.abs(a[opposite]).argmin(axis=-1)]
-        axes = np.cross(a[opposite], smallest_axes)
+    is_opposite = has_length[:, 0] & (dots[:, 0] < -1 + 1e-12)
+    if is_opposite.any():
+        smallest_axes = np.eye(3)[np.abs(a[is_opposite]).argmin(axis=-1)]
+        axes = np.cross(a[is_opposite], smallest_axes)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        rotations[opposite] = np.concatenate([axes, np.zeros((len(axes), 1))], axis=-1)
+        rotations[is_opposite] = np.concatenate(
+            [axes, np.zeros((len(axes), 1))], axis=-1
+        )
     return np.where(has_length, rotations, so3.IDENTITY)
 
 
@@ -66,9 +69,9 @@ def chain_rotations(
     joints: IntArray,
     rotations: FloatArray,
     animated: FloatArray,
-    moved: FloatArray,
+    simulated: FloatArray,
 ) -> FloatArray:
-    """Return local rotations ``(F, C, 4)`` that align bones with moved points.
+    """Return local rotations ``(F, C, 4)`` that align bones with simulated points.
 
     Each joint inherits the rotation of its parents and gets the shortest rotation
     that aligns its bone, without twist. Joint limits apply: a pin keeps its axis, and
@@ -76,29 +79,30 @@ def chain_rotations(
     approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
     ``(F, C + 1, 3)`` [m].
     """
-    world = _parent_rotation(rig, int(joints[0]), rotations)
-    inherited = np.tile(so3.IDENTITY, (len(rotations), 1))
+    world = _parent_rotations(rig, int(joints[0]), rotations)
+    relative_rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
-        source = rotations[:, joint]
-        parent = so3.multiply(inherited, world)
-        bone = animated[:, k + 1] - animated[:, k]
+        animated_local = rotations[:, joint]
+        parent = so3.multiply(relative_rotation, world)
+        animated_bone = animated[:, k + 1] - animated[:, k]
         swing = shortest_rotations(
-            so3.rotate(inherited, bone), moved[:, k + 1] - moved[:, k]
+            so3.rotate(relative_rotation, animated_bone),
+            simulated[:, k + 1] - simulated[:, k],
         )
-        goal = so3.multiply(swing, so3.multiply(parent, source))
-        local = so3.normalize(so3.multiply(so3.conjugate(parent), goal))
-        result[:, k] = _limited(rig.joints[joint], local, source)
-        world = so3.multiply(world, source)
+        goal_rotation = so3.multiply(swing, so3.multiply(parent, animated_local))
+        local = so3.normalize(so3.multiply(so3.conjugate(parent), goal_rotation))
+        result[:, k] = _clamp_to_limits(rig.joints[joint], local, animated_local)
+        world = so3.multiply(world, animated_local)
         # World rotation of the joints so far relative to the animation.
-        inherited = so3.multiply(
+        relative_rotation = so3.multiply(
             so3.multiply(parent, result[:, k]), so3.conjugate(world)
         )
     return result
 
 
-def _parent_rotation(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return the world rotation of the parent of a joint ``(F, 4)``."""
+def _parent_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
+    """Return the world rotations of a joint's parent ``(F, 4)``."""
     rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     parent = rig.joints[joint].parent
     while parent >= 0:
@@ -107,21 +111,23 @@ def _parent_rotation(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
     return rotation
 
 
-def _limited(joint: Joint, local: FloatArray, fallback: FloatArray) -> FloatArray:
+def _clamp_to_limits(
+    joint: Joint, local: FloatArray, fallback: FloatArray
+) -> FloatArray:
     """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
-    rest = np.array(joint.rotation)
-    motion = so3.multiply(so3.conjugate(rest), local)
+    rest_rotation = np.array(joint.rotation)
+    rotation = so3.multiply(so3.conjugate(rest_rotation), local)
     if joint.type is JointType.PIN:
-        projection = (motion[:, :3] * np.array(joint.axis)).sum(axis=-1)
-        angle = 2 * np.arctan2(projection, motion[:, 3])
+        projection = (rotation[:, :3] * np.array(joint.axis)).sum(axis=-1)
+        angle = 2 * np.arctan2(projection, rotation[:, 3])
         angle = np.remainder(angle + np.pi, 2 * np.pi) - np.pi
         if isinstance(joint.limits, RangeLimit):
             angle = joint.limits.clamped(angle)
-        return so3.multiply(rest, so3.from_axis_angle(joint.axis, angle))
+        return so3.multiply(rest_rotation, so3.from_axis_angle(joint.axis, angle))
     if joint.type in {JointType.FIXED, JointType.PRISMATIC}:
         return fallback
     if isinstance(joint.limits, BallLimit):
-        return so3.multiply(rest, joint.limits.clamped(motion))
+        return so3.multiply(rest_rotation, joint.limits.clamped(rotation))
     return local
 
 
@@ -142,12 +148,13 @@ def capsule_distances(
     return np.asarray(np.sqrt((radial * radial).sum(axis=1)) - radius)
 
 
-def depth_at_bind(
+def bind_depths(
     capsules: JointCapsules, rig: Rig, points: FloatArray, margin: float
 ) -> FloatArray:
-    """Return signed distances from capsules at bind ``(C, N)`` [m], at most 0.
+    """Return signed distances of points from capsules at bind ``(C, N)`` [m].
 
-    Capsules may be thicker than the body, so that points on the body start inside; they
+    They are at most 0.
+    Capsules may be thicker than the body, so that points on the body start inside. They
     may stay that deep.
     """
     bind_ends = capsules.world_ends(bind_world(rig))[0]
@@ -158,7 +165,7 @@ def depth_at_bind(
 
 
 class CharacterColliders:
-    """Capsules and skins of a character, with the colliders of the world."""
+    """Capsules and skins of a character, together with colliders of the world."""
 
     def __init__(
         self,
@@ -179,54 +186,55 @@ class CharacterColliders:
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
         capsule_collider = Collider(
-            Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION
+            Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION_SPEED
         )
         rigid_colliders = [*world, *([capsule_collider] * len(capsules))]
         self._colliders = Colliders(
             rigid_colliders, [*world.sheets, *layers], world.bodies
         )
-        first = len(world)
-        self.own = first, len(capsules)  # rigid colliders of the character
+        first_capsule = len(world)
+        # First index and count of the character's rigid colliders.
+        self.character_range = first_capsule, len(capsules)
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][
-            first : len(rigid_colliders)
+            first_capsule : len(rigid_colliders)
         ].copy()
         self._sizes[:, 6] = radii
-        self._allowed, skins = depths
-        rigid = np.zeros((self._colliders.rigid, self._allowed.shape[1]))
-        rigid[first : len(rigid_colliders)] = self._allowed
+        self._allowed_depths, skin_depths = depths
+        rigid_depths = np.zeros((self._colliders.rigid, self._allowed_depths.shape[1]))
+        rigid_depths[first_capsule : len(rigid_colliders)] = self._allowed_depths
         self._depths = np.concatenate(
-            [rigid, *(distances[None] for distances in skins)]
+            [rigid_depths, *(distances[None] for distances in skin_depths)]
         )
 
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
     ) -> FloatArray:
-        """Return depths beyond the allowed ones at the last pose ``(N,)`` [m].
+        """Return depths of points beyond the allowed ones ``(N,)`` [m].
 
-        In the deepest collider at a time [s]; below 0 outside of all.
+        They are those in the deepest collider at a time [s]; below 0 is outside.
         """
-        deepest = collider_depths(self._world, points, t)
-        radii, allowed = self._sizes[:, 6], self._allowed + self._radius
+        depths = collider_depths(self._world, points, t)
+        radii, allowed_depths = self._sizes[:, 6], self._allowed_depths + self._radius
         for c, ends in enumerate(self._capsules.world_ends(world)[-1]):
             distances = capsule_distances(points, ends, radii[c])
-            penetration = np.minimum(allowed[c], 0.0) - distances
-            np.maximum(deepest, penetration, out=deepest)
-        return deepest
+            penetration = np.minimum(allowed_depths[c], 0.0) - distances
+            np.maximum(depths, penetration, out=depths)
+        return depths
 
     def solids(self, t: float) -> list[ClosedSurface]:
         """Return the closed surfaces of the world at a time [s]."""
         return closed_surfaces(self._world, t)
 
-    def over(
+    def kernel_arguments(
         self, world: WorldTransforms, cells: Cells, skins: Sequence[Any] = ()
     ) -> CellColliders:
-        """Return kernel arguments for the cells between K poses; None without any.
+        """Return kernel arguments for the cells between K poses.
 
-        Skins are kernel surfaces in motion.
+        ``skins`` are kernel surfaces in motion. Without any collider it returns None.
         """
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED)
+        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED_DEPTH)
         return cell_colliders(self._colliders, self._radius, cells, posed)

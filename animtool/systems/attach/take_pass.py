@@ -24,37 +24,37 @@ from animtool.motion.motion import Motion
 from animtool.motion.passes import ColliderBuilder, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import Actor
+from animtool.systems.attach.actor import AttachmentActor
 from animtool.systems.attach.bodies import (
     AttachedBody,
     ChainBody,
     SurfaceBody,
-    bodies_of,
+    build_bodies,
 )
-from animtool.systems.attach.network import surface_problems
+from animtool.systems.attach.network import surface_defects
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
     AttachState,
     LoopClosure,
     SavedFrame,
-    saved_state,
+    state_name_and_clock,
 )
 from animtool.systems.framework.meter import VISIBLE_DEPTH, PeakValue
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import piercing_notices
 
-# Ratio of strain to target strain above which a warning is given [1].
-PARDON = 1.5
-# Smallest rotation of a bare last joint that is reported [rad].
-MIN_SWING = math.radians(0.1)
+# Largest unreported ratio of strain to its limit [1].
+STRAIN_TOLERANCE = 1.5
+# Smallest reported rotation of a last joint that nothing follows [rad].
+MIN_REPORTED_ANGLE = math.radians(0.1)
 # Largest index of particles and triangles in a file.
 MAX_INDEX = 1 << 31
 
 
-def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
-    """Return notices about frames named in options, after the take has ended.
+def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
+    """Return notices about frames that options name, after the take has ended.
 
     Frames missing in the take have no effect (SIM185). Frames before a resumed one are
     those of the take (SIM186).
@@ -65,11 +65,11 @@ def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
     frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
         frames_by_option["resume"] = (resumed.frame,)
-    visited = set(codes)
+    visited_codes = set(codes)
     notices = [
         _missing_frames(name, missing, codes)
         for name, frames in frames_by_option.items()
-        if (missing := [frame for frame in frames if frame not in visited])
+        if (missing := [frame for frame in frames if frame not in visited_codes])
     ]
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
@@ -79,6 +79,7 @@ def of_named_frames(simulation: AttachSimulation) -> list[Fault]:
 
 
 def _missing_frames(option: str, frames: list[float], codes: list[float]) -> Fault:
+    """Return a warning about frames of an option that the take lacks (SIM185)."""
     noun = "frame" if len(frames) == 1 else "frames"
     message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
     message += f", but the take has {codes[0]:g} to {codes[-1]:g}"
@@ -88,7 +89,7 @@ def _missing_frames(option: str, frames: list[float], codes: list[float]) -> Fau
 
 @dataclass(frozen=True, slots=True)
 class AttachReport:
-    """Result of one attachment."""
+    """Result of one simulated attachment."""
 
     name: str  # name in the rig
     kind: str  # one of `AttachKind`
@@ -111,15 +112,16 @@ class AttachReport:
     seconds: float  # time spent [s]
 
 
-def reports_of(simulation: AttachSimulation) -> list[AttachReport]:
+def attachment_reports(simulation: AttachSimulation) -> list[AttachReport]:
     """Return the result of each attachment so far."""
     return [_report(actor) for actor in simulation.actors]
 
 
-def _report(actor: Actor) -> AttachReport:
+def _report(actor: AttachmentActor) -> AttachReport:
+    """Return the result of an attachment so far."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
-    if grid.stretch > PARDON * target_strain:
+    if grid.stretch > STRAIN_TOLERANCE * target_strain:
         status = "stretched"
     if grid.unresolved or grid.piercing.passed or grid.piercing.cut:
         status = "unresolved"
@@ -139,32 +141,33 @@ def _report(actor: Actor) -> AttachReport:
         actor.meter.pierced,
         actor.meter.strain,
         actor.meter.strain_99,
-        actor.jumps,
+        actor.teleport_count,
         actor.seconds,
     )
 
 
-def notices_of(simulation: AttachSimulation) -> list[Fault]:
-    """Return notices of a finished simulation."""
-    reports = reports_of(simulation)
+def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
+    """Return all notices of a finished simulation."""
+    reports = attachment_reports(simulation)
     notices = [
-        _note(report, actor)
+        _summary_notice(report, actor)
         for report, actor in zip(reports, simulation.actors, strict=True)
     ]
     for actor, report in zip(simulation.actors, reports, strict=True):
-        notices += _start_notices(actor) + _warnings(report)
-        if isinstance(actor.body, ChainBody) and actor.body.bare:
+        notices += _start_notices(actor) + _contact_warnings(report)
+        if isinstance(actor.body, ChainBody) and actor.body.has_free_tip:
             notices += _last_joint_notices(simulation, actor.body)
         notices += piercing_notices(actor.grid.piercing, f"the cloth {report.name}")
         if isinstance(actor.body, SurfaceBody):
             notices += actor.meter.notices(report.name)
-    if simulation.closing is not None:
+    if simulation.loop_closure is not None:
         names = listed([report.name for report in reports])
-        notices.append(_cycle_notice(names, simulation.closing))
-    return notices + of_named_frames(simulation)
+        notices.append(_cycle_notice(names, simulation.loop_closure))
+    return notices + named_frame_notices(simulation)
 
 
-def _note(report: AttachReport, actor: Actor) -> Fault:
+def _summary_notice(report: AttachReport, actor: AttachmentActor) -> Fault:
+    """Return a note about steps, strain and contact of an attachment (SIM130)."""
     phrases = [
         f"{report.name}: {counted(report.steps, 'step')} per frame",
         f"springs stretch by up to {percent_text(report.stretch)}",
@@ -180,28 +183,32 @@ def _note(report: AttachReport, actor: Actor) -> Fault:
     return Fault("SIM130", ", ".join(phrases), severity=Severity.NOTE)
 
 
-def _start_notices(actor: Actor) -> list[Fault]:
-    """Return notices about the geometry and start of an attachment."""
+def _start_notices(actor: AttachmentActor) -> list[Fault]:
+    """Return notices about the surface and the start pose of an attachment."""
     notices, name, network = [], actor.body.name, actor.body.network
-    problems = surface_problems(network)
-    if problems:
-        message = f"{name}: {listed(problems)}; it is simulated as it is"
+    defects = surface_defects(network)
+    if defects:
+        message = f"{name}: {listed(defects)}; it is simulated as it is"
         notices.append(Fault("SIM106", message, severity=Severity.NOTE))
-    if actor.lost:
-        all_lost = actor.lost == len(network.sides)
-        springs = "every spring" if all_lost else counted(actor.lost, "spring")
+    if actor.coincident_links:
+        are_all_coincident = actor.coincident_links == len(network.sides)
+        springs = (
+            "every spring"
+            if are_all_coincident
+            else counted(actor.coincident_links, "spring")
+        )
         message = (
             f"{name}: the ends of {springs} are at the same position in the first pose"
         )
         hint = "without a direction they have no effect until something separates them"
         notices.append(warning("SIM140", message, hint))
-    return notices + actor.tangles
+    return notices + actor.tangle_warnings
 
 
 def _last_joint_notices(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:
-    """Return a warning if the rotation of a chain's last joint moves nothing."""
-    angle = simulation.swung.get(chain.name, 0.0)
-    if angle < MIN_SWING:
+    """Return a warning if nothing follows the rotation of a chain's last joint."""
+    angle = simulation.last_joint_angles.get(chain.name, 0.0)
+    if angle < MIN_REPORTED_ANGLE:
         return []
     joint = simulation.rig.joints[chain.joints[-1]].name
     message = (
@@ -212,9 +219,10 @@ def _last_joint_notices(simulation: AttachSimulation, chain: ChainBody) -> list[
     return [warning("SIM191", message, hint)]
 
 
-def _warnings(report: AttachReport) -> list[Fault]:
+def _contact_warnings(report: AttachReport) -> list[Fault]:
+    """Return warnings about strain and particles inside colliders (SIM131, SIM132)."""
     warnings = []
-    if report.stretch > PARDON * report.aimed:
+    if report.stretch > STRAIN_TOLERANCE * report.aimed:
         message = (
             f"{report.name}: springs stretch by up to "
             f"{percent_text(report.stretch)}, but "
@@ -230,15 +238,18 @@ def _warnings(report: AttachReport) -> list[Fault]:
     return warnings
 
 
-def _cycle_notice(names: str, closing: LoopClosure) -> Fault:
-    message = f"{names}: the cycle was simulated {counted(closing.repeats, 'time')}; "
-    if closing.steered:
+def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
+    """Return how well a cycle closed: a note, or a warning (SIM130, SIM133)."""
+    message = (
+        f"{names}: the cycle was simulated {counted(loop_closure.repeats, 'time')}; "
+    )
+    if loop_closure.is_steered:
         message += "it did not close by itself and was steered to the cycle before; "
-    message += f"its ends differ by {1000 * closing.residual:.3g} mm"
-    visible = VISIBLE_DEPTH if closing.steered else 0.0
-    if closing.residual <= max(closing.tolerance, visible):
+    message += f"its ends differ by {1000 * loop_closure.residual:.3g} mm"
+    visible_residual = VISIBLE_DEPTH if loop_closure.is_steered else 0.0
+    if loop_closure.residual <= max(loop_closure.tolerance, visible_residual):
         return Fault("SIM130", message, severity=Severity.NOTE)
-    message += f", but {1000 * closing.tolerance:g} mm was requested"
+    message += f", but {1000 * loop_closure.tolerance:g} mm was requested"
     hint = "raise loop_repeats, or the ratio or drag of what oscillates irregularly"
     return warning("SIM133", message, hint)
 
@@ -248,10 +259,10 @@ def simulate(
     options: SimulateOptions,
     folder: Path = Path(),
     *,
-    early: int = 0,
-    keeps: bool = True,
+    prepended_frames: int = 0,
+    saves_states: bool = True,
     progress: Callable[[float], None] | None = None,
-    around: ColliderBuilder | None = None,
+    build_colliders: ColliderBuilder | None = None,
 ) -> TakeStream:
     """Simulate attachments of a rig through a take, block by block.
 
@@ -263,20 +274,25 @@ def simulate(
         stream: The take.
         options: Attachments and settings.
         folder: Base of relative paths.
-        early: Frames before the take that hold its first frame; a cycle has none.
-        keeps: Whether requested states are saved.
+        prepended_frames: Frames before the take, with the pose of its first frame; a
+            cycle ignores them.
+        saves_states: Whether requested states are saved.
         progress: Called with the fraction done of each block, 0 to 1.
-        around: Builds characters, systems and meshes named by the options; without it
-            only colliders are used.
+        build_colliders: Builds the characters, systems and meshes named by options;
+            None uses only ``colliders``.
     """
     _check(options)
-    if not moves(options):
+    if not has_effect(options):
         return stream
-    bodies = bodies_of(stream.rig, options.what)
-    span = float(stream.step / stream.fps)
+    bodies = build_bodies(stream.rig, options.what)
+    frame_duration = float(stream.step / stream.fps)
     world = Colliders(options.colliders)
-    if around is not None and (options.characters or options.systems or options.meshes):
-        stream, world = around(stream, options, early * span)
+    if build_colliders is not None and (
+        options.characters or options.systems or options.meshes
+    ):
+        stream, world = build_colliders(
+            stream, options, prepended_frames * frame_duration
+        )
     start = Fraction(1) if stream.start is None else stream.start
     simulation = AttachSimulation(
         stream.rig,
@@ -286,14 +302,14 @@ def simulate(
         start,
         stream.step,
         _load_states(bodies, options, folder),
-        early,
+        prepended_frames,
         progress,
         world,
     )
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,
-        blocks=_blocks(simulation, stream, folder if keeps else None),
+        blocks=_blocks(simulation, stream, folder if saves_states else None),
         points=stream.points | set(point_names),
     )
 
@@ -301,17 +317,18 @@ def simulate(
 def _blocks(
     simulation: AttachSimulation, stream: TakeStream, folder: Path | None
 ) -> Iterator[Motion]:
+    """Yield simulated blocks, then write states and collect notices."""
     yield from simulation.blocks(stream.blocks)
     if simulation.options.save and folder is not None:
         write_states(folder / simulation.options.save, simulation.saved)
-    stream.notices.extend(notices_of(simulation))
-    stream.simulated.extend(asdict(report) for report in reports_of(simulation))
+    stream.notices.extend(simulation_notices(simulation))
+    stream.simulated.extend(asdict(report) for report in attachment_reports(simulation))
 
 
 def _load_states(
     bodies: Sequence[AttachedBody], options: SimulateOptions, folder: Path
 ) -> SavedFrame | None:
-    """Return the latest saved states of a file."""
+    """Return the latest saved states of a file; None without a file."""
     if options.resume is None:
         return None
     path = folder / options.resume
@@ -330,7 +347,7 @@ def _load_states(
                 0, AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
             )
             try:
-                state = saved.read(*saved_state(body, frame), start).state
+                state = saved.read(*state_name_and_clock(body, frame), start).state
             except OptionError as error:
                 faults += error.faults
                 continue
@@ -344,7 +361,7 @@ def _load_states(
     return SavedFrame(frame, states)
 
 
-def moves(options: SimulateOptions) -> bool:
+def has_effect(options: SimulateOptions) -> bool:
     """Return whether anything is simulated with a weight above 0."""
     weight = options.weight
     keys = [(0.0, weight)] if isinstance(weight, (int, float)) else weight
@@ -353,6 +370,7 @@ def moves(options: SimulateOptions) -> bool:
 
 
 def _check(options: SimulateOptions) -> None:
+    """Raise all faults of the options."""
     faults: list[Fault] = []
     for name, check in option_checks(options).items():
         if name == "what" and not options.what:
@@ -372,10 +390,10 @@ def _run(
         stream,
         options,
         context.folder,
-        early=context.prepended_frames,
-        keeps=context.writes_files,
+        prepended_frames=context.prepended_frames,
+        saves_states=context.writes_files,
         progress=context.progress,
-        around=context.build_colliders,
+        build_colliders=context.build_colliders,
     )
 
 

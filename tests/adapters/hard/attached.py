@@ -22,7 +22,7 @@ from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.systems.attach.strands import DEPENETRATION
+from animtool.systems.attach.strands import DEPENETRATION_SPEED
 
 __all__ = ["ATTACHED"]
 
@@ -175,8 +175,8 @@ def _deep_start_penetration(way: str) -> None:  # noqa: ARG001 - there is one
         assert outside[0] < -0.499
         speed = np.diff(outside[outside < 0]) * 24
         # At first the bones that are pushed pull the others along.
-        assert speed.max() < 2 * DEPENETRATION
-        assert speed[-3:].max() <= DEPENETRATION * 1.05
+        assert speed.max() < 2 * DEPENETRATION_SPEED
+        assert speed[-3:].max() <= DEPENETRATION_SPEED * 1.05
         assert "SIM132" in codes
 
 

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.rig.skeleton import Joint, Rig
-from animtool.systems.attach.bodies import _carrier, _tip
+from animtool.systems.attach.bodies import _bone_end, _main_joint
 from animtool.systems.attach.network import Network
 
 JOINTS = (
@@ -22,12 +22,12 @@ JOINTS = (
 
 
 def test_a_chain_ends_at_its_tip_or_child_or_goes_on_as_its_last_bone() -> None:
-    assert_allclose(_tip(Rig("tail", JOINTS), [1, 2]), [0.0, -0.2, -0.05])
+    assert_allclose(_bone_end(Rig("tail", JOINTS), [1, 2]), [0.0, -0.2, -0.05])
     end = Joint("end", 2, translation=(0.0, -0.1, 0.3))
-    assert_allclose(_tip(Rig("tail", (*JOINTS, end)), [1, 2]), [0.0, -0.1, 0.3])
+    assert_allclose(_bone_end(Rig("tail", (*JOINTS, end)), [1, 2]), [0.0, -0.1, 0.3])
     tipped = replace(JOINTS[2], tips=((0.5, 0.0, 0.0), (9.0, 0.0, 0.0)))
     rig = Rig("tail", (*JOINTS[:2], tipped, end))
-    assert_allclose(_tip(rig, [1, 2]), [0.5, 0.0, 0.0])
+    assert_allclose(_bone_end(rig, [1, 2]), [0.5, 0.0, 0.0])
 
 
 @pytest.mark.parametrize(
@@ -46,5 +46,5 @@ def test_what_is_held_goes_with_the_joint_of_most_of_its_weight(
     surface: Any = SimpleNamespace(skin=skin)
     points = np.eye(4, 3)
     network = Network(points, np.array(held, np.int64), np.array([[0, 1]]))
-    assert _carrier(Rig("tail", JOINTS), surface, network) == carrier
-    assert _carrier(Rig("tail", JOINTS), SimpleNamespace(skin=None), network) == 0
+    assert _main_joint(Rig("tail", JOINTS), surface, network) == carrier
+    assert _main_joint(Rig("tail", JOINTS), SimpleNamespace(skin=None), network) == 0

@@ -7,11 +7,11 @@ from numpy.testing import assert_allclose
 
 from animtool.maths.faces import edges
 from animtool.systems.attach.network import (
-    RIGID,
+    RIGID_FREQUENCY,
     Network,
-    diagonals_of_faces,
-    folds_of_faces,
-    reach,
+    fold_pairs,
+    max_pin_hops,
+    quad_diagonals,
 )
 
 
@@ -31,8 +31,8 @@ def test_springs_of_a_grid() -> None:
     sides = Network(points, np.array([0]), edges(*faces))
     assert len(sides.rests) == 2 * size * (size - 1)
     assert_allclose(sides.rests, 1.0)
-    assert len(diagonals_of_faces(*faces)) == 2 * (size - 1) ** 2
-    folds = Network(points, np.array([0]), folds_of_faces(*faces))
+    assert len(quad_diagonals(*faces)) == 2 * (size - 1) ** 2
+    folds = Network(points, np.array([0]), fold_pairs(*faces))
     assert_allclose(folds.rests, 2.0)
     assert len(folds.rests) == 2 * size * (size - 2)
 
@@ -40,9 +40,9 @@ def test_springs_of_a_grid() -> None:
 def test_the_farthest_particle() -> None:
     points, faces = grid(4)
     sides = edges(*faces)
-    assert reach(Network(points, np.array([0]), sides)) == 6
-    assert reach(Network(points, np.arange(4), sides)) == 3
-    assert reach(Network(points, np.array([], np.int64), sides)) == 6
+    assert max_pin_hops(Network(points, np.array([0]), sides)) == 6
+    assert max_pin_hops(Network(points, np.arange(4), sides)) == 3
+    assert max_pin_hops(Network(points, np.array([], np.int64), sides)) == 6
 
 
 def test_another_size() -> None:
@@ -52,4 +52,4 @@ def test_another_size() -> None:
     springs = network.body(20.0, 0.0).springs
     assert_allclose(springs.rest, 2.5)
     assert len(springs.rest) == len(network.sides)
-    assert_allclose(springs.stiffness, RIGID**2 * network.masses[0])
+    assert_allclose(springs.stiffness, RIGID_FREQUENCY**2 * network.masses[0])

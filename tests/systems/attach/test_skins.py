@@ -18,7 +18,7 @@ from support.attached import (
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.skins import capped, margin_for, skins_of
+from animtool.systems.attach.skins import build_skins, skin_margin, triangulate_capped
 from animtool.systems.framework.meter import ClosedSurface, surface_depths
 
 SIZE = 10
@@ -81,7 +81,9 @@ def test_a_skin_stands_for_the_capsules_of_its_joints() -> None:
 
 
 def test_borders_are_closed_outwards() -> None:
-    triangles, points, borders = capped(np.full(5, 4), FACES[:-1].ravel(), 8)
+    triangles, points, borders = triangulate_capped(
+        np.full(5, 4), FACES[:-1].ravel(), 8
+    )
     assert sorted(points.tolist()) == [1, 3, 5, 7]
     assert borders.tolist() == [0, 0, 0, 0]
     places = np.concatenate([BOX, [[0.5, 0.5, 1.0]]])
@@ -90,14 +92,14 @@ def test_borders_are_closed_outwards() -> None:
 
 
 def test_cloth_is_no_skin() -> None:
-    (skin,) = skins_of(posted())
+    (skin,) = build_skins(posted())
     assert skin.mesh.name == "box"
-    assert skins_of(sheet_rig(SIZE)) == []
+    assert build_skins(sheet_rig(SIZE)) == []
 
 
 def test_coarse_cloth_keeps_more() -> None:
-    assert margin_for(0.06, 0.005) == pytest.approx(0.01)
-    assert margin_for(0.006, 0.005) == 0
+    assert skin_margin(0.06, 0.005) == pytest.approx(0.01)
+    assert skin_margin(0.006, 0.005) == 0
 
 
 def test_in_blocks_it_moves_the_same() -> None:
@@ -161,6 +163,6 @@ def test_a_chain_does_not_collide_with_what_it_moves() -> None:
     free = wagged(tail_rig(4, 0.12), True)
     np.testing.assert_array_equal(wagged(tailed(*range(8)), True), free)
     # The side towards the tail follows it; the hole is closed.
-    (skin,) = skins_of(tailed(1, 3, 5, 7), [4])
+    (skin,) = build_skins(tailed(1, 3, 5, 7), [4])
     assert len(skin.triangles) == 6
     assert not skin.joints[4]

@@ -7,7 +7,7 @@ import pytest
 from support.faults import raises
 
 from animtool.core.errors import ToleranceError
-from animtool.systems.attach.stepping import cells_of, check_motion
+from animtool.systems.attach.stepping import cells_and_substeps, check_motion
 
 
 @pytest.mark.parametrize("value", [2e30, -1e200, np.inf, np.nan])
@@ -30,4 +30,4 @@ def test_a_frame_has_five_to_eight_cells_and_hardly_more_steps_than_asked(
     steps: int, cells: tuple[int, int]
 ) -> None:
     """The fewest steps in all; of as many the most cells."""
-    assert cells_of(steps) == cells
+    assert cells_and_substeps(steps) == cells

@@ -29,7 +29,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.simulation import AttachSimulation
-from animtool.systems.attach.take_pass import bodies_of, simulate
+from animtool.systems.attach.take_pass import build_bodies, simulate
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
 # Hangs still where it is put, without anything but gravity.
@@ -151,7 +151,7 @@ def test_blocks_hold_no_more_numbers_than_they_may(
     frame = whole[0].size
     monkeypatch.setattr("animtool.systems.attach.simulation.BLOCK_VALUES", 4 * frame)
     options = SimulateOptions(what=("hair",))
-    bodies = bodies_of(take.rig, options.what)
+    bodies = build_bodies(take.rig, options.what)
     clock = take.clock
     parts = AttachSimulation(
         take.rig, bodies, options, clock.fps, clock.start, clock.step
@@ -299,7 +299,7 @@ def test_what_is_done_is_told_in_even_parts_to_the_end(
     given, told = SimulateOptions(**{"settle": 0.0, **options}), list[float]()
     simulation = AttachSimulation(
         take.rig,
-        bodies_of(take.rig, ("tail",)),
+        build_bodies(take.rig, ("tail",)),
         given,
         take.clock.fps,
         take.clock.start,
