@@ -22,13 +22,13 @@ from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
-    bodies_of_rig,
-    joints_of_rig,
+    build_ragdoll,
+    build_ragdoll_joints,
 )
 from animtool.systems.rigid.ragdoll_motion import (
     ragdoll_simulation,
-    ragdoll_speeds,
     ragdoll_transforms,
+    ragdoll_velocities,
 )
 from animtool.systems.rigid.simulation import RigidSimulation
 
@@ -162,7 +162,9 @@ class FallSimulator:
                 np.concatenate([next_pose.linear, pose.linear]),
             )
             motion = fall.simulation.initial().motion.copy()
-            motion[:, 7:13] = ragdoll_speeds(fall.ragdoll, pair, np.array([dt, 0.0]), 1)
+            motion[:, 7:13] = ragdoll_velocities(
+                fall.ragdoll, pair, np.array([dt, 0.0]), 1
+            )
             motion_row = np.zeros((1, *falls.motion.shape[1:]))
             motion_row[0, : len(motion)] = motion
             falls = Falls(
@@ -208,7 +210,9 @@ class FallSimulator:
         frame = fall.simulation.frame(
             replace(
                 fall.simulation.initial(),
-                motion=np.ascontiguousarray(falls.motion[k, : len(bodies.of)]),
+                motion=np.ascontiguousarray(
+                    falls.motion[k, : len(bodies.kind_of_body)]
+                ),
             ),
             0.0,
         )
@@ -240,8 +244,8 @@ class FallSimulator:
                 positions[None, :count], so3.to_matrix(rotations[None, :count])
             )
             options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
-            ragdoll = bodies_of_rig(rig, pose, options)
-            joints = joints_of_rig(ragdoll, options, lambda _: np.zeros((0, 5)))
+            ragdoll = build_ragdoll(rig, pose, options)
+            joints = build_ragdoll_joints(ragdoll, options, lambda _: np.zeros((0, 5)))
             simulation = ragdoll_simulation(
                 ragdoll,
                 joints,

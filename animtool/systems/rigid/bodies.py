@@ -1,4 +1,4 @@
-"""Bodies of a spec: initial poses, and the kernel's arrays."""
+"""Rigid bodies of a spec: initial poses, and the kernel's arrays."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from animtool.systems.rigid.cores import ConvexCore, core_mesh, core_of
 from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,
-    build_kind,
+    build_body_kind,
     check_motion_keys,
     copy_placements,
 )
@@ -33,67 +33,72 @@ NO_PAIRS = np.zeros((0, 2), np.int64)
 
 @dataclass(frozen=True, slots=True)
 class CollisionShapes:
-    """C collision shapes of all bodies, for other systems."""
+    """Collision shapes of all bodies, as colliders of other systems."""
 
     colliders: Sequence[Collider]
-    of: IntArray  # body of each shape (C,)
-    at: FloatArray  # origins in the frames of the bodies (C, 3) [m]
-    rotations: FloatArray  # their quaternions (C, 4)
+    body_of_shape: IntArray  # body of each shape (C,)
+    origins: FloatArray  # origins in the frames of the bodies (C, 3) [m]
+    rotations: FloatArray  # quaternions in the frames of the bodies (C, 4)
 
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """All bodies of a system: N dynamic, the others kinematic.
+    """All bodies of a system: N are dynamic, the others kinematic.
 
     Attributes:
         kinds: Body kind of each entry of the file.
         names: Names of all bodies.
-        of: Kind index of each ``(B,)``.
-        is_dynamic: Whether each is dynamic ``(B,)``.
-        poses: Poses of each over time; of dynamic ones the initial pose.
+        kind_of_body: Kind index of each body ``(B,)``.
+        is_dynamic: Mask of dynamic bodies ``(B,)``.
+        poses: Poses of each body over time; of a dynamic one the initial pose.
     """
 
     kinds: Sequence[BodyKind]
     names: Sequence[str]
-    of: IntArray
+    kind_of_body: IntArray
     is_dynamic: BoolArray
     poses: Sequence[Poses]
     begin: float
-    dynamic: IntArray = field(init=False)  # numbers of dynamic bodies (N,)
+    dynamic: IntArray = field(init=False)  # indices of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
-        """Number the dynamic bodies."""
+        """Find the dynamic bodies."""
         object.__setattr__(self, "dynamic", np.flatnonzero(self.is_dynamic))
 
     @staticmethod
-    def of_models(
+    def from_models(
         models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
     ) -> RigidBodies:
-        """Return the bodies of a spec."""
+        """Return the bodies of the models of a spec, with their copies."""
         kinds: list[BodyKind] = []
         names, of, is_dynamic, poses = [], [], [], []
         used_names: set[str] = set()
         refusals = Refusals()
-        for number, (model, part) in enumerate(zip(models, parts, strict=True)):
-            where, origin = part.get("entry", f"bodies[{number}]"), part.get("origin")
+        for entry_index, (model, entry_data) in enumerate(
+            zip(models, parts, strict=True)
+        ):
+            where, origin = (
+                entry_data.get("entry", f"bodies[{entry_index}]"),
+                entry_data.get("origin"),
+            )
             with refusals.collect(), _entry_faults(where, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
             with refusals.collect(), _entry_faults(where, origin):
                 check_motion_keys(model)
             with refusals.collect(), _entry_faults(where, origin):
-                kind = build_kind(model, part)
-                points, rotations = copy_placements(model, part)
+                kind = build_body_kind(model, entry_data)
+                points, rotations = copy_placements(model, entry_data)
             used_names.add(model.name)
             if refusals.faults:
                 continue
             notices = [_locate_fault(notice, where, origin) for notice in kind.notices]
             kinds.append(replace(kind, notices=notices))
-            carrier: Poses = part["poses"]
+            carrier: Poses = entry_data["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
                 is_numbered = len(points) > 1 or model.grid is not None
                 names.append(f"{model.name}[{k}]" if is_numbered else model.name)
-                of.append(number)
+                of.append(entry_index)
                 is_dynamic.append(not model.kinematic or model.release is not None)
                 poses.append(offset_poses(carrier, point, rotation))
         refusals.check()
@@ -106,92 +111,103 @@ class RigidBodies:
 
     @cached_property
     def releases(self) -> FloatArray:
-        """Release times of bodies that start kinematic ``(B,)`` [s]."""
+        """Release times of kinematic bodies ``(B,)`` [s]; -infinity for none."""
         times = [kind.model.release for kind in self.kinds]
-        per_model = [-np.inf if time is None else time for time in times]
-        return np.array(per_model, np.float64)[self.of]
+        times_by_kind = [-np.inf if time is None else time for time in times]
+        return np.array(times_by_kind, np.float64)[self.kind_of_body]
 
     @cached_property
     def static(self) -> frozenset[int]:
-        """Kinematic bodies that never move."""
+        """Indices of kinematic bodies that never move."""
         kinematic = np.flatnonzero(~self.is_dynamic).tolist()
         return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
 
     @cached_property
     def masses(self) -> FloatArray:
         """Masses of dynamic bodies ``(N,)`` [kg]."""
-        return np.array([kind.mass for kind in self.kinds])[self.of[self.dynamic]]
+        return np.array([kind.mass for kind in self.kinds])[
+            self.kind_of_body[self.dynamic]
+        ]
 
     @cached_property
     def moments(self) -> FloatArray:
-        """Their principal moments of inertia ``(N, 3)`` [kg m²]."""
-        return np.array([kind.moments for kind in self.kinds])[self.of[self.dynamic]]
+        """Principal moments of inertia of dynamic bodies ``(N, 3)`` [kg m²]."""
+        return np.array([kind.moments for kind in self.kinds])[
+            self.kind_of_body[self.dynamic]
+        ]
 
     @cached_property
     def axes(self) -> FloatArray:
-        """Their principal axes: body_from_principal ``(N, 4)``."""
-        return np.array([kind.axes for kind in self.kinds])[self.of[self.dynamic]]
+        """Rotations from principal axes to the frames of dynamic bodies ``(N, 4)``."""
+        return np.array([kind.axes for kind in self.kinds])[
+            self.kind_of_body[self.dynamic]
+        ]
 
     @cached_property
     def centres(self) -> FloatArray:
-        """Their centres of mass, in body frames ``(N, 3)`` [m]."""
-        return np.array([kind.centre for kind in self.kinds])[self.of[self.dynamic]]
+        """Centres of mass of dynamic bodies, in body frames ``(N, 3)`` [m]."""
+        return np.array([kind.centre for kind in self.kinds])[
+            self.kind_of_body[self.dynamic]
+        ]
 
     @cached_property
-    def reaches(self) -> FloatArray:
-        """Their bounding radii about the centre of mass ``(N,)`` [m]."""
-        return np.array([kind.reach for kind in self.kinds])[self.of[self.dynamic]]
+    def bounding_radii(self) -> FloatArray:
+        """Bounding radii of dynamic bodies about the centre of mass ``(N,)`` [m]."""
+        return np.array([kind.bounding_radius for kind in self.kinds])[
+            self.kind_of_body[self.dynamic]
+        ]
 
     @cached_property
-    def start(self) -> FloatArray:
-        """Their initial states, in the kernel's layout ``(N, 14)``."""
-        rows = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
-        rows = rows.reshape(-1, 7)
-        models = [self.kinds[k].model for k in self.of[self.dynamic]]
+    def initial_states(self) -> FloatArray:
+        """Initial states of dynamic bodies, in the kernel's layout ``(N, 14)``."""
+        poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
+        poses = poses.reshape(-1, 7)
+        models = [self.kinds[k].model for k in self.kind_of_body[self.dynamic]]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
-        centres = rows[:, :3] + so3.rotate(rows[:, 3:], self.centres)
-        rotations = so3.multiply(rows[:, 3:], self.axes)
+        centres = poses[:, :3] + so3.rotate(poses[:, 3:], self.centres)
+        rotations = so3.multiply(poses[:, 3:], self.axes)
         spins_local = so3.rotate(so3.conjugate(rotations), spins)
         momenta = so3.rotate(rotations, spins_local * self.moments)
-        rest_times = np.zeros((len(rows), 1))
+        rest_times = np.zeros((len(poses), 1))
         return np.concatenate(
             [centres, rotations, velocities, momenta, rest_times], axis=1
         )
 
-    def kinematic_state(self, number: int, t: float, dt: float) -> FloatArray:
-        """Return the state ``(14,)`` of a dynamic body from its poses.
+    def kinematic_state(self, dynamic_index: int, t: float, dt: float) -> FloatArray:
+        """Return the state of a dynamic body that is still kinematic ``(14,)``.
 
-        Its velocities are those of the time [s] before.
+        Its velocities are those of the step [s] before.
         """
-        i = int(self.dynamic[number])
-        before, row = self.poses[i].at(t - dt), self.poses[i].at(t)
+        i = int(self.dynamic[dynamic_index])
+        previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
         centres = [
-            p[:3] + so3.rotate(p[3:], self.centres[number]) for p in (before, row)
+            p[:3] + so3.rotate(p[3:], self.centres[dynamic_index])
+            for p in (previous_pose, pose)
         ]
-        spin = so3.log(so3.multiply(row[3:], so3.conjugate(before[3:]))) / dt
-        rotation = so3.multiply(row[3:], self.axes[number])
+        spin = so3.log(so3.multiply(pose[3:], so3.conjugate(previous_pose[3:]))) / dt
+        rotation = so3.multiply(pose[3:], self.axes[dynamic_index])
         momentum_local = (
-            so3.rotate(so3.conjugate(rotation), spin) * self.moments[number]
+            so3.rotate(so3.conjugate(rotation), spin) * self.moments[dynamic_index]
         )
         velocity = (centres[1] - centres[0]) / dt
         momentum = so3.rotate(rotation, momentum_local)
         return np.concatenate([centres[1], rotation, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
-        """Return angular velocities in the world ``(N, 3)`` [rad/s]."""
+        """Return world angular velocities of dynamic bodies ``(N, 3)`` [rad/s]."""
         local = so3.rotate(so3.conjugate(state[:, 3:7]), state[:, 10:13])
         moments = self.moments
         local = np.divide(local, moments, out=np.zeros_like(local), where=moments > 0)
         return so3.rotate(state[:, 3:7], local)
 
     def body_frames(self, state: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return origins ``(N, 3)`` [m] and quaternions ``(N, 4)`` of body frames."""
+        """Return origins ``(N, 3)`` [m] and rotations ``(N, 4)`` of body frames."""
         rotations = so3.multiply(state[:, 3:7], so3.conjugate(self.axes))
         return state[:, :3] - so3.rotate(rotations, self.centres), rotations
 
     def colliders(self) -> list[Collider]:
-        """Return kinematic bodies as colliders."""
+        """Return the shapes of kinematic bodies as colliders."""
         return [
             Collider(
                 shape,
@@ -201,20 +217,22 @@ class RigidBodies:
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.is_dynamic).tolist()
-            for kind in [self.kinds[self.of[i]]]
+            for kind in [self.kinds[self.kind_of_body[i]]]
             for shape, at, rotation in kind.shapes
         ]
 
     def excluded_pairs(self, pairs: IntArray, first_collider: int) -> IntArray:
-        """Return pairs that do not collide, as kernel numbers ``(Q, 2)``.
+        """Return pairs that do not collide, as kernel indices ``(Q, 2)``.
 
         Args:
-            pairs: Of all bodies ``(P, 2)``.
-            first_collider: Number of the first of `colliders` among all.
+            pairs: Pairs of indices of all bodies ``(P, 2)``.
+            first_collider: Index of the first of `colliders` among all colliders.
         """
-        shapes_of = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
-        counts = np.where(self.is_dynamic, 0, shapes_of[self.of])
-        first_shapes = len(self.dynamic) + first_collider + np.cumsum(counts) - counts
+        shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
+        counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
+        first_shape_indices = (
+            len(self.dynamic) + first_collider + np.cumsum(counts) - counts
+        )
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
@@ -226,16 +244,18 @@ class RigidBodies:
             if self.is_dynamic[b]:
                 rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
-                shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
+                shapes = range(
+                    int(first_shape_indices[b]), int(first_shape_indices[b] + counts[b])
+                )
                 rows += [(int(dynamic_indices[a]), shape) for shape in shapes]
         return np.array(rows, np.int64).reshape(-1, 2)
 
     @cached_property
-    def outlines(self) -> CollisionShapes:
-        """All bodies as colliders; hulls of meshes."""
+    def collision_shapes(self) -> CollisionShapes:
+        """Collision shapes of all bodies; those of meshes are convex hulls."""
         rows = [
             (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
-            for i, k in enumerate(self.of.tolist())
+            for i, k in enumerate(self.kind_of_body.tolist())
             for shape, at, rotation in self.kinds[k].shapes
         ]
         colliders, of, at, rotations = zip(*rows, strict=True)
@@ -245,39 +265,45 @@ class RigidBodies:
 
     @cached_property
     def shapes(self) -> tuple[list[ConvexCore], IntArray]:
-        """Convex cores of dynamic bodies, and the body of each ``(S,)``."""
+        """Convex cores of dynamic bodies, and the body of each core ``(S,)``."""
         cores: list[ConvexCore] = []
-        owners: list[int] = []
+        body_indices: list[int] = []
         cores_by_kind = [
             [k.core_at_centre(core) for core in k.cores] for k in self.kinds
         ]
         for number, i in enumerate(self.dynamic.tolist()):
-            cores += cores_by_kind[self.of[i]]
-            owners += [number] * len(cores_by_kind[self.of[i]])
-        return cores, np.array(owners, np.int64)
+            cores += cores_by_kind[self.kind_of_body[i]]
+            body_indices += [number] * len(cores_by_kind[self.kind_of_body[i]])
+        return cores, np.array(body_indices, np.int64)
 
     def kernel(
         self,
         joints: IntArray,
-        numbers: FloatArray,
+        joint_parameters: FloatArray,
         excluded: IntArray = NO_PAIRS,
-        inertias: FloatArray | float = 1.0,
+        mass_factors: FloatArray | float = 1.0,
     ) -> Any:
-        """Return the kernel's arrays.
+        """Return bodies and joints as a kernel object.
 
-        With joints ``(K, 3)`` and ``(K, 27)``, pairs of `apart` ``(Q, 2)``, and factors
-        on their masses ``(N,)``.
+        Joints are ``(K, 3)``, their parameters ``(K, 27)``, pairs from `excluded_pairs`
+        ``(Q, 2)``, and factors on the masses ``(N,)``.
         """
-        masses = (self.masses * inertias)[:, None]
-        weights = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [weights, *self._shape_arrays, joints, numbers, excluded]
+        masses = (self.masses * mass_factors)[:, None]
+        mass_properties = np.concatenate([masses, self.moments], axis=1)
+        arrays: list[Any] = [
+            mass_properties,
+            *self._shape_arrays,
+            joints,
+            joint_parameters,
+            excluded,
+        ]
         return _kernels.RigidBodies(*arrays)
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
-        models = [self.kinds[self.of[self.dynamic[i]]].model for i in owners]
+        models = [self.kinds[self.kind_of_body[self.dynamic[i]]].model for i in owners]
         rows = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)
@@ -297,21 +323,21 @@ class RigidBodies:
     def _indices_by_name(self) -> Mapping[str, int]:
         return {name: i for i, name in enumerate(self.names)}
 
-    def find(self, name: str, key: str) -> int:
-        """Return the number of a body by name (SIM061)."""
+    def body_index(self, name: str, key: str) -> int:
+        """Return the index of a body by name; raise SIM061 if it is unknown."""
         if name not in self._indices_by_name:
             refuse_unknown(name, list(self.names), key)
         return self._indices_by_name[name]
 
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
-    """Refuse an unknown body name (SIM061)."""
+    """Raise SIM061 for an unknown body name."""
     hint = nearest(name, names) or ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
 def collider_shape(shape: Shape) -> Shape:
-    """Return a shape as a collider: the hull of a mesh."""
+    """Return a shape as a collider; of a mesh, its convex hull."""
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = core_mesh(core_of(shape))
@@ -319,7 +345,7 @@ def collider_shape(shape: Shape) -> Shape:
 
 
 def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
-    """Return the poses of a fixed offset in a moving frame."""
+    """Return poses over time with a fixed offset in their frame."""
     if not at.any() and rotation[3] == 1:
         return poses
     rows = poses.rows
@@ -331,12 +357,13 @@ def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
 
 
 def _first_indices(counts: Sequence[int]) -> IntArray:
+    """Return the start index of each group of a count, and the total."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 @contextmanager
 def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
-    """Prefix faults raised inside with an entry's location."""
+    """Locate faults raised in the context at an entry."""
     try:
         yield
     except OptionError as error:
@@ -345,7 +372,7 @@ def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
 
 
 def _locate_fault(fault: Fault, where: str, origin: str | None) -> Fault:
-    """Return a fault located at an entry, or at the prim the entry names."""
+    """Return a fault located at an entry, or at the prim that the entry names."""
     if origin is not None:
         return replace(fault, where=where, message=f"{origin}: " + fault.message)
     return replace(fault, where=f"{where}.{fault.where}" if fault.where else where)

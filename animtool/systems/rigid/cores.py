@@ -13,7 +13,7 @@ from animtool.sim.colliders import Box, Capsule, Mesh, Shape, Sphere
 
 # Hull faces with normals closer than this are merged [rad].
 COPLANAR_ANGLE = 1e-6
-# A mesh whose volume equals its hull's within this fraction is convex.
+# A mesh is convex if its volume differs from its hull's by less than this fraction.
 CONVEX_TOLERANCE = 1e-3
 
 # Box faces: +x, -x and so on; corner i is on +x if its bit 0 is set, and so on.
@@ -26,14 +26,14 @@ FACET_COUNT = 16
 
 @dataclass(frozen=True, slots=True)
 class ConvexCore:
-    """A convex core: points, faces, and a rounding radius."""
+    """A convex shape: the hull of points, rounded by a radius."""
 
     points: FloatArray  # (P, 3) [m]
     faces: Sequence[IntArray]  # corners, counter-clockwise from outside
-    radius: float = 0.0  # [m]
+    radius: float = 0.0  # distance from the hull of the points to the surface [m]
 
     def transformed(self, at: FloatArray, rotation: FloatArray) -> ConvexCore:
-        """Return the core moved by a translation ``(3,)`` [m] and a quaternion."""
+        """Return the core rotated by a quaternion and moved by ``(3,)`` [m]."""
         return ConvexCore(
             at + so3.rotate(rotation, self.points), self.faces, self.radius
         )
@@ -41,14 +41,14 @@ class ConvexCore:
 
 @dataclass(frozen=True, slots=True)
 class SolidProperties:
-    """Volume, centre and inertia of a solid of density 1."""
+    """Volume, centre of mass and inertia of a solid of density 1."""
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
     inertia: FloatArray  # about the centre (3, 3) [m⁵]
 
     def transformed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
-        """Return the properties in another frame."""
+        """Return the properties after a rotation and a translation."""
         matrix = so3.to_matrix(rotation)
         centre = at + so3.rotate(rotation, self.centre)
         return SolidProperties(self.volume, centre, matrix @ self.inertia @ matrix.T)
@@ -57,14 +57,17 @@ class SolidProperties:
 def combine_solids(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
-    """Return several solids as one, with mass [kg] as volume and inertia in [kg m²]."""
+    """Return several solids as one, with its mass [kg] as volume.
+
+    Its inertia is in [kg m²].
+    """
     masses = np.array(
         [
-            solid_.volume * density_
-            for solid_, density_ in zip(solids, densities, strict=True)
+            each_solid.volume * each_density
+            for each_solid, each_density in zip(solids, densities, strict=True)
         ]
     )
-    centres = np.array([solid_.centre for solid_ in solids])
+    centres = np.array([each_solid.centre for each_solid in solids])
     centre = masses @ centres / masses.sum()
     inertia = np.zeros((3, 3))
     for solid, density, mass in zip(solids, densities, masses, strict=True):
@@ -75,7 +78,7 @@ def combine_solids(
 
 
 def core_of(shape: Shape) -> ConvexCore:
-    """Return the core of a shape; the hull of a mesh."""
+    """Return the convex core of a shape; of a mesh, its hull."""
     match shape:
         case Sphere():
             return ConvexCore(np.array([shape.centre], np.float64), [], shape.radius)
@@ -94,6 +97,7 @@ def core_of(shape: Shape) -> ConvexCore:
 
 
 def _convex_hull(points: FloatArray) -> ConvexCore:
+    """Return the convex hull of points, with coplanar triangles merged."""
     from scipy.spatial import ConvexHull, QhullError
 
     try:
@@ -104,15 +108,16 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
     normals, planes = hull.equations[:, :3], []
     remaining = list(range(len(normals)))
     while remaining:
-        first = remaining[0]
-        coplanar = (
-            np.linalg.norm(normals[remaining] - normals[first], axis=1) < COPLANAR_ANGLE
+        reference = remaining[0]
+        is_coplanar = (
+            np.linalg.norm(normals[remaining] - normals[reference], axis=1)
+            < COPLANAR_ANGLE
         )
-        planes.append((normals[first], np.array(remaining)[coplanar]))
-        remaining = np.array(remaining)[~coplanar].tolist()
+        planes.append((normals[reference], np.array(remaining)[is_coplanar]))
+        remaining = np.array(remaining)[~is_coplanar].tolist()
     corners = np.unique(hull.simplices)
-    corner_numbers = np.full(len(points), -1)
-    corner_numbers[corners] = np.arange(len(corners))
+    new_indices = np.full(len(points), -1)
+    new_indices[corners] = np.arange(len(corners))
     faces = []
     for normal, triangles in planes:
         face_corners = np.unique(hull.simplices[triangles])
@@ -121,7 +126,7 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
         angles = np.arctan2(
             offsets @ tangent, offsets @ offsets[0] * np.linalg.norm(normal)
         )
-        faces.append(corner_numbers[face_corners[np.argsort(angles)]])
+        faces.append(new_indices[face_corners[np.argsort(angles)]])
     return ConvexCore(points[corners], faces)
 
 
@@ -150,6 +155,7 @@ def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
 
 
 def _capsule_properties(shape: Capsule) -> SolidProperties:
+    """Return the mass properties of a capsule of density 1."""
     r, length = shape.radius, shape.length
     cylinder, caps = np.pi * r * r * length, 4 / 3 * np.pi * r**3
     # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
@@ -164,7 +170,7 @@ def _capsule_properties(shape: Capsule) -> SolidProperties:
 
 
 def enclosed_solid(triangles: FloatArray) -> SolidProperties:
-    """Return the mass properties enclosed by triangles ``(T, 3, 3)``, by tetrahedra.
+    """Return the mass properties of the volume in triangles ``(T, 3, 3)``.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
     Binstock (2004).
@@ -182,11 +188,14 @@ def enclosed_solid(triangles: FloatArray) -> SolidProperties:
     )
 
 
-def is_convex(mesh: Mesh, hull: SolidProperties) -> bool:
-    """Return whether a closed mesh equals its hull, by volume."""
+def is_convex(mesh: Mesh, hull_properties: SolidProperties) -> bool:
+    """Return whether a closed mesh has the same volume as its hull."""
     points, triangles = mesh.weld()
     volume = abs(enclosed_solid(points[triangles]).volume)
-    return abs(volume - hull.volume) <= CONVEX_TOLERANCE * hull.volume
+    return (
+        abs(volume - hull_properties.volume)
+        <= CONVEX_TOLERANCE * hull_properties.volume
+    )
 
 
 def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
@@ -194,8 +203,8 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     if core.faces:
         counts = np.array([len(face) for face in core.faces])
         return core.points, counts, np.concatenate(core.faces).astype(np.int64)
-    first, last = core.points[0], core.points[-1]
-    axis = last - first
+    first_end, last_end = core.points[0], core.points[-1]
+    axis = last_end - first_end
     length = float(np.linalg.norm(axis))
     y_axis = axis / length if length else np.array([0.0, 1.0, 0.0])
     x_axis = np.cross(y_axis, [1.0, 0, 0] if abs(y_axis[0]) < 0.9 else [0.0, 1, 0])
@@ -203,7 +212,7 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     frame = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     angles = np.arange(FACET_COUNT) * (2 * np.pi / FACET_COUNT)
     rings, rings_per_cap = [], FACET_COUNT // 4
-    heights = [-k for k in range(rings_per_cap - 1, -1, -1)] + list(
+    heights = [-facets for facets in range(rings_per_cap - 1, -1, -1)] + list(
         range(rings_per_cap)
     )
     for i, height in enumerate(heights):
@@ -217,25 +226,33 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
             axis=1,
         )
         rings.append(
-            (first if i < rings_per_cap else last) + core.radius * ring @ frame
+            (first_end if i < rings_per_cap else last_end) + core.radius * ring @ frame
         )
     # A sphere has one ring at its equator.
     rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
-    poles = np.stack([first - core.radius * y_axis, last + core.radius * y_axis])
+    poles = np.stack(
+        [first_end - core.radius * y_axis, last_end + core.radius * y_axis]
+    )
     points = np.concatenate([*rings, poles])
-    count, k = len(rings), np.arange(FACET_COUNT)
-    next_k = (k + 1) % FACET_COUNT
+    count, facets = len(rings), np.arange(FACET_COUNT)
+    next_facets = (facets + 1) % FACET_COUNT
     quads = [
-        np.stack([r * FACET_COUNT + k, (r + 1) * FACET_COUNT + k,
-                  (r + 1) * FACET_COUNT + next_k, r * FACET_COUNT + next_k], axis=1)
+        np.stack([r * FACET_COUNT + facets, (r + 1) * FACET_COUNT + facets,
+                  (r + 1) * FACET_COUNT + next_facets, r * FACET_COUNT + next_facets],
+                 axis=1)
         for r in range(count - 1)
     ]  # fmt: skip
     bottom_pole, top_pole = count * FACET_COUNT, count * FACET_COUNT + 1
     last_ring = (count - 1) * FACET_COUNT
     caps = [
-        np.stack([np.full(FACET_COUNT, bottom_pole), k, next_k], axis=1),
+        np.stack([np.full(FACET_COUNT, bottom_pole), facets, next_facets], axis=1),
         np.stack(
-            [np.full(FACET_COUNT, top_pole), last_ring + next_k, last_ring + k], axis=1
+            [
+                np.full(FACET_COUNT, top_pole),
+                last_ring + next_facets,
+                last_ring + facets,
+            ],
+            axis=1,
         ),
     ]
     counts = np.concatenate(

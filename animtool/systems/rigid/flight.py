@@ -21,23 +21,23 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths.phi import phi_functions
 
-# Error tolerance of a substep under a nonlinear force, over the motion in it.
+# Error tolerance of a substep under a nonlinear force, relative to the motion in it.
 TOLERANCE = 2e-5
-# Shortest substep over the step, and largest growth of substeps: this resolves
-# discontinuous forces.
+# Shortest substep relative to the step, and number of substeps after which longer ones
+# are required. This resolves discontinuous forces.
 MIN_STEP_FRACTION, MAX_SUBSTEPS = 1 / 2048, 128
-# A substep with a larger error, over the motion, uses only the Jacobian and is too
-# long.
+# A substep with a larger error, relative to the motion, uses only the Jacobian; the
+# force is then not resolved.
 COARSE_ERROR = 0.5
-MIN_MOTION = 1e-9  # least motion [m]
+MIN_MOTION = 1e-9  # added to the motion that errors are relative to [m]
 INFINITE_ERROR = 1e300  # error of non-finite motion
-# Bounds and safety factor of the next substep's change.
+# Limits and safety factor of the ratio between two substeps.
 MIN_STEP_CHANGE, MAX_STEP_CHANGE, SAFETY = 0.1, 4.0, 0.8
 
 # Accelerations at a time, positions and velocities ``(N, 3)``.
-Rate: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
+AccelerationFunction: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
 # Their Jacobians by positions [1/s²] and by velocities [1/s], both ``(N, 3, 3)``.
-Slopes: TypeAlias = Callable[
+JacobianFunction: TypeAlias = Callable[
     [float, FloatArray, FloatArray], tuple[FloatArray, FloatArray]
 ]
 
@@ -49,32 +49,46 @@ class Flight:
     Attributes:
         points: Positions ``(N, 3)`` [m].
         velocities: Velocities ``(N, 3)`` [m/s].
-        inertias: Factors on masses with which the initial force causes the actual
+        mass_factors: Factors on masses with which the initial force causes the actual
             change of velocity ``(N,)``.
-        coarse: Mask of bodies whose forces change too fast to be resolved ``(N,)``.
+        is_unresolved: Mask of bodies whose forces change too fast to be resolved
+            ``(N,)``.
     """
 
     points: FloatArray
     velocities: FloatArray
-    inertias: FloatArray
-    coarse: BoolArray
+    mass_factors: FloatArray
+    is_unresolved: BoolArray
 
 
-def fly(
-    rate: Rate, slopes: Slopes, t: float, dt: float, x: FloatArray, v: FloatArray
+def free_flight(
+    acceleration_at: AccelerationFunction,
+    jacobians_at: JacobianFunction,
+    t: float,
+    dt: float,
+    x: FloatArray,
+    v: FloatArray,
 ) -> Flight:
-    """Return positions and velocities ``(N, 3)`` after a free step [s]."""
+    """Return positions and velocities ``(N, 3)`` after a step [s] without contacts."""
     end, time, step = t + dt, t, dt
-    start_rate, start_jacobians = rate(t, x, v), slopes(t, x, v)
-    points, velocities, acceleration, jacobians = x, v, start_rate, start_jacobians
-    substeps_left, min_step, coarse = (
+    start_acceleration, start_jacobians = (
+        acceleration_at(t, x, v),
+        jacobians_at(t, x, v),
+    )
+    points, velocities, acceleration, jacobians = (
+        x,
+        v,
+        start_acceleration,
+        start_jacobians,
+    )
+    substeps_left, min_step, is_unresolved = (
         MAX_SUBSTEPS,
         MIN_STEP_FRACTION * dt,
         np.zeros(len(x), np.bool_),
     )
     while time < end:
         next_state, errors = _substep(
-            rate, time, step, points, velocities, acceleration, jacobians
+            acceleration_at, time, step, points, velocities, acceleration, jacobians
         )
         error = float(errors.max(initial=0.0)) / TOLERANCE
         if error > 1 and step > min_step:
@@ -82,22 +96,27 @@ def fly(
             continue
         points, velocities = next_state
         if step > 2 * MIN_STEP_FRACTION * dt:
-            coarse |= errors > COARSE_ERROR
+            is_unresolved |= errors > COARSE_ERROR
         time = end if step >= end - time else time + step
         if time < end:
             substeps_left -= 1
             min_step = max(
                 MIN_STEP_FRACTION * dt, (end - time) / max(substeps_left, 1) ** 2
             )
-            acceleration, jacobians = rate(time, *next_state), slopes(time, *next_state)
+            acceleration, jacobians = (
+                acceleration_at(time, *next_state),
+                jacobians_at(time, *next_state),
+            )
             next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
             step = min(max(next_step, min_step), end - time)
-    inertias = _inertia_factors(start_rate, start_jacobians[1], velocities - v, dt, v)
-    return Flight(points, velocities, inertias, coarse)
+    inertias = _inertia_factors(
+        start_acceleration, start_jacobians[1], velocities - v, dt, v
+    )
+    return Flight(points, velocities, inertias, is_unresolved)
 
 
 def _substep(
-    rate: Rate,
+    acceleration_at: AccelerationFunction,
     t: float,
     h: float,
     x: FloatArray,
@@ -107,49 +126,67 @@ def _substep(
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Return positions and velocities after a substep, and their error ``(N,)``.
 
-    Computed with vectors of positions and of velocities times the substep.
+    Vectors have six elements: a position, and a velocity times the substep.
     """
-    by_position, by_speed = h * h * jacobians[0], h * jacobians[1]
+    by_position, by_velocity = h * h * jacobians[0], h * jacobians[1]
     matrices = np.zeros((len(x), 6, 6))
     matrices[:, :3, 3:] = np.eye(3)
-    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_speed
+    matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_velocity
     phi1, phi2 = phi_functions(matrices)
-    first = _multiply(phi1, np.concatenate([h * v, h * h * acceleration], axis=1))
-    change = (
-        h * h * (rate(t + h, x + first[:, :3], v + first[:, 3:] / h) - acceleration)
+    linear_change = _multiply(
+        phi1, np.concatenate([h * v, h * h * acceleration], axis=1)
     )
-    change -= _multiply(by_position, first[:, :3]) + _multiply(by_speed, first[:, 3:])
-    second = _multiply(phi2[:, :, 3:], change)
-    total = first + second
-    size = np.linalg.norm(total[:, :3], axis=1) + np.linalg.norm(h * v, axis=1)
-    size += np.linalg.norm(h * v + total[:, 3:], axis=1)
-    error_size = np.linalg.norm(second, axis=1)
-    errors = error_size / (size + MIN_MOTION)
+    residual_acceleration = (
+        h
+        * h
+        * (
+            acceleration_at(
+                t + h, x + linear_change[:, :3], v + linear_change[:, 3:] / h
+            )
+            - acceleration
+        )
+    )
+    residual_acceleration -= _multiply(by_position, linear_change[:, :3]) + _multiply(
+        by_velocity, linear_change[:, 3:]
+    )
+    correction = _multiply(phi2[:, :, 3:], residual_acceleration)
+    total_change = linear_change + correction
+    magnitudes = np.linalg.norm(total_change[:, :3], axis=1) + np.linalg.norm(
+        h * v, axis=1
+    )
+    magnitudes += np.linalg.norm(h * v + total_change[:, 3:], axis=1)
+    error_size = np.linalg.norm(correction, axis=1)
+    errors = error_size / (magnitudes + MIN_MOTION)
     errors[~np.isfinite(errors)] = INFINITE_ERROR
-    total = np.where((errors > COARSE_ERROR)[:, None], first, total)
-    return (x + total[:, :3], v + total[:, 3:] / h), errors
+    total_change = np.where(
+        (errors > COARSE_ERROR)[:, None], linear_change, total_change
+    )
+    return (x + total_change[:, :3], v + total_change[:, 3:] / h), errors
 
 
 def _multiply(matrices: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Return the products of matrices ``(N, A, B)`` and vectors ``(N, B)``."""
     return np.asarray((matrices @ vectors[:, :, None])[:, :, 0])
 
 
 def _inertia_factors(
-    start_rate: FloatArray,
+    start_acceleration: FloatArray,
     jacobians: FloatArray,
     velocity_change: FloatArray,
     dt: float,
     v: FloatArray,
 ) -> FloatArray:
-    """Return factors on masses so that impulses cause the change of the free flight."""
+    """Return mass factors for which impulses have the effect of the free flight."""
     # Equal for linear drag.
     z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
-    squared, projections = (
-        (start_rate * start_rate).sum(axis=1),
-        (start_rate * velocity_change).sum(axis=1),
+    squared_accelerations, projections = (
+        (start_acceleration * start_acceleration).sum(axis=1),
+        (start_acceleration * velocity_change).sum(axis=1),
     )
-    is_clear = np.sqrt(squared) * dt > 1e-6 * np.linalg.norm(v, axis=1)
-    is_clear &= projections > 0
-    np.divide(squared * dt, projections, out=ratios, where=is_clear)
+    is_significant = np.sqrt(squared_accelerations) * dt > 1e-6 * np.linalg.norm(
+        v, axis=1
+    )
+    is_significant &= projections > 0
+    np.divide(squared_accelerations * dt, projections, out=ratios, where=is_significant)
     return np.asarray(np.maximum(ratios, 1.0))

@@ -28,58 +28,62 @@ _OPTION_TYPES = {
     "twist": ("ball",),
     "drive": ("pin", "ball", "prismatic"),
 }
-# Joints farther from their body than this many of its radii are a warning.
-FAR_RADII = 4.0
+# Largest unreported distance of a joint from its body, in radii of the body.
+MAX_RADII = 4.0
 # Largest half-angle of a swing, below 180 degrees, where its axis is undefined.
 MAX_SWING = np.radians(179.0)
 
 
 @dataclass(frozen=True)
 class Joints:
-    """K joints of dynamic bodies."""
+    """K joints of dynamic bodies, in the kernel's layout."""
 
-    rows: IntArray  # type and both bodies (K, 3)
+    rows: IntArray  # type and both dynamic bodies, -1 for none (K, 3)
     numbers: FloatArray  # parameters in the kernel's layout (K, 27)
-    anchors: Sequence[Poses]  # animated frames, for joints that have one
+    anchors: Sequence[Poses]  # animated frames of joints without a first dynamic body
     names: Sequence[str] = ()
-    above: Sequence[int] = ()  # parent body of each joint, of all bodies; -1 for none
+    parent_bodies: Sequence[
+        int
+    ] = ()  # parent body of each joint, of all bodies; -1 for none
     notices: Sequence[Fault] = ()
-    # Pair of bodies that each joint excludes from collision, numbered as all; -1 for
-    # none (K, 2).
+    # Pair of bodies that each joint excludes from collision, as indices of all bodies;
+    # -1 for none (K, 2).
     pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
     # Other excluded pairs (P, 2).
-    others: IntArray = field(default_factory=lambda: NO_PAIRS)
+    other_pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
     # Break force [N] and torque [N m] (K, 2); empty if none breaks.
     breaks: FloatArray = field(default_factory=lambda: np.zeros((0, 2)))
-    # Returns numbers at a time [s] if drives change; else None.
-    driven: Callable[[float], FloatArray] | None = None
+    # Returns `numbers` at a time [s]; None if drives do not change.
+    parameters_at: Callable[[float], FloatArray] | None = None
 
-    def subset(self, which: IntArray) -> Joints:
-        """Return a subset of the joints, by index."""
-        numbers = which.tolist()
+    def subset(self, indices: IntArray) -> Joints:
+        """Return some of the joints, by index."""
+        index_list = indices.tolist()
         return replace(
             self,
-            rows=self.rows[which],
-            numbers=self.numbers[which],
-            anchors=[self.anchors[k] for k in numbers],
-            names=[self.names[k] for k in numbers] if self.names else (),
-            above=[self.above[k] for k in numbers] if self.above else (),
-            pairs=self.pairs[which],
-            breaks=self.breaks[which],
+            rows=self.rows[indices],
+            numbers=self.numbers[indices],
+            anchors=[self.anchors[k] for k in index_list],
+            names=[self.names[k] for k in index_list] if self.names else (),
+            parent_bodies=[self.parent_bodies[k] for k in index_list]
+            if self.parent_bodies
+            else (),
+            pairs=self.pairs[indices],
+            breaks=self.breaks[indices],
         )
 
     @property
-    def breakable(self) -> bool:
+    def is_breakable(self) -> bool:
         """Whether any joint can break."""
         return bool(np.isfinite(self.breaks).any())
 
     @property
     def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
-        return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.others])
+        return np.concatenate([self.pairs[self.pairs[:, 0] >= 0], self.other_pairs])
 
-    def frames(self, t0: float, t1: float) -> FloatArray:
-        """Return anchor frames at both ends of a step ``(K, 2, 7)``."""
+    def anchor_frames(self, t0: float, t1: float) -> FloatArray:
+        """Return anchor frames at both ends of a step [s] ``(K, 2, 7)``."""
         ends = [[poses.at(t0), poses.at(t1)] for poses in self.anchors]
         return np.array(ends, np.float64).reshape(-1, 2, 7)
 
@@ -91,10 +95,10 @@ def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
         np.concatenate([joints.numbers for joints in joint_sets]),
         [poses for joints in joint_sets for poses in joints.anchors],
         [name for joints in joint_sets for name in joints.names],
-        [body for joints in joint_sets for body in joints.above],
+        [body for joints in joint_sets for body in joints.parent_bodies],
         [notice for joints in joint_sets for notice in joints.notices],
         np.concatenate([joints.pairs for joints in joint_sets]),
-        np.concatenate([joints.others for joints in joint_sets]),
+        np.concatenate([joints.other_pairs for joints in joint_sets]),
         np.concatenate([joints.breaks for joints in joint_sets]),
     )
 
@@ -102,163 +106,165 @@ def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
 def check_joints(
     models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
 ) -> None:
-    """Refuse joints that are invalid for any poses (SIM061)."""
+    """Raise SIM061 for joints that are invalid for any poses of the bodies."""
     models_by_name = {body.name: body for body in bodies}
     refusals = Refusals()
     for i, model in enumerate(models):
         where = f"joints[{i}]"
         name = model.name or where
         with refusals.collect():
-            body = _model_of(model.body, models_by_name, f"{where}.body")
+            body = _body_model(model.body, models_by_name, f"{where}.body")
             if body.kinematic and body.release is None:
                 message = f"{model.body!r} is kinematic: joints cannot move it"
                 refuse("SIM061", message, f"{where}.body")
         with refusals.collect():
             if model.to is not None:
-                _model_of(model.to, models_by_name, f"{where}.to")
+                _body_model(model.to, models_by_name, f"{where}.to")
             if model.to == model.body:
                 refuse(
                     "SIM061", f"{name!r} joins {model.body!r} to itself", f"{where}.to"
                 )
-        for option, types in _OPTION_TYPES.items():
+        for key, types in _OPTION_TYPES.items():
             with refusals.collect():
-                if getattr(model, option) is not None and model.type not in types:
-                    message = f"{name!r} is a {model.type} joint: {option} is for "
+                if getattr(model, key) is not None and model.type not in types:
+                    message = f"{name!r} is a {model.type} joint: {key} is for "
                     message += f"{' and '.join(types)}"
                     hint = f"type: {types[0]}"
-                    if model.type == "ball" and option == "limits":
+                    if model.type == "ball" and key == "limits":
                         hint = "use swing: 40, or twist: [-30, 30]"
-                    refuse("SIM061", message, f"{where}.{option}", hint)
+                    refuse("SIM061", message, f"{where}.{key}", hint)
         with refusals.collect():
             _axis_rotation(model, name, where)
         with refusals.collect():
-            _joint_limits(model, name, where)
+            _limit_parameters(model, name, where)
         with refusals.collect():
-            _joint_drive(model, where)
+            _drive_parameters(model, where)
     refusals.check()
 
 
-def _model_of(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
-    """Return a body by name, or the model of a copy, as ``crate[2]``."""
+def _body_model(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
+    """Return the model of a body by name, also of a copy such as ``crate[2]``."""
     if name not in bodies and name.rpartition("[")[0] not in bodies:
         refuse_unknown(name, list(bodies), key)
     return bodies.get(name) or bodies[name.rpartition("[")[0]]
 
 
-def joints_of(
+def build_joints(
     models: Sequence[RigidJointModel],
     parts: Sequence[Mapping[str, Any]],
     bodies: RigidBodies,
 ) -> Joints:
     """Return the joints of a spec, once `check_joints` has passed.
 
-    Joints that are invalid for the poses of the bodies are refused (SIM061).
+    It raises SIM061 for joints that are invalid for the poses of the bodies.
     """
-    rows, numbers, anchors, above, pairs, breaks = [], [], [], [], [], []
+    rows, numbers, anchors, parent_bodies, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []
     dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    for i, (model, part) in enumerate(zip(models, parts, strict=True)):
+    for i, (model, entry_data) in enumerate(zip(models, parts, strict=True)):
         where = f"joints[{i}]"
         name = model.name or where
-        second = bodies.find(model.body, f"{where}.body")
-        poses: Poses = part["poses"]
+        second_body = bodies.body_index(model.body, f"{where}.body")
+        poses: Poses = entry_data["poses"]
         frame = poses.at(bodies.begin)
         frame[3:] = so3.multiply(frame[3:], _axis_rotation(model, name, where))
-        on_b = relative_to_principal(bodies, second, frame)
-        first, anchor, parent = -1, Poses(), -1
+        frame_b = relative_to_principal(bodies, second_body, frame)
+        first_index, anchor, parent = -1, Poses(), -1
         if model.to is None:
             anchor = poses
-            on_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
+            frame_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
         else:
-            parent = bodies.find(model.to, f"{where}.to")
+            parent = bodies.body_index(model.to, f"{where}.to")
             if len(poses.sample_times) > 1:
                 message = f"{name!r} follows {model.to!r}, so it cannot have moves or "
                 message += "a prim"
                 refuse("SIM061", message, where)
             if parent in dynamic_indices:
-                first, on_a = (
+                first_index, frame_a = (
                     dynamic_indices[parent],
                     relative_to_principal(bodies, parent, frame),
                 )
             else:
                 anchor = bodies.poses[parent]
-                on_a = relative_frame(anchor.at(bodies.begin), frame)
-        rows.append((JOINT_KINDS[model.type], first, dynamic_indices[second]))
+                frame_a = relative_frame(anchor.at(bodies.begin), frame)
+        rows.append(
+            (JOINT_KINDS[model.type], first_index, dynamic_indices[second_body])
+        )
         numbers.append(
             [
-                *on_a,
-                *on_b,
-                *_joint_limits(model, name, where),
-                *_joint_drive(model, where),
+                *frame_a,
+                *frame_b,
+                *_limit_parameters(model, name, where),
+                *_drive_parameters(model, where),
             ]
         )
         anchors.append(anchor)
-        above.append(parent)
-        excluded = parent >= 0 and not model.contacts
-        pairs.append((second, parent) if excluded else (-1, -1))
+        parent_bodies.append(parent)
+        is_excluded = parent >= 0 and not model.contacts
+        pairs.append((second_body, parent) if is_excluded else (-1, -1))
         breaks.append(_break_limits(model))
-        for body in (second, parent) if parent >= 0 else (second,):
-            notices += _far_warnings(bodies, body, frame, name, where)
+        for body in (second_body, parent) if parent >= 0 else (second_body,):
+            notices += _distance_warnings(bodies, body, frame, name, where)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
         anchors,
         [model.name or f"joint_{i + 1}" for i, model in enumerate(models)],
-        above,
+        parent_bodies,
         notices,
         np.array(pairs, np.int64).reshape(-1, 2),
         breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
 
 
-def joints_of_subset(
-    joints: Joints, full: RigidBodies, bodies: RigidBodies
+def subset_joints(
+    joints: Joints, all_bodies: RigidBodies, bodies: RigidBodies
 ) -> tuple[Joints, IntArray]:
     """Return the joints of a subset of dynamic bodies, and their indices.
 
-    Joints between two other bodies have no effect, and are left out.
+    Joints between two bodies outside the subset have no effect, and are left out.
 
     Args:
         joints: Joints of all bodies.
-        full: All bodies that are ever dynamic.
+        all_bodies: All bodies that are ever dynamic.
         bodies: The bodies that are dynamic now.
     """
-    if bodies is full:
+    if bodies is all_bodies:
         return joints, np.arange(len(joints.rows))
-    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    new_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
     rows, numbers, anchors, indices = [], [], [], []
     for k, (row, parameters) in enumerate(
         zip(joints.rows, joints.numbers, strict=True)
     ):
         kind, first, second = row.tolist()
-        on_a, on_b, settings = parameters[:7], parameters[7:14], parameters[14:]
-        a = -1 if first < 0 else int(full.dynamic[first])
-        b, anchor = int(full.dynamic[second]), joints.anchors[k]
-        if a >= 0 and a not in dynamic_indices:
-            on_a, anchor = to_body_frame(full, first, on_a), bodies.poses[a]
-        if b not in dynamic_indices:
-            if a not in dynamic_indices:
+        frame_a, frame_b, settings = parameters[:7], parameters[7:14], parameters[14:]
+        a = -1 if first < 0 else int(all_bodies.dynamic[first])
+        b, anchor = int(all_bodies.dynamic[second]), joints.anchors[k]
+        if a >= 0 and a not in new_indices:
+            frame_a, anchor = to_body_frame(all_bodies, first, frame_a), bodies.poses[a]
+        if b not in new_indices:
+            if a not in new_indices:
                 continue
             # Swapped: the joint's second body becomes the first.
             anchor, a, b = bodies.poses[b], b, a
-            on_a, on_b = to_body_frame(full, second, on_b), on_a
-            settings = swapped_parameters(settings)
-        rows.append((kind, dynamic_indices.get(a, -1), dynamic_indices[b]))
-        numbers.append(np.concatenate([on_a, on_b, settings]))
+            frame_a, frame_b = to_body_frame(all_bodies, second, frame_b), frame_a
+            settings = swap_bodies(settings)
+        rows.append((kind, new_indices.get(a, -1), new_indices[b]))
+        numbers.append(np.concatenate([frame_a, frame_b, settings]))
         anchors.append(anchor)
         indices.append(k)
     subset = joints.subset(np.array(indices, np.int64))
-    joined = replace(
+    moved_joints = replace(
         subset,
         rows=np.array(rows, np.int64).reshape(-1, 3),
         numbers=np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
         anchors=anchors,
     )
-    return joined, np.array(indices, np.int64)
+    return moved_joints, np.array(indices, np.int64)
 
 
-def swapped_parameters(parameters: FloatArray) -> FloatArray:
-    """Return a joint's limits and drive with its two bodies swapped."""
+def swap_bodies(parameters: FloatArray) -> FloatArray:
+    """Return the limits and drive of a joint with its two bodies swapped."""
     swapped: FloatArray = parameters.copy()
     if parameters[0] <= parameters[1]:
         swapped[:2] = -parameters[1], -parameters[0]
@@ -267,19 +273,21 @@ def swapped_parameters(parameters: FloatArray) -> FloatArray:
     return swapped
 
 
-def to_parent(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame expressed in the parent of another ``(7,)``."""
+def to_parent_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
+    """Transform a frame ``(7,)`` from a pose to the parent of the pose."""
     origin = pose[:3] + so3.rotate(pose[3:], frame[:3])
     return np.concatenate([origin, so3.multiply(pose[3:], frame[3:])])
 
 
-def to_body_frame(bodies: RigidBodies, number: int, frame: FloatArray) -> FloatArray:
-    """Return a frame of principal axes in body coordinates ``(7,)``."""
-    kind = bodies.kinds[bodies.of[bodies.dynamic[number]]]
-    return to_parent(np.concatenate([kind.centre, kind.axes]), frame)
+def to_body_frame(
+    bodies: RigidBodies, dynamic_index: int, frame: FloatArray
+) -> FloatArray:
+    """Transform a frame ``(7,)`` from principal axes to the frame of the body."""
+    kind = bodies.kinds[bodies.kind_of_body[bodies.dynamic[dynamic_index]]]
+    return to_parent_frame(np.concatenate([kind.centre, kind.axes]), frame)
 
 
-def joint_loads(joints: Joints, impulses: FloatArray) -> FloatArray:
+def joint_forces_and_torques(joints: Joints, impulses: FloatArray) -> FloatArray:
     """Return joint forces [N] and torques [N m] ``(K, 2)``, without drives.
 
     Args:
@@ -296,6 +304,7 @@ def joint_loads(joints: Joints, impulses: FloatArray) -> FloatArray:
 
 
 def _break_limits(model: RigidJointModel) -> tuple[float, float]:
+    """Return the force [N] and torque [N m] at which a joint breaks."""
     if model.breaks is None:
         return np.inf, np.inf
     limits = model.breaks.force, model.breaks.torque
@@ -304,7 +313,7 @@ def _break_limits(model: RigidJointModel) -> tuple[float, float]:
 
 
 def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
-    """Return the shortest rotation of x to the axis ``(4,)``."""
+    """Return the shortest rotation from the x axis to the joint axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     length = float(np.linalg.norm(axis))
     if not length:
@@ -314,22 +323,28 @@ def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
 
 
 def relative_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame relative to another ``(7,)``."""
+    """Return a frame relative to a pose ``(7,)``."""
     inverse = so3.conjugate(pose[3:])
     origin = so3.rotate(inverse, frame[:3] - pose[:3])
     return np.concatenate([origin, so3.multiply(inverse, frame[3:])])
 
 
-def relative_to_principal(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a world frame relative to a body's principal axes ``(7,)``."""
-    kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
-    at = pose[:3] + so3.rotate(pose[3:], kind.centre)
+def relative_to_principal(
+    bodies: RigidBodies, body: int, frame: FloatArray
+) -> FloatArray:
+    """Return a world frame relative to the principal axes of a body ``(7,)``."""
+    kind, pose = (
+        bodies.kinds[bodies.kind_of_body[body]],
+        bodies.poses[body].at(bodies.begin),
+    )
+    centre = pose[:3] + so3.rotate(pose[3:], kind.centre)
     return relative_frame(
-        np.concatenate([at, so3.multiply(pose[3:], kind.axes)]), frame
+        np.concatenate([centre, so3.multiply(pose[3:], kind.axes)]), frame
     )
 
 
-def _joint_limits(model: RigidJointModel, name: str, where: str) -> list[float]:
+def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[float]:
+    """Return the kernel's limits of a joint: low, high, and two swing angles."""
     low, high, swing = 1.0, 0.0, [-1.0, -1.0]
     key = "twist" if model.type == "ball" else "limits"
     limits = getattr(model, key)
@@ -345,22 +360,25 @@ def _joint_limits(model: RigidJointModel, name: str, where: str) -> list[float]:
             hint = "remove them: full rotations are not counted"
             refuse("SIM061", message, f"{where}.{key}", hint)
     if model.swing is not None:
-        pair = model.swing if isinstance(model.swing, list) else [model.swing] * 2
-        if min(pair) <= 0:
+        half_angles = (
+            model.swing if isinstance(model.swing, list) else [model.swing] * 2
+        )
+        if min(half_angles) <= 0:
             refuse("SIM061", f"the swing of {name!r} must be above 0", f"{where}.swing")
-        swing = np.minimum(np.radians(pair), MAX_SWING).tolist()
+        swing = np.minimum(np.radians(half_angles), MAX_SWING).tolist()
     return [low, high, *swing]
 
 
-def _joint_drive(model: RigidJointModel, where: str) -> list[float]:
+def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
+    """Return the kernel's drive of a joint: target, gains and motor."""
     drive = model.drive
     if drive is None:
         return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0, 0.0]
     speed = _motor_speed(model, drive, where)
-    ball = model.type == "ball"
-    if ("target" if ball else "rotation") in drive.model_fields_set:
+    is_ball = model.type == "ball"
+    if ("target" if is_ball else "rotation") in drive.model_fields_set:
         invalid_key, valid_key = (
-            ("target", "rotation") if ball else ("rotation", "target")
+            ("target", "rotation") if is_ball else ("rotation", "target")
         )
         message = f"the drive of a {model.type} has a {valid_key}, not a {invalid_key}"
         refuse("SIM061", message, f"{where}.drive.{invalid_key}", f"{valid_key}: ...")
@@ -382,7 +400,7 @@ def _joint_drive(model: RigidJointModel, where: str) -> list[float]:
 
 
 def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
-    """Return a motor's speed [rad/s] or [m/s]."""
+    """Return the speed of a motor [rad/s] or [m/s]; 0 without one."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
@@ -403,15 +421,19 @@ def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> 
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
-def _far_warnings(
-    bodies: RigidBodies, i: int, frame: FloatArray, name: str, where: str
+def _distance_warnings(
+    bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
-    kind, pose = bodies.kinds[bodies.of[i]], bodies.poses[i].at(bodies.begin)
+    """Return a warning if a joint is far from its body (SIM127)."""
+    kind, pose = (
+        bodies.kinds[bodies.kind_of_body[body]],
+        bodies.poses[body].at(bodies.begin),
+    )
     offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
-    if distance <= FAR_RADII * kind.reach:
+    if distance <= MAX_RADII * kind.bounding_radius:
         return []
-    message = f"{name} is {distance:g} m from {bodies.names[i]!r}, which extends "
+    message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
     hint = "is its `where` in world space?"
-    message += f"{kind.reach:g} m from its centre of mass"
+    message += f"{kind.bounding_radius:g} m from its centre of mass"
     return [warning("SIM127", message, hint, f"{where}.at")]

@@ -38,16 +38,16 @@ from animtool.systems.rigid.pieces import (
     convex_pieces,
     excess_volume,
     is_available,
-    solid_of_mesh,
+    mesh_solid,
 )
 from animtool.systems.rigid.spec import BodyModel
 
-# Tolerance of the triangle inequality of moments, over their sum: rounding.
+# Rounding tolerance of the triangle inequality of moments, relative to their sum.
 ROUNDING = 1e-9
 # Smaller masses overflow impulses.
 MIN_MASS = 1e-30  # [kg]
 MIN_MOMENT = 1e-100  # [kg m²]
-# Off-diagonal elements below this fraction of the trace are rounding.
+# Off-diagonal elements of an inertia below this fraction of its trace are rounding.
 DIAGONAL_TOLERANCE = 1e-12
 # Largest number of bodies of a system; more take gigabytes.
 MAX_BODIES = 1_000_000
@@ -55,21 +55,21 @@ MAX_BODIES = 1_000_000
 
 @dataclass(frozen=True)
 class BodyKind:
-    """Shared properties of copies of a body, in the body's frame."""
+    """Properties that all copies of a body share, in the frame of the body."""
 
     model: BodyModel
-    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin, quaternion
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and rotation
     cores: Sequence[ConvexCore]
     mass: float  # [kg]
-    centre: FloatArray  # of mass (3,) [m]
-    moments: FloatArray  # about its principal axes (3,) [kg m²]
-    axes: FloatArray  # body_from_principal, a quaternion (4,)
+    centre: FloatArray  # centre of mass (3,) [m]
+    moments: FloatArray  # principal moments of inertia (3,) [kg m²]
+    axes: FloatArray  # rotation from principal axes to the body (4,)
     meshes: tuple[MeshFrame, ...]
     notices: Sequence[Fault] = ()
 
     @cached_property
-    def reach(self) -> float:
-        """Its bounding radius about the centre of mass [m]."""
+    def bounding_radius(self) -> float:
+        """Bounding radius about the centre of mass [m]."""
         return max(
             float(np.linalg.norm(core.points - self.centre, axis=1).max()) + core.radius
             for core in self.cores
@@ -81,15 +81,15 @@ class BodyKind:
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
 
-def build_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
-    """Return the body kind of a model; its faults are raised (SIM061)."""
+def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
+    """Return the shared properties of a body model; raise SIM061 if it is invalid."""
     refusals = Refusals()
     with refusals.collect():
-        refuse_all("SIM061", _weight_problems(model))
+        refuse_all("SIM061", _mass_problems(model))
     with refusals.collect():
         shapes = _body_shapes(model, parts)
     refusals.check()
-    hulls = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
+    uses_hull = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
     cores, solids, notices, collision_shapes = [], [], [], []
     display_shapes: list[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]] = []
     for k, (shape, origin, rotation) in enumerate(shapes):
@@ -102,17 +102,19 @@ def build_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         except ValueError as error:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
         solid = solid_of(shape, core)
-        pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
+        collision_pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None
-            split_pieces = [] if hulls[k] or not is_dynamic else _convex_pieces(shape)
-            fault = _concave_notice(model.name, shape, split_pieces)
+            decomposition = (
+                [] if uses_hull[k] or not is_dynamic else _convex_pieces(shape)
+            )
+            fault = _concave_notice(model.name, shape, decomposition)
             notices.append(replace(fault, where=key))
-            if split_pieces:
-                pieces, solid = split_pieces, solid_of_mesh(shape)
-        cores += [core.transformed(origin, rotation) for _, core in pieces]
-        collision_shapes += [(piece, origin, rotation) for piece, _ in pieces]
-        is_split = len(pieces) > 1
+            if decomposition:
+                collision_pieces, solid = decomposition, mesh_solid(shape)
+        cores += [core.transformed(origin, rotation) for _, core in collision_pieces]
+        collision_shapes += [(piece, origin, rotation) for piece, _ in collision_pieces]
+        is_split = len(collision_pieces) > 1
         mesh = shape if is_split and isinstance(shape, Mesh) else None
         display_shapes.append(
             (mesh, core.transformed(origin, rotation), origin, rotation)
@@ -120,14 +122,19 @@ def build_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal_inertia(inertia)
-    shows = parts.get("shows")
-    meshes = tuple(shows()) if shows is not None else (_display_mesh(display_shapes),)
+    prototype = parts.get("shows")
+    meshes = (
+        tuple(prototype())
+        if prototype is not None
+        else (_display_mesh(display_shapes),)
+    )
     return BodyKind(
         model, collision_shapes, cores, mass, centre, moments, axes, meshes[:1], notices
     )
 
 
-def _weight_problems(model: BodyModel) -> Iterator[Problem]:
+def _mass_problems(model: BodyModel) -> Iterator[Problem]:
+    """Yield conflicts between mass, density and inertia of a body."""
     if model.mass is not None and "density" in model.model_fields_set:
         yield f"{model.name!r} has both a mass and a density", "density", "keep one"
     if model.inertia is None:
@@ -144,7 +151,7 @@ def _weight_problems(model: BodyModel) -> Iterator[Problem]:
 def _body_shapes(
     model: BodyModel, parts: Mapping[str, Any]
 ) -> list[tuple[Shape, FloatArray, FloatArray]]:
-    """Return the shapes of a body, each with its origin and quaternion."""
+    """Return the shapes of a body, each with its origin and rotation."""
     entries = zip(model.shapes, parts.get("shapes", ()), strict=True)
     shapes = [
         (
@@ -173,14 +180,14 @@ def _body_shapes(
 
 
 def _convex_pieces(mesh: Mesh) -> list[tuple[Shape, ConvexCore]]:
-    """Return convex pieces of a mesh; empty if its hull is used."""
+    """Return the convex pieces of a mesh; empty if its hull is used instead."""
     return list(convex_pieces(mesh)) if is_available() else []
 
 
 def _concave_notice(
     name: str, mesh: Mesh, pieces: Sequence[tuple[Shape, ConvexCore]]
 ) -> Fault:
-    """Return a notice about the collision shape of a concave mesh."""
+    """Return a notice about the collision shape of a concave mesh (SIM125, SIM198)."""
     if pieces:
         excess = excess_volume(mesh, [core for _, core in pieces])
         message = f"a mesh of {name!r} collides as "
@@ -198,12 +205,12 @@ def _concave_notice(
 def _mass_properties(
     model: BodyModel, solids: Sequence[SolidProperties]
 ) -> tuple[float, FloatArray, FloatArray]:
-    """Return mass [kg], centre [m] and inertia about it ``(3, 3)`` [kg m²]."""
-    densities = [entry.density or model.density for entry in model.shapes] or [
+    """Return mass [kg], centre of mass [m] and inertia about it ``(3, 3)`` [kg m²]."""
+    densities = [solid.density or model.density for solid in model.shapes] or [
         model.density
     ]
     total = sum(
-        entry.volume * density for entry, density in zip(solids, densities, strict=True)
+        solid.volume * density for solid, density in zip(solids, densities, strict=True)
     )
     if min(total, total if model.mass is None else model.mass) < MIN_MASS:
         message = f"{model.name!r} must weigh {MIN_MASS:g} kg or more"
@@ -229,7 +236,7 @@ def _mass_properties(
 
 
 def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return principal moments ``(3,)`` and axes, a quaternion ``(4,)``.
+    """Return principal moments ``(3,)``, and their axes as a quaternion ``(4,)``.
 
     Inertias that are diagonal up to rounding keep the axes of the frame.
     """
@@ -239,8 +246,8 @@ def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
     moments, axes = np.linalg.eigh(inertia)
     # The axis nearest to x comes first, and so on: small changes stay small.
     order = [int(np.argmax(np.abs(axes[0])))]
-    remaining = [k for k in range(3) if k not in order]
-    order += sorted(remaining, key=lambda k: -abs(float(axes[1, k])))
+    other_axes = [k for k in range(3) if k not in order]
+    order += sorted(other_axes, key=lambda k: -abs(float(axes[1, k])))
     axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
@@ -251,19 +258,19 @@ def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _display_mesh(
     display_shapes: Sequence[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the display mesh of shapes; decomposed meshes keep their original form."""
-    points, counts, corners, base = [], [], [], 0
-    for mesh, core, at, rotation in display_shapes:
-        part_vertices, count, corner = core_mesh(core)
+    """Return the mesh that shows a body; decomposed meshes keep their own faces."""
+    points, counts, corners, first_index = [], [], [], 0
+    for mesh, core, origin, rotation in display_shapes:
+        shape_points, shape_counts, shape_corners = core_mesh(core)
         if mesh is not None:
             vertices, triangles = mesh.weld()
-            part_vertices = at + so3.rotate(rotation, vertices)
-            count = np.full(len(triangles), 3)
-            corner = triangles.ravel().astype(np.int64)
-        points.append(part_vertices)
-        counts.append(count)
-        corners.append(corner + base)
-        base += len(part_vertices)
+            shape_points = origin + so3.rotate(rotation, vertices)
+            shape_counts = np.full(len(triangles), 3)
+            shape_corners = triangles.ravel().astype(np.int64)
+        points.append(shape_points)
+        counts.append(shape_counts)
+        corners.append(shape_corners + first_index)
+        first_index += len(shape_points)
     vertices = np.concatenate(points)
     return MeshFrame(
         vertices,
@@ -275,11 +282,12 @@ def _display_mesh(
 
 
 def check_motion_keys(model: BodyModel) -> None:
-    """Refuse keys that a body's motion mode does not support (SIM061)."""
+    """Raise SIM061 for keys that a dynamic or kinematic body does not support."""
     refuse_all("SIM061", _motion_key_problems(model))
 
 
 def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
+    """Yield keys that contradict how a body moves."""
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is dynamic, so it cannot have {key}"
@@ -303,7 +311,7 @@ def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
 def copy_placements(
     model: BodyModel, parts: Mapping[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies in their frame."""
+    """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies of a body."""
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
@@ -332,10 +340,10 @@ def copy_placements(
         quaternions = np.asarray(rotations, np.float64)
         if quaternions.shape == (count, 4):
             quaternions = quaternions[:, [1, 2, 3, 0]]
-    for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
-        if array.shape != (count, width) or not np.isfinite(array).all():
+    for name, array, columns in (("points", points, 3), ("rotations", quaternions, 4)):
+        if array.shape != (count, columns) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
-            refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
+            refuse("SIM061", f"{message}finite: they must be {(count, columns)}", name)
     if not quaternions.any(axis=1).all():
         refuse(
             "SIM061", f"a rotation of {model.name!r} is a zero quaternion", "rotations"
@@ -344,6 +352,7 @@ def copy_placements(
 
 
 def _rotation(wxyz: Sequence[float], name: str, key: str) -> FloatArray:
+    """Return a quaternion w, x, y, z as a unit x, y, z, w; raise SIM061 if it is 0."""
     rotation = np.array(wxyz, np.float64)[[1, 2, 3, 0]]
     if not rotation.any():
         refuse("SIM061", f"a rotation of {name!r} is a zero quaternion", key)

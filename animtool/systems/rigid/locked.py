@@ -1,4 +1,4 @@
-"""Joints that other joints prevent from moving.
+"""Detection of joints that other joints prevent from moving.
 
 Joint constraints are velocities that must be 0; the possible motion is their null
 space. A joint without relative motion in it cannot move, however strong its drive: two
@@ -21,9 +21,9 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
 
-# Joints with less motion, over the possible motion, are locked.
+# Joints with a smaller fraction of their motion left are locked [1].
 LOCKED_MOTION = 1e-6
-# Smaller singular values, over the largest, count as 0.
+# Singular values below this fraction of the largest count as 0.
 RANK_TOLERANCE = 1e-9
 # Largest number of bodies in a loop that is analysed.
 MAX_LOOP_BODIES = 64
@@ -40,72 +40,75 @@ _LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class LockedJoint:
-    """A joint that cannot move.
+    """A joint that other joints prevent from moving.
 
     Attributes:
         joint_index: Index of the joint.
-        by: Joints that would each unlock it if removed; empty if several lock it.
-        left: Remaining fraction of its motion.
+        blocking_joints: Joints that would each unlock it if removed; empty if several
+            joints together lock it.
+        remaining_motion: Fraction of its motion that remains [1].
     """
 
     joint_index: int
-    by: tuple[int, ...]
-    left: float
+    blocking_joints: tuple[int, ...]
+    remaining_motion: float
 
 
 def locked_joints(
     rows: IntArray, frames: FloatArray, centres: FloatArray
 ) -> list[LockedJoint]:
-    """Return joints of closed loops that cannot move from their start.
+    """Return the joints of closed loops that cannot move at the start.
 
     Args:
         rows: Kind and both bodies of K joints ``(K, 3)``; -1 is static.
         frames: World frame of each joint on its first body ``(K, 7)`` [m].
         centres: Centres of N bodies ``(N, 3)`` [m].
     """
-    locked = []
+    locked_list = []
     for loop in _closed_loops(rows, len(centres)):
         loop_bodies = np.setdiff1d(rows[loop, 1:], [-1])
-        loop_rows, count = rows[loop], len(loop_bodies)
+        loop_rows, body_count = rows[loop], len(loop_bodies)
         body_indices = np.searchsorted(loop_bodies, loop_rows[:, 1:])
         loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, body_indices)
         body_centres = centres[loop_bodies]
-        size = float(
+        loop_size = float(
             np.ptp(np.concatenate([body_centres, frames[loop, :3]]), axis=0).max()
         )
-        equations = [
-            _constraint_rows(row, frames[k], body_centres, size or 1.0)
+        rows_by_joint = [
+            _constraint_rows(row, frames[k], body_centres, loop_size or 1.0)
             for row, k in zip(loop_rows, loop, strict=True)
         ]
-        free = _null_space([constraints for constraints, _ in equations], count)
-        for k, (_, motions) in zip(loop, equations, strict=True):
-            remaining = _remaining_motion(motions, free)
-            if not len(motions) or remaining > LOCKED_MOTION:
+        null_space = _null_space(
+            [constraints for constraints, _ in rows_by_joint], body_count
+        )
+        for k, (_, free_rows) in zip(loop, rows_by_joint, strict=True):
+            remaining_motion = _remaining_motion(free_rows, null_space)
+            if not len(free_rows) or remaining_motion > LOCKED_MOTION:
                 continue
-            blocking = []
+            blocking_joints = []
             for i, other_joint in enumerate(loop):
                 if other_joint != k:
                     other_constraints = [
                         constraints
-                        for j, (constraints, _) in enumerate(equations)
+                        for j, (constraints, _) in enumerate(rows_by_joint)
                         if j != i
                     ]
                     if (
                         _remaining_motion(
-                            motions, _null_space(other_constraints, count)
+                            free_rows, _null_space(other_constraints, body_count)
                         )
                         > LOCKED_MOTION
                     ):
-                        blocking.append(other_joint)
-            locked.append(LockedJoint(k, tuple(blocking), remaining))
-    return locked
+                        blocking_joints.append(other_joint)
+            locked_list.append(LockedJoint(k, tuple(blocking_joints), remaining_motion))
+    return locked_list
 
 
 def locked_notices(
     rows: IntArray, numbers: FloatArray, names: Sequence[str], bodies: RigidBodies
 ) -> list[Fault]:
     """Return a warning for each locked joint (SIM172)."""
-    start = bodies.start
+    start = bodies.initial_states
     frames = np.array(
         [
             _world_frame(start[row[2]], parameters[7:14])
@@ -115,14 +118,15 @@ def locked_notices(
     notices = []
     for locked in locked_joints(rows, frames, start[:, :3]):
         name = excerpt(names[locked.joint_index])
-        message = (
-            f"joint {name} cannot move: {locked.left:.1g} of its motion is left by "
-        )
-        if locked.by:
-            message += "joint" + "s" * (len(locked.by) > 1) + " "
-            message += ", ".join(excerpt(names[k]) for k in locked.by[:3])
-            if len(locked.by) > 3:
-                message += f" and {counted(len(locked.by) - 3, 'more', 'more')}"
+        message = f"joint {name} cannot move: {locked.remaining_motion:.1g} of its "
+        message += "motion is left by "
+        if locked.blocking_joints:
+            message += "joint" + "s" * (len(locked.blocking_joints) > 1) + " "
+            message += ", ".join(excerpt(names[k]) for k in locked.blocking_joints[:3])
+            if len(locked.blocking_joints) > 3:
+                message += (
+                    f" and {counted(len(locked.blocking_joints) - 3, 'more', 'more')}"
+                )
         else:
             message += "several other joints"
         hint = "align their axes, or remove one of them"
@@ -130,83 +134,92 @@ def locked_notices(
     return notices
 
 
-def _world_frame(body: FloatArray, local: FloatArray) -> FloatArray:
-    """Return a local frame of a body in the world ``(7,)``."""
-    origin = body[:3] + so3.rotate(body[3:7], local[:3])
-    return np.concatenate([origin, so3.multiply(body[3:7], local[3:])])
+def _world_frame(body: FloatArray, local_frame: FloatArray) -> FloatArray:
+    """Return a frame of a body in the world ``(7,)``."""
+    origin = body[:3] + so3.rotate(body[3:7], local_frame[:3])
+    return np.concatenate([origin, so3.multiply(body[3:7], local_frame[3:])])
 
 
-def _closed_loops(rows: IntArray, count: int) -> list[list[int]]:
-    """Return joints of each closed loop, without dangling branches."""
-    ends = [(row[1] if row[1] >= 0 else count, row[2]) for row in rows.tolist()]
-    remaining_joints = set(range(len(ends)))
+def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
+    """Return the joints of each closed loop, without dangling branches."""
+    joint_bodies = [
+        (row[1] if row[1] >= 0 else body_count, row[2]) for row in rows.tolist()
+    ]
+    remaining_joints = set(range(len(joint_bodies)))
     while True:
-        degree = np.bincount(
-            [i for k in remaining_joints for i in ends[k]], minlength=count + 1
+        joint_counts = np.bincount(
+            [i for k in remaining_joints for i in joint_bodies[k]],
+            minlength=body_count + 1,
         )
-        dangling = {
+        dangling_joints = {
             k
             for k in remaining_joints
-            if any(degree[i] == 1 and i < count for i in ends[k])
+            if any(joint_counts[i] == 1 and i < body_count for i in joint_bodies[k])
         }
-        if not dangling:
+        if not dangling_joints:
             break
-        remaining_joints -= dangling
+        remaining_joints -= dangling_joints
     groups: list[tuple[set[int], list[int]]] = []
     for k in sorted(remaining_joints):
         # Static bodies connect no loops.
-        members, joints = {i for i in ends[k] if i < count}, [k]
-        for group in [candidate for candidate in groups if candidate[0] & members]:
+        group_bodies, joints = {i for i in joint_bodies[k] if i < body_count}, [k]
+        for group in [candidate for candidate in groups if candidate[0] & group_bodies]:
             groups.remove(group)
-            members |= group[0]
+            group_bodies |= group[0]
             joints = group[1] + joints
-        groups.append((members, sorted(joints)))
+        groups.append((group_bodies, sorted(joints)))
     return [
         joints
-        for members, joints in groups
-        if len(joints) > 1 and len(members) <= MAX_LOOP_BODIES
+        for group_bodies, joints in groups
+        if len(joints) > 1 and len(group_bodies) <= MAX_LOOP_BODIES
     ]
 
 
 def _constraint_rows(
     row: IntArray, frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
-    """Return a joint's constraint rows, and its free directions.
+    """Return the constrained and the free directions of a joint.
 
-    Each row has both bodies, and factors ``(2, 6)`` on velocity and scaled spin at the
-    centre of the second and of the first.
+    Each row has the second and the first body, and factors ``(2, 6)`` on their velocity
+    and scaled spin.
     """
     kind, first, second = row.tolist()
     axes = so3.to_matrix(frame[3:]).T
 
-    def line(axis: FloatArray, rotates: bool) -> tuple[int, int, FloatArray]:
+    def build_row(axis: FloatArray, is_rotation: bool) -> tuple[int, int, FloatArray]:
         factors = np.zeros((2, 6))
         for k, (body, sign) in enumerate(((second, 1.0), (first, -1.0))):
             if body < 0:
                 continue
-            if rotates:
+            if is_rotation:
                 factors[k, 3:] = sign * axis
             else:
-                arm = (frame[:3] - centres[body]) / size
-                factors[k, :3], factors[k, 3:] = sign * axis, sign * np.cross(arm, axis)
+                lever_arm = (frame[:3] - centres[body]) / size
+                factors[k, :3], factors[k, 3:] = (
+                    sign * axis,
+                    sign * np.cross(lever_arm, axis),
+                )
         return second, first, factors
 
-    constraints = [line(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
-    constraints += [line(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
-    motions = [
-        line(axes[i], False) for i in range(3) if i not in _LOCKED_TRANSLATIONS[kind]
+    constraints = [build_row(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
+    constraints += [build_row(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
+    free_rows = [
+        build_row(axes[i], False)
+        for i in range(3)
+        if i not in _LOCKED_TRANSLATIONS[kind]
     ]
-    motions += [
-        line(axes[i], True) for i in range(3) if i not in _LOCKED_ROTATIONS[kind]
+    free_rows += [
+        build_row(axes[i], True) for i in range(3) if i not in _LOCKED_ROTATIONS[kind]
     ]
-    return constraints, motions
+    return constraints, free_rows
 
 
 def _constraint_matrix(
-    lines: Sequence[tuple[int, int, FloatArray]], count: int
+    rows: Sequence[tuple[int, int, FloatArray]], body_count: int
 ) -> FloatArray:
-    matrix = np.zeros((len(lines), 6 * count))
-    for k, (second, first, factors) in enumerate(lines):
+    """Return constraint rows as a matrix ``(R, 6 N)``."""
+    matrix = np.zeros((len(rows), 6 * body_count))
+    for k, (second, first, factors) in enumerate(rows):
         matrix[k, 6 * second : 6 * second + 6] = factors[0]
         if first >= 0:
             matrix[k, 6 * first : 6 * first + 6] = factors[1]
@@ -214,24 +227,26 @@ def _constraint_matrix(
 
 
 def _null_space(
-    joint_constraints: Sequence[Sequence[tuple[int, int, FloatArray]]], count: int
+    joint_constraints: Sequence[Sequence[tuple[int, int, FloatArray]]], body_count: int
 ) -> FloatArray:
-    """Return the velocities that satisfy all constraints ``(6N, …)``."""
-    lines = [line for joint_lines in joint_constraints for line in joint_lines]
-    if not lines:
-        return np.eye(6 * count)
-    _, singular_values, right_vectors = np.linalg.svd(_constraint_matrix(lines, count))
+    """Return a basis of the velocities that satisfy all constraints ``(6 N, …)``."""
+    rows = [row for joint_rows in joint_constraints for row in joint_rows]
+    if not rows:
+        return np.eye(6 * body_count)
+    _, singular_values, right_vectors = np.linalg.svd(
+        _constraint_matrix(rows, body_count)
+    )
     rank = int((singular_values > RANK_TOLERANCE * singular_values[0]).sum())
     return np.asarray(right_vectors[rank:].T)
 
 
 def _remaining_motion(
-    motions: Sequence[tuple[int, int, FloatArray]], free: FloatArray
+    free_rows: Sequence[tuple[int, int, FloatArray]], null_space: FloatArray
 ) -> float:
-    """Return the largest relative motion that a joint retains."""
-    count = len(free) // 6
+    """Return the largest relative motion that a joint still has."""
+    body_count = len(null_space) // 6
     return float(
-        np.linalg.norm(_constraint_matrix(motions, count) @ free, axis=1).max(
-            initial=0.0
-        )
+        np.linalg.norm(
+            _constraint_matrix(free_rows, body_count) @ null_space, axis=1
+        ).max(initial=0.0)
     )

@@ -18,22 +18,22 @@ from animtool.systems.rigid.kind import BodyKind, principal_inertia
 def with_rig_masses(
     rig: Rig, world: WorldTransforms, joints: IntArray, kinds: Sequence[BodyKind]
 ) -> list[BodyKind]:
-    """Return bodies with the masses of the rig.
+    """Return body kinds with the masses of the rig.
 
-    A mass belongs to the body of its joint, or to that of the next ancestor with a
-    body. Bodies without a mass in the rig are unchanged.
+    A mass is added to the body of its joint, or of the next ancestor that has a body.
+    Bodies without a mass in the rig are unchanged.
 
     Args:
         rig: Rig with masses.
         world: World transforms of one frame.
         joints: Joints of the bodies ``(N,)``.
-        kinds: Body kinds.
+        kinds: Kind of each body.
     """
-    body_indices = {int(j): i for i, j in enumerate(joints)}
+    body_of_joint = {int(j): i for i, j in enumerate(joints)}
     masses_by_body: dict[int, list[Mass]] = {}
     for mass in rig.masses:
-        upwards = rig.upwards(rig.index(mass.joint))
-        body = next((body_indices[j] for j in upwards if j in body_indices), None)
+        ancestors = rig.upwards(rig.index(mass.joint))
+        body = next((body_of_joint[j] for j in ancestors if j in body_of_joint), None)
         if body is not None:
             masses_by_body.setdefault(body, []).append(mass)
     rotations = so3.split_scale(world.linear[0])[0]
@@ -59,8 +59,8 @@ def _combined_body(
     masses: Sequence[Mass],
     kind: BodyKind,
 ) -> BodyKind:
-    """Return a body of several point masses, in the frame of its joint."""
-    to_body = so3.conjugate(rotations[body])
+    """Return a body kind with the combined masses of several joints."""
+    world_to_body = so3.conjugate(rotations[body])
     total = sum(mass.mass for mass in masses)
     centres, inertias = [], []
     for mass in masses:
@@ -68,19 +68,21 @@ def _combined_body(
         position = world.positions[0, j] + so3.rotate(
             rotations[j], np.array(mass.centre)
         )
-        centres.append(so3.rotate(to_body, position - world.positions[0, body]))
+        centres.append(so3.rotate(world_to_body, position - world.positions[0, body]))
         rotation = so3.multiply(
-            so3.multiply(to_body, rotations[j]), np.array(mass.axes)
+            so3.multiply(world_to_body, rotations[j]), np.array(mass.axes)
         )
         matrix = so3.to_matrix(rotation)
         # A mass without inertia is a point mass.
         local_inertia = np.diag(mass.inertia or (0.0, 0.0, 0.0))
         inertias.append(matrix @ local_inertia @ matrix.T)
-    weights = np.array([mass.mass for mass in masses])
-    centre = (weights[:, None] * np.array(centres)).sum(axis=0) / total
+    mass_values = np.array([mass.mass for mass in masses])
+    centre = (mass_values[:, None] * np.array(centres)).sum(axis=0) / total
     inertia = np.sum(inertias, axis=0)
-    for weight, position in zip(weights, np.array(centres) - centre, strict=True):
-        inertia = inertia + weight * (
+    for mass_value, position in zip(
+        mass_values, np.array(centres) - centre, strict=True
+    ):
+        inertia = inertia + mass_value * (
             (position @ position) * np.eye(3) - np.outer(position, position)
         )
     moments, axes = principal_inertia(inertia)

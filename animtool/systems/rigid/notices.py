@@ -11,14 +11,16 @@ from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
-# Deeper penetration at the start, over the size, is a warning.
-START_OVERLAP = 0.02
-# Bodies that stay this deep, over their size, are squeezed from several sides.
-SQUEEZED_OVERLAP = 0.25
+# Largest unreported penetration at the start, relative to the bounding radius [1].
+MAX_START_OVERLAP = 0.02
+# Largest unreported penetration later, relative to the bounding radius [1].
+MAX_OVERLAP = 0.25
 
 
-def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fault]:
-    """Yield the drive that oscillates too fast for the step [s] (SIM171)."""
+def oscillation_notices(
+    state: RigidState, joints: Joints, step: float
+) -> Iterator[Fault]:
+    """Yield a warning about a drive that oscillates too fast for the step (SIM171)."""
     if state.swinging < 0:
         return
     name = excerpt(joints.names[state.swinging])
@@ -30,7 +32,7 @@ def swing_notices(state: RigidState, joints: Joints, step: float) -> Iterator[Fa
 
 
 def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
-    """Yield the joints that broke, with their times (SIM197)."""
+    """Yield a note for each broken joint, with its time (SIM197)."""
     order = np.argsort(state.broken[:, 0], kind="stable")
     for k in order[np.isfinite(state.broken[order, 0])].tolist():
         t, force, torque = state.broken[k].tolist()
@@ -40,23 +42,26 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
 
 
 def depth_notices(
-    state: RigidState, size: float, names: Callable[[], Sequence[str]]
+    state: RigidState, bounding_radius: float, shape_names: Callable[[], Sequence[str]]
 ) -> Iterator[Fault]:
-    """Yield penetration at the start, and later (SIM126, SIM123).
+    """Yield warnings about penetration at the start and later (SIM126, SIM123).
 
-    ``size``: smallest bounding radius [m]; ``names``: returns the names of all shapes.
+    ``bounding_radius`` is the smallest of all bodies [m]. ``shape_names`` returns the
+    names of all shapes.
     """
 
-    def pair(k: int) -> str:
-        return " and ".join(excerpt(names()[i]) for i in state.deepest_pairs[k])
+    def pair_text(k: int) -> str:
+        return " and ".join(excerpt(shape_names()[i]) for i in state.deepest_pairs[k])
 
     max_depth, start_depth = state.deepest.tolist()
-    if start_depth > START_OVERLAP * size:
-        message = f"{pair(1)} start {start_depth:g} m inside each other: "
+    if start_depth > MAX_START_OVERLAP * bounding_radius:
+        message = f"{pair_text(1)} start {start_depth:g} m inside each other: "
         message += "they are separated at up to 2 m/s"
         yield warning("SIM126", message, "leave a small gap between them at the start")
-    elif max_depth > SQUEEZED_OVERLAP * size:
-        message = f"{pair(0)} penetrated each other by up to {max_depth:g} m: from "
+    elif max_depth > MAX_OVERLAP * bounding_radius:
+        message = (
+            f"{pair_text(0)} penetrated each other by up to {max_depth:g} m: from "
+        )
         message += "several sides, or faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"
         yield warning("SIM123", message, hint)

@@ -15,66 +15,67 @@ from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.surroundings import StepColliders
 
-# Tolerance of release times before the end of a step, in steps.
+# Rounding tolerance of release times at the start of a step, in steps [1].
 RELEASE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
 class BodyPhase:
-    """Dynamic bodies and active joints during one phase.
+    """Dynamic bodies and intact joints between two releases or breaks.
 
     Attributes:
-        number: Index of the phase; contacts of other phases refer to other shapes.
-        bodies: The bodies; those not released yet are kinematic.
-        free: Mask of dynamic bodies among those that are ever dynamic ``(N,)``.
+        phase_index: Index of the phase; contacts of other phases refer to other shapes.
+        bodies: All bodies; those not released yet are kinematic.
+        is_free: Mask of dynamic bodies among those that are ever dynamic ``(N,)``.
         joints: Intact joints.
-        holding: Their indices among all joints ``(H,)``.
+        intact_joints: Indices of intact joints among all joints ``(H,)``.
         surroundings: Colliders, with kinematic bodies.
-        kernel: The kernel's arrays.
-        shapes: Numbers of shapes and colliders in the full system ``(S,)``.
+        kernel: Bodies and joints as a kernel object.
+        shapes: Indices of shapes and colliders in the full system ``(S,)``.
     """
 
-    number: int
+    phase_index: int
     bodies: RigidBodies
     is_free: BoolArray
     joints: Joints
-    holding: IntArray
+    intact_joints: IntArray
     surroundings: StepColliders
     kernel: Any
     shapes: IntArray
 
     @property
-    def full(self) -> bool:
+    def is_complete(self) -> bool:
         """Whether all bodies are dynamic."""
         return bool(self.is_free.all())
 
-    def shapes_of(self, numbers: IntArray) -> IntArray:
-        """Return numbers of shapes and colliders in the full system."""
-        index = np.minimum(numbers, len(self.shapes) - 1)
-        excess = numbers - len(self.shapes)
+    def full_shape_indices(self, indices: IntArray) -> IntArray:
+        """Return indices of shapes and colliders in the full system."""
+        clipped_indices = np.minimum(indices, len(self.shapes) - 1)
+        excess = indices - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
-        return np.where(excess < 0, self.shapes[index], count + excess)
+        return np.where(excess < 0, self.shapes[clipped_indices], count + excess)
 
     def with_parameters(
-        self, numbers: FloatArray, inertias: FloatArray | float = 1.0
+        self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0
     ) -> Any:
-        """Return kernel arrays with other joint numbers and mass factors."""
+        """Return the kernel object with other joint parameters and mass factors."""
         joints, first = self.joints, self.surroundings.first
         excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first)
         return self.bodies.kernel(
-            joints.rows, numbers[self.holding], excluded, inertias
+            joints.rows, joint_parameters[self.intact_joints], excluded, mass_factors
         )
 
 
 class BodyPhases:
-    """Phases of a system, built when first used.
+    """Phases of a system; each is built when it is first used.
 
     Args:
         bodies: Bodies after all releases.
-        joints_of: Returns the joints of bodies, and their indices among all joints.
+        joints_of: Function that returns the joints of bodies, and their indices among
+            all joints.
         colliders: Colliders before those of kinematic bodies.
         static: Colliders after those of kinematic bodies.
-        around: Surfaces and bodies of other systems.
+        other_systems: Surfaces and bodies of other systems.
     """
 
     def __init__(
@@ -83,13 +84,13 @@ class BodyPhases:
         joints_of: Callable[[RigidBodies], tuple[Joints, IntArray]],
         colliders: Sequence[Collider],
         static: Sequence[Collider],
-        around: Colliders,
+        other_systems: Colliders,
     ) -> None:
         self._bodies, self._joints_of = bodies, joints_of
-        self._colliders, self._static, self._around = (
+        self._colliders, self._static, self._other_systems = (
             list(colliders),
             list(static),
-            around,
+            other_systems,
         )
         releases = bodies.releases[bodies.dynamic]
         self._releases = releases
@@ -97,45 +98,50 @@ class BodyPhases:
         self._phases: dict[tuple[int, bytes], BodyPhase] = {}
 
     @property
-    def last(self) -> int:
-        """The number of the phase after all releases."""
+    def last_index(self) -> int:
+        """Index of the phase after all releases."""
         return len(self._times)
 
-    def number(self, t: float, dt: float) -> int:
-        """Return the phase of a step that starts at a time [s]."""
+    def phase_index(self, t: float, dt: float) -> int:
+        """Return the index of the phase of a step that starts at a time [s]."""
         time = t + RELEASE_TOLERANCE * dt
         return int(np.searchsorted(self._times, time, side="right"))
 
     def is_free(self, t: float, dt: float) -> BoolArray:
-        """Return a mask of the bodies dynamic in a step [s] at a time [s] ``(N,)``."""
-        free: BoolArray = self._releases <= t + RELEASE_TOLERANCE * dt
-        return free
+        """Return a mask of bodies that are dynamic in a step at a time [s] ``(N,)``."""
+        is_free: BoolArray = self._releases <= t + RELEASE_TOLERANCE * dt
+        return is_free
 
-    def at(self, number: int, broken: BoolArray) -> BodyPhase:
-        """Return a phase without broken joints ``(K,)``."""
-        key = number, broken.tobytes()
+    def phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
+        """Return a phase without the broken joints; mask ``(K,)``."""
+        key = index, is_broken.tobytes()
         if key not in self._phases:
             if len(self._phases) > 1:
                 self._phases.pop(next(iter(self._phases)))
-            self._phases[key] = self._build(number, broken)
+            self._phases[key] = self._build(index, is_broken)
         return self._phases[key]
 
-    def _build(self, number: int, broken: BoolArray) -> BodyPhase:
-        last = self._times[number - 1] if number else -np.inf
-        free = np.asarray(~(self._releases > last), np.bool_)
+    def _build(self, index: int, is_broken: BoolArray) -> BodyPhase:
+        """Build a phase without the broken joints."""
+        release_time = self._times[index - 1] if index else -np.inf
+        is_free = np.asarray(~(self._releases > release_time), np.bool_)
         bodies = self._bodies
-        if not free.all():
+        if not is_free.all():
             is_dynamic = bodies.is_dynamic.copy()
-            is_dynamic[bodies.dynamic[~free]] = False
+            is_dynamic[bodies.dynamic[~is_free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
-        joints, holding = self._joints_of(bodies)
-        intact = np.flatnonzero(~broken[holding]) if len(broken) else holding
-        if len(intact) < len(holding):
-            joints, holding = joints.subset(intact), holding[intact]
+        joints, intact_joints = self._joints_of(bodies)
+        intact = (
+            np.flatnonzero(~is_broken[intact_joints])
+            if len(is_broken)
+            else intact_joints
+        )
+        if len(intact) < len(intact_joints):
+            joints, intact_joints = joints.subset(intact), intact_joints[intact]
         colliders = Colliders(
             [*self._colliders, *bodies.colliders(), *self._static],
-            self._around.sheets,
-            self._around.bodies,
+            self._other_systems.sheets,
+            self._other_systems.bodies,
         )
         first = len(self._colliders)
         excluded = bodies.excluded_pairs(joints.excluded_pairs, first)
@@ -143,11 +149,11 @@ class BodyPhases:
         surroundings = StepColliders(colliders, first)
         shapes = self._shapes(bodies, len(colliders))
         return BodyPhase(
-            number, bodies, free, joints, holding, surroundings, kernel, shapes
+            index, bodies, is_free, joints, intact_joints, surroundings, kernel, shapes
         )
 
     def _shapes(self, bodies: RigidBodies, colliders: int) -> IntArray:
-        """Return the numbers of shapes and rigid colliders in the full system."""
+        """Return the indices of shapes and rigid colliders in the full system."""
         all_bodies, first = self._bodies, len(self._colliders)
         if bodies is all_bodies:
             return np.arange(len(all_bodies.shapes[1]) + colliders)
@@ -156,40 +162,45 @@ class BodyPhases:
         first_shapes = np.searchsorted(
             all_bodies.shapes[1], np.arange(len(all_bodies.dynamic))
         )
-        dynamic: list[int] = []
+        dynamic_shapes: list[int] = []
         for i in bodies.dynamic.tolist():
-            dynamic += range(
+            dynamic_shapes += range(
                 first_shapes[dynamic_indices[i]],
                 first_shapes[dynamic_indices[i]]
-                + len(all_bodies.kinds[all_bodies.of[i]].cores),
+                + len(all_bodies.kinds[all_bodies.kind_of_body[i]].cores),
             )
         next_collider = count + first
-        kinematic: list[int] = []
+        kinematic_shapes: list[int] = []
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
-            shapes = len(all_bodies.kinds[all_bodies.of[i]].shapes)
+            shapes = len(all_bodies.kinds[all_bodies.kind_of_body[i]].shapes)
             if all_bodies.is_dynamic[i]:
-                kinematic += range(
+                kinematic_shapes += range(
                     first_shapes[dynamic_indices[i]],
                     first_shapes[dynamic_indices[i]] + shapes,
                 )
             else:
-                kinematic += range(next_collider, next_collider + shapes)
+                kinematic_shapes += range(next_collider, next_collider + shapes)
                 next_collider += shapes
         static_range = range(next_collider, next_collider + len(self._static))
         return np.array(
-            [*dynamic, *range(count, count + first), *kinematic, *static_range],
+            [
+                *dynamic_shapes,
+                *range(count, count + first),
+                *kinematic_shapes,
+                *static_range,
+            ],
             np.int64,
         )
 
 
 def kinematic_states(
-    bodies: RigidBodies, numbers: IntArray, t: float, dt: float
+    bodies: RigidBodies, dynamic_indices: IntArray, t: float, dt: float
 ) -> FloatArray:
-    """Return states of kinematic bodies ``(H, 14)`` at a time [s].
+    """Return states of bodies that are still kinematic ``(H, 14)`` at a time [s].
 
-    Velocities are those of the previous step [s].
+    Their velocities are those of the step [s] before.
     """
-    rows = np.zeros((len(numbers), 14))
-    for row, number in zip(rows, numbers.tolist(), strict=True):
-        row[:] = bodies.kinematic_state(number, t, dt)
+    rows = np.zeros((len(dynamic_indices), 14))
+    for row, dynamic_index in zip(rows, dynamic_indices.tolist(), strict=True):
+        row[:] = bodies.kinematic_state(dynamic_index, t, dt)
     return rows

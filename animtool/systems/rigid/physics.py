@@ -1,4 +1,4 @@
-"""Conversion of bodies and joints to UsdPhysics records, and back."""
+"""Conversion between bodies with joints and UsdPhysics records."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from animtool.systems.rigid.joints import (
     Joints,
     relative_frame,
     to_body_frame,
-    to_parent,
+    to_parent_frame,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -48,12 +48,12 @@ Y_AXIS = np.array([0.0, 1.0, 0.0])
 def physics_record(
     bodies: RigidBodies, joints: Joints, colliders: Colliders, forces: Sequence[Force]
 ) -> Physics:
-    """Return bodies, joints and static colliders as records.
+    """Return bodies, joints and static colliders as a UsdPhysics record.
 
     Moving colliders and forces other than gravity are left out.
     """
     gravity = [force.acceleration for force in forces if isinstance(force, Gravity)]
-    static_colliders_ = [
+    fixed_colliders = [
         collider for collider in colliders if len(collider.poses.sample_times) == 1
     ]
     return Physics(
@@ -66,28 +66,29 @@ def physics_record(
                 collider.friction,
                 collider.restitution,
             )
-            for collider in static_colliders_
+            for collider in fixed_colliders
             if not collider.container
         ],
         np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
     )
 
 
-def _physics_body(bodies: RigidBodies, i: int) -> PhysicsBody:
-    kind = bodies.kinds[bodies.of[i]]
+def _physics_body(bodies: RigidBodies, body: int) -> PhysicsBody:
+    """Return a body as a UsdPhysics record."""
+    kind = bodies.kinds[bodies.kind_of_body[body]]
     model = kind.model
     shapes = [
         _physics_shape(
             collider_shape(shape),
-            np.concatenate([at, rotation]),
+            np.concatenate([origin, rotation]),
             model.friction,
             model.restitution,
         )
-        for shape, at, rotation in kind.shapes
+        for shape, origin, rotation in kind.shapes
     ]
     return PhysicsBody(
-        bodies.names[i],
-        bodies.poses[i].at(bodies.begin),
+        bodies.names[body],
+        bodies.poses[body].at(bodies.begin),
         shapes,
         model.density,
         kind.mass,
@@ -96,14 +97,14 @@ def _physics_body(bodies: RigidBodies, i: int) -> PhysicsBody:
         kind.axes,
         np.array(model.velocity, np.float64),
         np.radians(model.spin),
-        not bodies.is_dynamic[i],
+        not bodies.is_dynamic[body],
     )
 
 
 def _physics_shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
-    """Return a shape about its centre, with y as its axis."""
+    """Return a shape as a record: centred at its pose, with y as its axis."""
     kind, centre, axis = "mesh", np.zeros(3), Y_AXIS
     size: tuple[float, ...] = ()
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -129,20 +130,21 @@ def _physics_shape(
 
 
 def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
-    names = {number: kind for kind, number in JOINT_KINDS.items()}
+    """Yield joints as UsdPhysics records."""
+    type_names = {number: kind for kind, number in JOINT_KINDS.items()}
     dynamic = bodies.dynamic
-    excluded = {
+    excluded_pairs = {
         pair for a, b in joints.excluded_pairs.tolist() for pair in ((a, b), (b, a))
     }
     for k, (row, numbers) in enumerate(zip(joints.rows, joints.numbers, strict=True)):
         first, second = row[1:].tolist()
-        on_a, on_b = numbers[:7], to_body_frame(bodies, second, numbers[7:14])
-        parent = joints.above[k]
+        frame_a, frame_b = numbers[:7], to_body_frame(bodies, second, numbers[7:14])
+        parent = joints.parent_bodies[k]
         if first >= 0:
-            parent, on_a = int(dynamic[first]), to_body_frame(bodies, first, on_a)
+            parent, frame_a = int(dynamic[first]), to_body_frame(bodies, first, frame_a)
         elif parent < 0:
             pose = joints.anchors[k].at(bodies.begin)
-            on_a = to_parent(pose, on_a)
+            frame_a = to_parent_frame(pose, frame_a)
         low, high, *swing = numbers[14:18].tolist()
         target, force_limit = float(numbers[18]), float(numbers[25])
         drive = None
@@ -153,23 +155,23 @@ def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoin
             drive = JointDrive(stiffness, damping, target, rotation, max_force, speed)
         yield PhysicsJoint(
             joints.names[k],
-            names[int(row[0])],
+            type_names[int(row[0])],
             (parent, int(dynamic[second])),
-            (on_a, on_b),
+            (frame_a, frame_b),
             None if low > high else (low, high),
             None if swing[0] < 0 else (swing[0], swing[1]),
             drive,
-            parent >= 0 and (parent, int(dynamic[second])) not in excluded,
+            parent >= 0 and (parent, int(dynamic[second])) not in excluded_pairs,
             (float(joints.breaks[k, 0]), float(joints.breaks[k, 1])),
         )
 
 
 def body_entries(
-    physics: Physics, entry: str
+    physics: Physics, entry_key: str
 ) -> tuple[list[BodyModel], list[dict[str, Any]]]:
-    """Return bodies as entries of a spec, with the parts of their keys.
+    """Return bodies as models of a spec, and the data read for their keys.
 
-    entry: The key of the spec that they are of.
+    Faults are located at the key of the stage in the spec.
     """
     models, parts = [], []
     for body in physics.bodies:
@@ -200,20 +202,21 @@ def body_entries(
         if not body.kinematic:
             keys["velocity"] = body.velocity.tolist()
             keys["spin"] = np.degrees(body.spin).tolist()
-        models.append(_body_model(keys, body.origin, entry))
+        models.append(_body_model(keys, body.origin, entry_key))
         rows = body.pose[None] if body.path is None else body.path
         times = body.times if body.path is not None else np.zeros(1)
         poses = Poses(times, rows[:, :3], rows[:, 3:])
         shapes = [
-            {"shape": shape_of(shape), "hull": shape.hull} for shape in body.shapes
+            {"shape": collider_shape_of(shape), "hull": shape.hull}
+            for shape in body.shapes
         ]
-        location = {"entry": entry, "origin": body.origin}
+        location = {"entry": entry_key, "origin": body.origin}
         parts.append({"poses": poses, "shapes": shapes, **location})
     return models, parts
 
 
-def _body_model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
-    """Return a body entry from keys; invalid numbers are refused (SIM051)."""
+def _body_model(keys: dict[str, Any], origin: str, entry_key: str) -> BodyModel:
+    """Return the model of a body; raise SIM051 for invalid numbers."""
     try:
         return BodyModel.model_validate(keys)
     except ValidationError as error:
@@ -222,11 +225,11 @@ def _body_model(keys: dict[str, Any], origin: str, entry: str) -> BodyModel:
         value_text = f"{value:g}" if isinstance(value, float) else excerpt(str(value))
         message = f"{origin}: {key} is {value_text} in metres, kilograms and seconds"
         hint = f"{problem['msg']}: check the units of the stage"
-        refuse("SIM051", message, entry, hint)
+        refuse("SIM051", message, entry_key, hint)
 
 
-def shape_of(shape: PhysicsShape) -> Shape:
-    """Return a rig's physics shape as a collider shape in its local frame."""
+def collider_shape_of(shape: PhysicsShape) -> Shape:
+    """Return the collider shape of a UsdPhysics shape, in its own frame."""
     match shape.kind:
         case "sphere":
             return Sphere(shape.size[0])
@@ -240,31 +243,31 @@ def shape_of(shape: PhysicsShape) -> Shape:
 
 
 def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
-    """Return the joints of a stage whose bodies start at a number."""
+    """Return the joints of a stage, whose bodies start at a given index."""
     dynamic_numbers = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    rows, numbers, anchors, above, names, pairs = [], [], [], [], [], []
+    rows, numbers, anchors, parent_bodies, names, pairs = [], [], [], [], [], []
     breaks = []
     for joint in physics.joints:
-        pair = [i if i < 0 else i + first for i in joint.bodies]
+        body_pair = [i if i < 0 else i + first for i in joint.bodies]
         frames, drive, limits = list(joint.frames), joint.drive, joint.limits
         target, speed = (0.0, 0.0) if drive is None else (drive.target, drive.speed)
         rotation = so3.IDENTITY if drive is None else drive.rotation
-        if pair[1] not in dynamic_numbers:
+        if body_pair[1] not in dynamic_numbers:
             # Swapped: the joint's second body becomes the first.
-            pair.reverse()
+            body_pair.reverse()
             frames.reverse()
             limits = None if limits is None else (-limits[1], -limits[0])
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
-        if pair[1] not in dynamic_numbers:
+        if body_pair[1] not in dynamic_numbers:
             continue
-        on_b, parent, anchor = (
-            _relative_to_centre(bodies, pair[1], frames[1]),
-            pair[0],
+        frame_b, parent, anchor = (
+            _relative_to_principal(bodies, body_pair[1], frames[1]),
+            body_pair[0],
             Poses(),
         )
-        on_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
+        frame_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
         if parent_index >= 0:
-            on_a = _relative_to_centre(bodies, parent, on_a)
+            frame_a = _relative_to_principal(bodies, parent, frame_a)
         elif parent >= 0:
             anchor = bodies.poses[parent]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
@@ -272,11 +275,13 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         if drive is not None:
             max_force = -1.0 if drive.max_force is None else drive.max_force
             drive_parameters = [drive.stiffness, drive.damping, max_force, speed]
-        rows.append((JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[pair[1]]))
+        rows.append(
+            (JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[body_pair[1]])
+        )
         numbers.append(
             [
-                *on_a,
-                *on_b,
+                *frame_a,
+                *frame_b,
                 *(limits or (1.0, 0.0)),
                 *swing,
                 target,
@@ -285,34 +290,36 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
             ]
         )
         anchors.append(anchor)
-        above.append(parent)
+        parent_bodies.append(parent)
         names.append(joint.name)
-        excluded = parent >= 0 and not joint.contacts
-        pairs.append((pair[1], parent) if excluded else (-1, -1))
+        is_excluded = parent >= 0 and not joint.contacts
+        pairs.append((body_pair[1], parent) if is_excluded else (-1, -1))
         breaks.append(joint.break_limits)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT),
         anchors,
         names,
-        above,
+        parent_bodies,
         physics.notices,
         np.array(pairs, np.int64).reshape(-1, 2),
         breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
 
 
-def _relative_to_centre(bodies: RigidBodies, i: int, frame: FloatArray) -> FloatArray:
-    """Return a body frame relative to its principal axes ``(7,)``."""
-    kind = bodies.kinds[bodies.of[i]]
+def _relative_to_principal(
+    bodies: RigidBodies, body: int, frame: FloatArray
+) -> FloatArray:
+    """Return a body frame relative to the principal axes of the body ``(7,)``."""
+    kind = bodies.kinds[bodies.kind_of_body[body]]
     return relative_frame(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def static_colliders(physics: Physics) -> list[Collider]:
-    """Return bodies that never move, as colliders."""
+    """Return the static colliders of a stage."""
     return [
         Collider(
-            shape_of(shape),
+            collider_shape_of(shape),
             Poses.fixed(shape.pose[:3], shape.pose[3:]),
             name=shape.name,
             restitution=shape.restitution,

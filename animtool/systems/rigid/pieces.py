@@ -17,20 +17,20 @@ from animtool.systems.rigid.cores import (
     enclosed_solid,
 )
 
-# Largest deviation of pieces from the mesh, over its size: coacd's default.
+# Largest deviation of pieces from the mesh, relative to its size; coacd's default.
 CONCAVITY_THRESHOLD = 0.05
-# Sampled surface points to measure it.
+# Number of surface points that measure the deviation.
 MANIFOLD_RESOLUTION = 400
 INSTALL_COMMAND = "pip install 'animtool[convex]'"
 
 
 def is_available() -> bool:
-    """Return whether convex decomposition is available."""
+    """Return whether the package for convex decomposition is installed."""
     return find_spec("coacd") is not None
 
 
 def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
-    """Return convex pieces of a mesh, deterministic; empty for open meshes.
+    """Return convex pieces of a mesh, deterministically; empty for open meshes.
 
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
@@ -45,13 +45,13 @@ def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
 def _decompose(
     point_bytes: bytes, corner_bytes: bytes
 ) -> list[tuple[Mesh, ConvexCore]]:
-    """Return convex pieces of points and triangles (cached)."""
+    """Return convex pieces of points and triangles, cached."""
     import coacd
 
     points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
     triangles = np.frombuffer(corner_bytes, np.int32).reshape(-1, 3)
     coacd.set_log_level("off")
-    parts = coacd.run_coacd(
+    hulls = coacd.run_coacd(
         coacd.Mesh(points, triangles),
         threshold=CONCAVITY_THRESHOLD,
         preprocess_mode="off",
@@ -59,7 +59,7 @@ def _decompose(
         seed=0,
     )
     pieces = []
-    for vertices, faces in parts:
+    for vertices, faces in hulls:
         piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
         try:
             pieces.append((piece, core_of(piece)))
@@ -69,22 +69,23 @@ def _decompose(
     return pieces
 
 
-def solid_of_mesh(mesh: Mesh) -> SolidProperties:
+def mesh_solid(mesh: Mesh) -> SolidProperties:
     """Return the mass properties of a watertight mesh of density 1."""
     points, triangles = mesh.weld()
-    inside = enclosed_solid(points[triangles])
-    if inside.volume > 0:
-        return inside
+    solid = enclosed_solid(points[triangles])
+    if solid.volume > 0:
+        return solid
     return enclosed_solid(points[triangles[:, ::-1]])
 
 
 def excess_volume(mesh: Mesh, cores: Sequence[ConvexCore]) -> float:
-    """Return the pieces' volume beyond the mesh's, as a fraction of the mesh's."""
-    volume = solid_of_mesh(mesh).volume
+    """Return the volume of pieces beyond that of the mesh, relative to it [1]."""
+    volume = mesh_solid(mesh).volume
     return sum(_core_volume(core) for core in cores) / volume - 1
 
 
 def _core_volume(core: ConvexCore) -> float:
+    """Return the volume of the faces of a convex core [m³]."""
     triangles: list[FloatArray] = [
         core.points[[face[0], face[k], face[k + 1]]]
         for face in core.faces

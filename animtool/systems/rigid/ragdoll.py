@@ -31,7 +31,7 @@ from animtool.systems.rigid.joints import (
     Joints,
     relative_to_principal,
 )
-from animtool.systems.rigid.kind import BodyKind, build_kind
+from animtool.systems.rigid.kind import BodyKind, build_body_kind
 from animtool.systems.rigid.masses import with_rig_masses
 from animtool.systems.rigid.spec import BodyModel
 from animtool.systems.rigid.tone import passive_springs, with_finger_capsules
@@ -77,12 +77,12 @@ class RagdollOptions:
 
 @dataclass(frozen=True)
 class Ragdoll:
-    """The bodies of a rig at a frame.
+    """The bodies of a rig in the pose of one frame.
 
     Attributes:
         rig: Rig with colliders.
         joints: Joints with bodies, ascending ``(N,)``.
-        above: Parent body of each, -1 for none ``(N,)``.
+        parent_bodies: Parent body of each body, -1 for none ``(N,)``.
         bodies: Bodies in the same order.
         frames: Rest frame of each joint relative to the parent body: origin and
             quaternion, with x along the joint's axis ``(N, 7)``.
@@ -91,14 +91,14 @@ class Ragdoll:
 
     rig: Rig
     joints: IntArray
-    above: IntArray
+    parent_bodies: IntArray
     bodies: RigidBodies
     frames: FloatArray
     axes: FloatArray
 
 
-def bodies_of_rig(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
-    """Return the bodies of a rig in the pose of one frame (SIM062)."""
+def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
+    """Return the bodies of a rig in the pose of one frame; raise SIM062."""
     capsules = JointCapsules.of(rig)
     if not len(capsules):
         message = f"no joint of {rig.name!r} has colliders: nothing can fall"
@@ -127,22 +127,22 @@ def _body_kinds(
     joints: IntArray,
     options: RagdollOptions,
 ) -> list[BodyKind]:
-    """Return mass properties of each joint's colliders (SIM062)."""
+    """Return the shapes and mass properties of each joint's body; raise SIM062."""
     _, ends = capsules.joint_poses_and_ends(world)
-    sizes = capsules.world_radii(world)
+    radii = capsules.world_radii(world)
     kinds: list[BodyKind] = []
     for j in joints.tolist():
         shapes = []
-        for c in np.flatnonzero(capsules.joints == j).tolist():
-            if not sizes[c] > 0:
+        for capsule in np.flatnonzero(capsules.joints == j).tolist():
+            if not radii[capsule] > 0:
                 message = f"a collider of joint {rig.joints[j].name!r} has no size"
                 hint = "give its capsule a radius above 0"
                 raise OptionError(Fault("SIM062", message, hint=hint))
-            a, b = ends[c]
+            a, b = ends[capsule]
             length = float(np.linalg.norm(b - a))
             axis = (b - a) / length if length else np.array([0.0, 1.0, 0.0])
             shapes.append(
-                Capsule(float(sizes[c]), length, tuple(axis), tuple((a + b) / 2))
+                Capsule(float(radii[capsule]), length, tuple(axis), tuple((a + b) / 2))
             )
         model = BodyModel.model_validate(
             {
@@ -153,7 +153,7 @@ def _body_kinds(
             }
         )
         kinds.append(
-            build_kind(model, {"shapes": [{"shape": shape} for shape in shapes]})
+            build_body_kind(model, {"shapes": [{"shape": shape} for shape in shapes]})
         )
     if rig.masses:
         kinds = with_rig_masses(rig, world, joints, kinds)
@@ -167,15 +167,17 @@ def _body_kinds(
 
 
 def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
-    """Return the parent body of each body, -1 for none ``(N,)``."""
-    body_indices = {int(j): i for i, j in enumerate(joints)}
+    """Return the parent body of each body ``(N,)``; -1 for none."""
+    body_of_joint = {int(j): i for i, j in enumerate(joints)}
     parents = np.full(len(joints), -1)
-    roots: dict[int, int] = {}
+    body_of_root: dict[int, int] = {}
     for i, j in enumerate(joints.tolist()):
-        ancestors = [body_indices[k] for k in rig.upwards(j)[1:] if k in body_indices]
+        ancestors = [body_of_joint[k] for k in rig.upwards(j)[1:] if k in body_of_joint]
         # Branches below a joint without a body are attached to the first of them.
         parents[i] = (
-            ancestors[0] if ancestors else roots.setdefault(movable_root(rig, j), i)
+            ancestors[0]
+            if ancestors
+            else body_of_root.setdefault(movable_root(rig, j), i)
         )
         if parents[i] == i:
             parents[i] = -1
@@ -185,7 +187,7 @@ def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
 def _rest_frames(
     rig: Rig, positions: FloatArray, rotations: FloatArray, joints: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rest frames of joints ``(N, 7)``, and their axes there ``(N, 4)``.
+    """Return rest frames of joints ``(N, 7)``, and rotations to their axes ``(N, 4)``.
 
     World ``positions`` ``(J, 3)`` [m] and ``rotations`` ``(J, 4)`` are of all joints.
     """
@@ -205,14 +207,14 @@ def _rest_frames(
 
 
 def movable_root(rig: Rig, joint: int) -> int:
-    """Return the joint that moves a root body: a free joint, or a root."""
-    upwards = rig.upwards(joint)
-    free = (k for k in upwards if rig.joints[k].type is JointType.FREE)
-    return next(free, upwards[-1])
+    """Return the joint that moves a root body: the nearest free joint, or the root."""
+    ancestors = rig.upwards(joint)
+    free_joints = (k for k in ancestors if rig.joints[k].type is JointType.FREE)
+    return next(free_joints, ancestors[-1])
 
 
 def _joint_axes(joint: Joint) -> FloatArray:
-    """Return the rotation of x to a joint's axis, and of y, z to its swing axes."""
+    """Return the rotation of x, y, z to the twist and swing axes of a joint."""
     if isinstance(joint.limits, BallLimit):
         return so3.from_matrix(joint.limits.axes.T)
     x, y, z = np.asarray(joint.axis, np.float64)
@@ -223,73 +225,84 @@ def _joint_axes(joint: Joint) -> FloatArray:
     return so3.IDENTITY.copy()
 
 
-def joints_of_rig(
+def build_ragdoll_joints(
     ragdoll: Ragdoll, options: RagdollOptions, targets: Callable[[float], FloatArray]
 ) -> Joints:
-    """Return the joints between bodies; ``targets`` give drive values at a time."""
+    """Return the joints between the bodies of a ragdoll.
+
+    ``targets`` returns drive targets ``(N, 5)`` at a time [s].
+    """
     rig, bodies = ragdoll.rig, ragdoll.bodies
-    with_parent = np.flatnonzero(ragdoll.above >= 0)
-    tone = _passive_springs(ragdoll, options)
+    bodies_with_parent = np.flatnonzero(ragdoll.parent_bodies >= 0)
+    passive = _passive_springs(ragdoll, options)
     start_targets = targets(0.0) if options.tone else None
-    rows, numbers = [], []
-    for i in with_parent.tolist():
+    rows, parameters = [], []
+    for i in bodies_with_parent.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
-        parent = int(ragdoll.above[i])
+        parent = int(ragdoll.parent_bodies[i])
         rows.append((_JOINT_TYPES[joint.type], parent, i))
         drive = [
-            options.stiffness + tone[i, 0],
-            options.damping + tone[i, 1],
+            options.stiffness + passive[i, 0],
+            options.damping + passive[i, 1],
             -1.0,
             0.0,
         ]
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
-        on_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
-        on_b = relative_to_principal(bodies, i, frame)
-        numbers.append([*on_a, *on_b, *_drive_limits(joint), *target, *drive])
-    table = np.array(numbers, np.float64).reshape(-1, PARAMETER_COUNT)
+        frame_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
+        frame_b = relative_to_principal(bodies, i, frame)
+        parameters.append(
+            [*frame_a, *frame_b, *_limit_parameters(joint), *target, *drive]
+        )
+    table = np.array(parameters, np.float64).reshape(-1, PARAMETER_COUNT)
 
-    def driven_numbers(t: float) -> FloatArray:
+    def parameters_at(t: float) -> FloatArray:
         values: FloatArray = table.copy()
-        values[:, 18:23] = targets(t)[with_parent]
+        values[:, 18:23] = targets(t)[bodies_with_parent]
         return values
 
     body_pairs = np.array([row[1:] for row in rows], np.int64).reshape(-1, 2)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
         table,
-        [Poses()] * len(with_parent),
+        [Poses()] * len(bodies_with_parent),
         pairs=body_pairs,
-        others=_overlapping_pairs(ragdoll),
+        other_pairs=_overlapping_pairs(ragdoll),
         breaks=np.full((len(rows), 2), np.inf),
-        driven=driven_numbers if options.stiffness else None,
+        parameters_at=parameters_at if options.stiffness else None,
     )
 
 
 def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
-    """Return passive stiffness and damping of bodies' joints ``(N, 2)``."""
+    """Return passive stiffness and damping of the joints of bodies ``(N, 2)``."""
     bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
-    tone = passive_springs(
-        ragdoll.above, bodies.masses, bodies.start[:, :3], ragdoll.frames[:, :3]
+    springs = passive_springs(
+        ragdoll.parent_bodies,
+        bodies.masses,
+        bodies.initial_states[:, :3],
+        ragdoll.frames[:, :3],
     )
-    rotates = [rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints]
+    is_rotational = [
+        rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints
+    ]
     factors = np.array([options.tone, np.sqrt(options.tone)])
-    return np.asarray(tone * factors * np.array(rotates)[:, None])
+    return np.asarray(springs * factors * np.array(is_rotational)[:, None])
 
 
-def _drive_limits(joint: Joint) -> list[float]:
+def _limit_parameters(joint: Joint) -> list[float]:
+    """Return the kernel's limits of a joint: low, high, and two swing angles."""
     match joint.limits:
         case RangeLimit(low=low, high=high):
             return [low, high, -1.0, -1.0]
         case BallLimit(swing=swing, twist=twist):
             low, high = (1.0, 0.0) if twist is None else twist
-            cone = (
+            swing_limits = (
                 [-1.0, -1.0] if swing is None else np.minimum(swing, MAX_SWING).tolist()
             )
-            return [low, high, *cone]
+            return [low, high, *swing_limits]
     return [1.0, 0.0, -1.0, -1.0]
 
 
@@ -301,16 +314,18 @@ def _overlapping_pairs(ragdoll: Ragdoll) -> IntArray:
         cores_by_body.append(
             [core.transformed(pose[:3], pose[3:]) for core in kind.cores]
         )
-    fraction = np.linspace(0, 1, 9)[:, None]
+    fractions = np.linspace(0, 1, 9)[:, None]
 
-    def line(points: FloatArray) -> FloatArray:
-        samples: FloatArray = points[0] + fraction * (points[-1] - points[0])
+    def axis_points(points: FloatArray) -> FloatArray:
+        samples: FloatArray = points[0] + fractions * (points[-1] - points[0])
         return samples
 
     pairs = []
     for i, j in combinations(range(len(cores_by_body)), 2):
         gaps = [
-            np.linalg.norm(line(a.points)[:, None] - line(b.points), axis=2).min()
+            np.linalg.norm(
+                axis_points(a.points)[:, None] - axis_points(b.points), axis=2
+            ).min()
             - a.radius
             - b.radius
             for a in cores_by_body[i]

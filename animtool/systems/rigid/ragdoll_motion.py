@@ -27,17 +27,17 @@ def ragdoll_simulation(
     colliders: Colliders,
     gravity: Sequence[float],
     name: str,
-    **keys: float,
+    **spec_keys: float,
 ) -> RigidSimulation:
     """Return a rigid simulation of a ragdoll, with gravity ``(3,)`` [m/s²].
 
-    ``name`` is for messages; ``keys`` are further keys of the rigid system.
+    The name is used in messages; ``spec_keys`` are further keys of the rigid system.
     """
     force: Any = find_force("gravity")
     # The spec needs one body; the simulation's bodies are the rig's.
     body = {"name": "body", "shape": {"sphere": {"radius": 1}}}
     spec = RigidModel.model_validate(
-        {"name": name, "bodies": [body], "sleep": {"speed": 0}, **keys}
+        {"name": name, "bodies": [body], "sleep": {"speed": 0}, **spec_keys}
     )
     forces = [force(acceleration=tuple(gravity))]
     return RigidSimulation(spec, 0.0, ragdoll.bodies, joints, colliders, forces)
@@ -45,19 +45,19 @@ def ragdoll_simulation(
 
 @dataclass(frozen=True)
 class DriveTargets:
-    """The take's pose as drive targets."""
+    """Drive targets from the joint coordinates of a take."""
 
     ragdoll: Ragdoll
-    times: FloatArray  # of frames (F,) [s]
-    coordinates: FloatArray  # (F, Q)
+    times: FloatArray  # times of frames (F,) [s]
+    coordinates: FloatArray  # joint coordinates of frames (F, Q)
     coordinate_slices: Sequence[slice] = field(default=())
 
     def __call__(self, t: float) -> FloatArray:
-        """Return target and rotation of each drive ``(N, 5)`` at a time [s]."""
+        """Return position and rotation targets of drives ``(N, 5)`` at a time [s]."""
         targets = np.tile([0.0, *so3.IDENTITY], (len(self.ragdoll.joints), 1))
         k = int(np.clip(np.searchsorted(self.times, t) - 1, 0, len(self.times) - 2))
-        span = self.times[k + 1] - self.times[k]
-        fraction = float(np.clip((t - self.times[k]) / span, 0, 1))
+        duration = self.times[k + 1] - self.times[k]
+        fraction = float(np.clip((t - self.times[k]) / duration, 0, 1))
         for i, j in enumerate(self.ragdoll.joints.tolist()):
             joint, coordinate = self.ragdoll.rig.joints[j], self.coordinate_slices[j]
             before, after = self.coordinates[k : k + 2, coordinate]
@@ -66,31 +66,31 @@ class DriveTargets:
             elif joint.type in (JointType.BALL, JointType.FREE):
                 rotation = so3.slerp(before[-4:], after[-4:], fraction)
                 axes = self.ragdoll.axes[i]
-                in_axes = so3.multiply(so3.conjugate(axes), rotation)
-                targets[i, 1:] = so3.multiply(in_axes, axes)
+                rotation_in_axes = so3.multiply(so3.conjugate(axes), rotation)
+                targets[i, 1:] = so3.multiply(rotation_in_axes, axes)
         return targets
 
 
-def ragdoll_speeds(
-    bodies: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
+def ragdoll_velocities(
+    ragdoll: Ragdoll, world: WorldTransforms, times: FloatArray, first: int
 ) -> FloatArray:
-    """Return linear velocities and angular momenta of bodies ``(N, 6)``."""
+    """Return linear velocities and angular momenta of bodies at a frame ``(N, 6)``."""
     k = max(first - 1, 0)
-    pair = slice(k, k + 2)
-    span = float(times[k + 1] - times[k])
-    positions = world.positions[pair, bodies.joints]
-    rotations = so3.split_scale(world.linear[pair, bodies.joints])[0]
-    spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / span
-    rigid_bodies = bodies.bodies
+    frames = slice(k, k + 2)
+    duration = float(times[k + 1] - times[k])
+    positions = world.positions[frames, ragdoll.joints]
+    rotations = so3.split_scale(world.linear[frames, ragdoll.joints])[0]
+    spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / duration
+    rigid_bodies = ragdoll.bodies
     arms = so3.rotate(rotations[1], rigid_bodies.centres)
-    velocities = (positions[1] - positions[0]) / span + np.cross(spins, arms)
-    axes = rigid_bodies.start[:, 3:7]
+    velocities = (positions[1] - positions[0]) / duration + np.cross(spins, arms)
+    axes = rigid_bodies.initial_states[:, 3:7]
     momenta_local = so3.rotate(so3.conjugate(axes), spins) * rigid_bodies.moments
     return np.concatenate([velocities, so3.rotate(axes, momenta_local)], axis=1)
 
 
 def ragdoll_transforms(
-    bodies: Ragdoll,
+    ragdoll: Ragdoll,
     origins: FloatArray,
     body_rotations: FloatArray,
     translations: FloatArray,
@@ -101,16 +101,19 @@ def ragdoll_transforms(
     Joints between two bodies keep their initial transform; joints below the last body
     follow the take.
     """
-    rig = bodies.rig
-    body_indices = {int(j): i for i, j in enumerate(bodies.joints)}
+    rig = ragdoll.rig
+    body_of_joint = {int(j): i for i, j in enumerate(ragdoll.joints)}
     rigid_joints = {
-        k for j in body_indices for k in rig.upwards(j)[1:]
-    } - body_indices.keys()
+        k for j in body_of_joint for k in rig.upwards(j)[1:]
+    } - body_of_joint.keys()
     new_translations, new_rotations = translations.copy(), rotations.copy()
-    root_bodies = np.flatnonzero(bodies.above < 0).tolist()
-    root_joints = {movable_root(rig, int(bodies.joints[i])): i for i in root_bodies}
-    count, joints = len(origins), len(rig.joints)
-    positions, world = np.zeros((count, joints, 3)), np.zeros((count, joints, 4))
+    root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
+    root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
+    frame_count, joints = len(origins), len(rig.joints)
+    positions, world_rotations = (
+        np.zeros((frame_count, joints, 3)),
+        np.zeros((frame_count, joints, 4)),
+    )
     for j, joint in enumerate(rig.joints):
         if j in rigid_joints:
             new_translations[:, j], new_rotations[:, j] = (
@@ -118,33 +121,44 @@ def ragdoll_transforms(
                 rotations[0, j],
             )
         parent = joint.parent
-        if j in body_indices or j in root_joints:
-            i = root_joints[j] if j in root_joints else body_indices[j]
-            on_body = _frame_on_body(
-                rig, int(bodies.joints[i]), j, translations[0], rotations[0]
+        if j in body_of_joint or j in root_joints:
+            i = root_joints[j] if j in root_joints else body_of_joint[j]
+            frame_on_body = _frame_on_body(
+                rig, int(ragdoll.joints[i]), j, translations[0], rotations[0]
             )
-            joint_rotations = so3.multiply(body_rotations[:, i], on_body[3:])
-            to_parent = so3.IDENTITY if parent < 0 else so3.conjugate(world[:, parent])
-            new_rotations[:, j] = so3.multiply(to_parent, joint_rotations)
+            joint_rotations = so3.multiply(body_rotations[:, i], frame_on_body[3:])
+            world_to_parent = (
+                so3.IDENTITY
+                if parent < 0
+                else so3.conjugate(world_rotations[:, parent])
+            )
+            new_rotations[:, j] = so3.multiply(world_to_parent, joint_rotations)
             new_translations[:, j] = translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:
-                origin = origins[:, i] + so3.rotate(body_rotations[:, i], on_body[:3])
+                origin = origins[:, i] + so3.rotate(
+                    body_rotations[:, i], frame_on_body[:3]
+                )
                 offset = origin - (0 if parent < 0 else positions[:, parent])
-                new_translations[:, j] = so3.rotate(to_parent, offset)
+                new_translations[:, j] = so3.rotate(world_to_parent, offset)
         if parent < 0:
-            positions[:, j], world[:, j] = new_translations[:, j], new_rotations[:, j]
+            positions[:, j], world_rotations[:, j] = (
+                new_translations[:, j],
+                new_rotations[:, j],
+            )
         else:
             positions[:, j] = positions[:, parent] + so3.rotate(
-                world[:, parent], new_translations[:, j]
+                world_rotations[:, parent], new_translations[:, j]
             )
-            world[:, j] = so3.multiply(world[:, parent], new_rotations[:, j])
+            world_rotations[:, j] = so3.multiply(
+                world_rotations[:, parent], new_rotations[:, j]
+            )
     return new_translations, new_rotations
 
 
 def _frame_on_body(
     rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return a joint frame ``(7,)`` relative to the body that carries it.
+    """Return the frame of a joint relative to the body that carries it ``(7,)``.
 
     Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
     """

@@ -1,4 +1,4 @@
-"""Rigid bodies as colliders and attachments of other simulations."""
+"""Rigid bodies as colliders of other simulations, and as carriers of particles."""
 
 from __future__ import annotations
 
@@ -18,15 +18,16 @@ from animtool.systems.rigid.bodies import RigidBodies
 
 @dataclass(frozen=True, slots=True)
 class RigidState:
-    """The state of bodies, and the impulses of contacts and joints.
+    """State of bodies, with the impulses of contacts and joints.
 
     Attributes:
         motion: For each of N bodies: centre of mass [m], orientation of the principal
             axes (x, y, z, w), velocity [m/s], angular momentum [kg m²/s], and how long
             it has been slow [s] ``(N, 14)``.
         pairs: The two shapes of each contact point ``(M, 2)``.
-        contacts: Position of each on the first body [m], and its force [N] ``(M, 6)``.
-        held: Forces and torques of joints ``(K, 12)``.
+        contacts: Position of each contact point on the first body [m], and its force
+            [N] ``(M, 6)``.
+        held: Constraint impulses of joints ``(K, 12)``.
         deepest: Largest penetration depth so far, and in the first step [m] ``(2,)``.
         deepest_pairs: The shapes of these penetrations ``(2, 2)``; colliders are
             numbered after the bodies' shapes, -1 is none.
@@ -36,8 +37,8 @@ class RigidState:
         pressing: Number of contact points with a force.
         awake: Number of bodies that are awake.
         residual: Change of velocities in the last iteration [m/s].
-        follows: Step that would resolve the drive that oscillates fastest [s].
-        swinging: The joint of that drive; -1 is none.
+        follows: Largest step that resolves the drive with the fastest oscillation [s].
+        swinging: Joint of that drive; -1 is none.
     """
 
     motion: FloatArray
@@ -54,17 +55,17 @@ class RigidState:
     swinging: int = field(default=-1, metadata=added())
 
 
-class SharedBodies:
-    """Bodies in states, for simulations that collide with and push them.
+class RigidStates:
+    """Properties of states of rigid bodies, for other simulations (`RigidSystem`).
 
     Attributes:
-        bodies: The bodies, without their state.
+        bodies: The bodies of the simulation.
     """
 
     bodies: RigidBodies
 
     def body_poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return body frames ``(B, 7)`` at a time [s]."""
+        """Return the poses of all bodies ``(B, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         origins, rotations = bodies.body_frames(state.motion)
@@ -74,54 +75,59 @@ class SharedBodies:
         return frames
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
-        """Return shape frames ``(C, 7)`` at a time [s]."""
+        """Return the poses of collision shapes ``(C, 7)`` at a time [s]."""
         bodies = self.bodies
-        frames = self.body_poses(state, t)[bodies.outlines.of]
-        at, rotation = bodies.outlines.at, bodies.outlines.rotations
+        frames = self.body_poses(state, t)[bodies.collision_shapes.body_of_shape]
+        at, rotation = (
+            bodies.collision_shapes.origins,
+            bodies.collision_shapes.rotations,
+        )
         origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
         rotations = so3.multiply(frames[:, 3:], rotation)
         return np.concatenate([origins, rotations], axis=1)
 
     @cached_property
     def shared(self) -> SystemBodies:
-        """The bodies as colliders."""
-        bodies, outlines = self.bodies, self.bodies.outlines
+        """Names, masses and collision shapes of the bodies."""
+        bodies, outlines = self.bodies, self.bodies.collision_shapes
         return SystemBodies(
             bodies.names,
             bodies.dynamic,
             bodies.masses,
-            [float(bodies.kinds[k].reach) for k in bodies.of],
+            [float(bodies.kinds[k].bounding_radius) for k in bodies.kind_of_body],
             outlines.colliders,
-            outlines.of,
+            outlines.body_of_shape,
         )
 
     def body_velocities(self, state: RigidState) -> FloatArray:
-        """Return linear and angular velocities ``(count, 6)``."""
+        """Return linear and angular velocities of dynamic bodies ``(count, 6)``."""
         spins = self.bodies.spins(state.motion)
         return np.concatenate([state.motion[:, 7:10], spins], axis=1)
 
     def pushed(self, state: RigidState, wrenches: Wrenches) -> RigidState:
-        """Return the state after impulses were applied to the bodies."""
+        """Return a state with impulses applied to the bodies."""
         bodies, motion = self.bodies, state.motion.copy()
 
-        def changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
+        def velocity_changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
             moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
             return pushes[:, :3] / bodies.masses[:, None], moments
 
-        displacement, twist = changes(wrenches.delayed)
-        twisted = motion.copy()
-        twisted[:, 10:13] = twist
+        displacement, twist = velocity_changes(wrenches.delayed)
+        twisted_motion = motion.copy()
+        twisted_motion[:, 10:13] = twist
         motion[:, :3] += displacement
-        motion[:, 3:7] = so3.multiply(so3.exp(bodies.spins(twisted)), motion[:, 3:7])
-        speeds, momenta = changes(wrenches.impulses)
-        motion[:, 7:10] += speeds
+        motion[:, 3:7] = so3.multiply(
+            so3.exp(bodies.spins(twisted_motion)), motion[:, 3:7]
+        )
+        velocity_change, momenta = velocity_changes(wrenches.impulses)
+        motion[:, 7:10] += velocity_change
         motion[:, 10:13] += momenta
         motion[wrenches.impulses.any(axis=1), 13] = 0.0
         return replace(state, motion=motion)
 
-    def push_to(self, state: RigidState, other: RigidState) -> Wrenches:
-        """Return the impulses that lead from one state to another."""
-        before, after, masses = state.motion, other.motion, self.bodies.masses[:, None]
+    def push_to(self, state: RigidState, target: RigidState) -> Wrenches:
+        """Return the impulses that change a state to another."""
+        before, after, masses = state.motion, target.motion, self.bodies.masses[:, None]
         rotation_vector = so3.log(
             so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7]))
         )
@@ -131,14 +137,16 @@ class SharedBodies:
         )
         twist = so3.rotate(before[:, 3:7], momentum_local)
 
-        def push(displacement: FloatArray, turning: FloatArray) -> FloatArray:
+        def impulse(displacement: FloatArray, angular_change: FloatArray) -> FloatArray:
             impulses = masses * displacement
-            moments = turning + so3.cross(before[:, :3], impulses)
+            moments = angular_change + so3.cross(before[:, :3], impulses)
             return np.concatenate([impulses, moments], axis=1)
 
         return Wrenches(
-            push(after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]),
-            push(after[:, :3] - before[:, :3], twist),
+            impulse(
+                after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]
+            ),
+            impulse(after[:, :3] - before[:, :3], twist),
         )
 
     def inverse_masses(
@@ -159,14 +167,16 @@ class SharedBodies:
         motion, moments = state.motion[owners], self.bodies.moments[owners]
         arms = np.cross(points - motion[:, :3], directions)
         squares = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
-        turning = np.divide(
+        rotational = np.divide(
             squares, moments, out=np.zeros_like(squares), where=moments > 0
         )
-        inverse: FloatArray = 1 / self.bodies.masses[owners] + turning.sum(axis=1)
-        return inverse
+        inverse_masses: FloatArray = 1 / self.bodies.masses[owners] + rotational.sum(
+            axis=1
+        )
+        return inverse_masses
 
     def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
-        """Return the bodies' centres of mass and inverse inertia tensors in the world.
+        """Return centres of mass and inverse inertias of the bodies, in the world.
 
         Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """

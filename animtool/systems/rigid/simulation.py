@@ -22,15 +22,19 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.joints import (
     Joints,
+    build_joints,
     check_joints,
     concatenate_joints,
-    joint_loads,
-    joints_of,
-    joints_of_subset,
+    joint_forces_and_torques,
+    subset_joints,
 )
-from animtool.systems.rigid.loads import BodyLoads, StepForces
+from animtool.systems.rigid.loads import StepForces, StepForceSolver
 from animtool.systems.rigid.locked import locked_notices
-from animtool.systems.rigid.notices import break_notices, depth_notices, swing_notices
+from animtool.systems.rigid.notices import (
+    break_notices,
+    depth_notices,
+    oscillation_notices,
+)
 from animtool.systems.rigid.phases import BodyPhase, BodyPhases, kinematic_states
 from animtool.systems.rigid.physics import (
     body_entries,
@@ -38,7 +42,7 @@ from animtool.systems.rigid.physics import (
     stage_joints,
     static_colliders,
 )
-from animtool.systems.rigid.shared import RigidState, SharedBodies
+from animtool.systems.rigid.shared import RigidState, RigidStates
 from animtool.systems.rigid.spec import RigidModel
 from animtool.systems.rigid.surroundings import BodyForces
 
@@ -49,40 +53,46 @@ MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
-    """Return the simulation of a spec.
+    """Build the simulation of a spec.
 
     Raises:
         OptionError: A key is invalid (SIM020, SIM061).
     """
     parts, colliders = context.parts, context.colliders
     stages: Sequence[Physics] = parts.get("stages", ())
-    models, entries = list(spec.bodies), list(parts.get("bodies", ()))
+    models, body_parts = list(spec.bodies), list(parts.get("bodies", ()))
     for k, stage in enumerate(stages):
         stage_models = body_entries(stage, f"stages[{k}].prim")
         models += stage_models[0]
-        entries += stage_models[1]
+        body_parts += stage_models[1]
     refusals = Refusals()
     with refusals.collect():
-        bodies = RigidBodies.of_models(models, entries, context.begin)
+        bodies = RigidBodies.from_models(models, body_parts, context.begin)
     with refusals.collect():
         check_joints(spec.joints, models)
     refusals.check()
-    joints = [joints_of(spec.joints, parts.get("joints", ()), bodies)]
-    first = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-    static: list[Collider] = []
+    joints = [build_joints(spec.joints, parts.get("joints", ()), bodies)]
+    first_stage_body = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
+    static_stage_colliders: list[Collider] = []
     for stage in stages:
-        joints.append(stage_joints(stage, bodies, first))
-        first += len(stage.bodies)
-        static += static_colliders(stage)
+        joints.append(stage_joints(stage, bodies, first_stage_body))
+        first_stage_body += len(stage.bodies)
+        static_stage_colliders += static_colliders(stage)
     forces = parts.get("forces", ())
-    joined = concatenate_joints(joints) if stages else joints[0]
+    all_joints = concatenate_joints(joints) if stages else joints[0]
     return RigidSimulation(
-        spec, context.begin, bodies, joined, colliders, forces, static
+        spec,
+        context.begin,
+        bodies,
+        all_joints,
+        colliders,
+        forces,
+        static_stage_colliders,
     )
 
 
-class RigidSimulation(SharedBodies):
-    """The simulation of rigid bodies and joints with colliders and forces."""
+class RigidSimulation(RigidStates):
+    """Simulates rigid bodies and joints with colliders and forces."""
 
     def __init__(
         self,
@@ -99,17 +109,19 @@ class RigidSimulation(SharedBodies):
         self.bodies, self.joints = bodies, joints
         self._phases = BodyPhases(
             bodies,
-            lambda phase_bodies: joints_of_subset(joints, bodies, phase_bodies),
+            lambda phase_bodies: subset_joints(joints, bodies, phase_bodies),
             list(colliders),
             static,
             colliders,
         )
         self._forces = BodyForces(bodies, forces, begin)
-        self._loads = BodyLoads(spec.name, bodies, self._forces)
-        last = self._phases.at(self._phases.last, np.zeros(0, np.bool_))
-        self._colliders = last.surroundings.colliders
-        self._locked = locked_notices(joints.rows, joints.numbers, joints.names, bodies)
-        self._settings = (
+        self._force_solver = StepForceSolver(spec.name, bodies, self._forces)
+        last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
+        self._colliders = last_phase.surroundings.colliders
+        self._locked_notices = locked_notices(
+            joints.rows, joints.numbers, joints.names, bodies
+        )
+        self._kernel_settings = (
             spec.methods.index(spec.method),
             spec.substeps,
             spec.iterations,
@@ -122,13 +134,13 @@ class RigidSimulation(SharedBodies):
         """Return the initial state."""
         count = len(self.joints.rows)
         return RigidState(
-            self.bodies.start,
+            self.bodies.initial_states,
             np.zeros((0, 2), np.int64),
             np.zeros((0, 6)),
             np.zeros((count, 12)),
             np.zeros(2),
             np.full((2, 2), -1),
-            np.tile([np.inf, 0.0, 0.0], (count if self.joints.breakable else 0, 1)),
+            np.tile([np.inf, 0.0, 0.0], (count if self.joints.is_breakable else 0, 1)),
             awake=len(self.bodies.dynamic),
         )
 
@@ -146,60 +158,64 @@ class RigidSimulation(SharedBodies):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return the state after a step [s]."""
-        substeps = self._loads.parts(t, dt, state.motion)
-        if self._forces.vary:
-            is_constrained = self._constrained(state, t, dt)
-            substeps = self._loads.constrained_substeps(
+        """Return the state after a step [s], in as many substeps as it needs."""
+        substeps = self._force_solver.required_substeps(t, dt, state.motion)
+        if self._forces.is_variable:
+            is_constrained = self._is_constrained(state, t, dt)
+            substeps = self._force_solver.constrained_substeps(
                 t, dt, substeps, state.motion, is_constrained
             )
         while True:
-            after, required_substeps = self._in_substeps(state, t, dt, substeps)
+            after, required_substeps = self._take_substeps(state, t, dt, substeps)
             if required_substeps == substeps:
                 return after
             substeps = required_substeps
 
-    def _in_substeps(
+    def _take_substeps(
         self, state: RigidState, t: float, dt: float, substeps: int
     ) -> tuple[RigidState, int]:
         """Return the state after substeps, and the number of substeps needed.
 
-        More are needed if a body that was stepped as free flight in drag hits
-        something.
+        More are needed if a body in free flight with drag hits something.
         """
         substep = dt / substeps
         for k in range(substeps):
             time, motion = t + k * substep, state.motion
-            is_constrained = self._constrained(state, time, substep)
-            flight = self._loads.fly(time, substep, motion)
-            loads = self._loads.over(time, substep, motion, is_constrained, flight)
-            after = self._solve(state, loads, time, substep)
-            unexpected_contacts = loads.unexpected_contacts(
+            is_constrained = self._is_constrained(state, time, substep)
+            flight = self._force_solver.free_flight(time, substep, motion)
+            step_forces = self._force_solver.step_forces(
+                time, substep, motion, is_constrained, flight
+            )
+            after = self._solve(state, step_forces, time, substep)
+            unexpected_contacts = step_forces.unexpected_contacts(
                 after.motion[:, 7:10], is_constrained
             )
             if unexpected_contacts.any():
-                required_substeps = loads.parts(substeps, unexpected_contacts)
+                required_substeps = step_forces.required_substeps(
+                    substeps, unexpected_contacts
+                )
                 if required_substeps > substeps:
                     return state, required_substeps
-                loads = self._loads.over(
+                step_forces = self._force_solver.step_forces(
                     time, substep, motion, is_constrained | unexpected_contacts, flight
                 )
-                after = self._solve(state, loads, time, substep)
+                after = self._solve(state, step_forces, time, substep)
             state = after
         return state, substeps
 
     def _current_phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
+        """Return the phase of a step at a time [s]."""
         is_broken = np.isfinite(state.broken[:, 0])
-        return self._phases.at(self._phases.number(t, dt), is_broken)
+        return self._phases.phase(self._phases.phase_index(t, dt), is_broken)
 
-    def _constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
+    def _is_constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
         """Return which bodies have contacts or joints, or are asleep ``(N,)``."""
         is_constrained = state.motion[:, 13] >= self._spec.sleep.time
-        if not self._forces.vary:
+        if not self._forces.is_variable:
             return is_constrained
         phase = self._current_phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
-        pressing_shapes = phase.shapes_of(
+        pressing_shapes = phase.full_shape_indices(
             state.pairs[state.contacts[:, 3:].any(axis=1)]
         )
         bodies = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
@@ -208,27 +224,27 @@ class RigidSimulation(SharedBodies):
         return is_constrained
 
     def _solve(
-        self, state: RigidState, loads: StepForces, t: float, dt: float
+        self, state: RigidState, step_forces: StepForces, t: float, dt: float
     ) -> RigidState:
-        """Return the state after contacts and joints are solved."""
-        motion = self._wake_sleepers(state.motion, loads, t, dt)
-        if loads.velocities is not None:
+        """Return the state after a substep with contacts and joints."""
+        motion = self._wake_sleepers(state.motion, step_forces, t, dt)
+        if step_forces.velocities is not None:
             motion = motion.copy()
-            motion[:, 7:10] = loads.velocities
+            motion[:, 7:10] = step_forces.velocities
         phase = self._current_phase(state, t, dt)
-        same_phase = phase.number == self._phases.number(t - dt, dt)
-        free = phase.is_free
+        is_same_phase = phase.phase_index == self._phases.phase_index(t - dt, dt)
+        is_free = phase.is_free
         result = _kernels.step_rigid(
-            self._kernel_arrays(phase, loads, t + dt),
-            motion[free],
-            state.pairs if same_phase else state.pairs[:0],
-            state.contacts if same_phase else state.contacts[:0],
-            state.held[phase.holding],
-            loads.forces[free],
+            self._kernel_arrays(phase, step_forces, t + dt),
+            motion[is_free],
+            state.pairs if is_same_phase else state.pairs[:0],
+            state.contacts if is_same_phase else state.contacts[:0],
+            state.held[phase.intact_joints],
+            step_forces.forces[is_free],
             phase.surroundings.arrays(t, t + dt),
-            phase.joints.frames(t, t + dt),
+            phase.joints.anchor_frames(t, t + dt),
             dt,
-            *self._settings,
+            *self._kernel_settings,
         )
         (
             next_motion,
@@ -242,22 +258,28 @@ class RigidSimulation(SharedBodies):
             awake,
             _,
         ) = result[:10]
-        if not phase.full:
+        if not phase.is_complete:
             motion = motion.copy()
-            motion[free] = next_motion
-            kinematic = np.flatnonzero(~free)
-            motion[kinematic] = kinematic_states(self.bodies, kinematic, t + dt, dt)
+            motion[is_free] = next_motion
+            kinematic_indices = np.flatnonzero(~is_free)
+            motion[kinematic_indices] = kinematic_states(
+                self.bodies, kinematic_indices, t + dt, dt
+            )
             next_motion = motion
         self._check(next_motion, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
-        for k, deeper in enumerate((depth > deepest[0], t == self._begin)):
-            if deeper:
+        for k, is_deeper in enumerate((depth > deepest[0], t == self._begin)):
+            if is_deeper:
                 pair = np.array(result[10:12])
                 deepest[k] = depth
-                deepest_pairs[k] = np.where(pair < 0, pair, phase.shapes_of(pair))
+                deepest_pairs[k] = np.where(
+                    pair < 0, pair, phase.full_shape_indices(pair)
+                )
         broken, impulses = self._break_joints(state, phase, impulses, t + dt)
-        follows, swinging = result[12] * self._spec.step / dt, result[13]
-        is_worse = swinging >= 0 and (state.swinging < 0 or follows < state.follows)
+        max_step, oscillating_joint = result[12] * self._spec.step / dt, result[13]
+        is_worse = oscillating_joint >= 0 and (
+            state.swinging < 0 or max_step < state.follows
+        )
         return RigidState(
             next_motion,
             pairs,
@@ -269,32 +291,37 @@ class RigidSimulation(SharedBodies):
             pressing,
             awake,
             residual,
-            follows if is_worse else state.follows,
-            int(phase.holding[swinging]) if is_worse else state.swinging,
+            max_step if is_worse else state.follows,
+            int(phase.intact_joints[oscillating_joint]) if is_worse else state.swinging,
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
-        """Raise an error if a state is not finite or far too large (SIM102)."""
-        finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= MAX_POSITION
-        finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= MAX_MOMENTUM
-        if finite.all():
+        """Raise SIM102 if a state is not finite or far too large."""
+        is_finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= MAX_POSITION
+        is_finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= MAX_MOMENTUM
+        if is_finite.all():
             return
-        first_bad = int(np.flatnonzero(~finite)[0])
-        name = self.bodies.names[self.bodies.dynamic[first_bad]]
+        first_diverged = int(np.flatnonzero(~is_finite)[0])
+        name = self.bodies.names[self.bodies.dynamic[first_diverged]]
         speed = (
-            float(np.linalg.norm(motion[first_bad, 7:10] / MAX_POSITION)) * MAX_POSITION
+            float(np.linalg.norm(motion[first_diverged, 7:10] / MAX_POSITION))
+            * MAX_POSITION
         )
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         step = plain_number(floor_to_two_digits(self._spec.step / 2))
         hint = f"do joints start within their limits? if so, use step: {step}"
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
-    def _kernel_arrays(self, phase: BodyPhase, loads: StepForces, t: float) -> Any:
-        """Return kernel arrays, with step forces and inertia factors."""
-        joints, inertias = self.joints, loads.inertias
-        if joints.driven is None and inertias is None:
+    def _kernel_arrays(
+        self, phase: BodyPhase, step_forces: StepForces, t: float
+    ) -> Any:
+        """Return the kernel object with current drives and mass factors."""
+        joints, inertias = self.joints, step_forces.mass_factors
+        if joints.parameters_at is None and inertias is None:
             return phase.kernel
-        numbers = joints.numbers if joints.driven is None else joints.driven(t)
+        numbers = (
+            joints.numbers if joints.parameters_at is None else joints.parameters_at(t)
+        )
         return phase.with_parameters(
             numbers, 1.0 if inertias is None else inertias[phase.is_free]
         )
@@ -302,39 +329,39 @@ class RigidSimulation(SharedBodies):
     def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return break records ``(K, 3)`` and impulses ``(K, 12)`` of joints."""
+        """Return times and loads of breaks ``(K, 3)``, and impulses of all joints."""
         all_impulses = impulses
-        if len(phase.holding) < len(self.joints.rows):
+        if len(phase.intact_joints) < len(self.joints.rows):
             all_impulses = np.zeros_like(state.held)
-            all_impulses[phase.holding] = impulses
+            all_impulses[phase.intact_joints] = impulses
         if not len(state.broken):
             return state.broken, all_impulses
-        loads = joint_loads(phase.joints, impulses)
-        is_over = (loads > phase.joints.breaks).any(axis=1)
+        forces_and_torques = joint_forces_and_torques(phase.joints, impulses)
+        is_over = (forces_and_torques > phase.joints.breaks).any(axis=1)
         broken = state.broken.copy()
-        broken[phase.holding[is_over], 0] = t
-        broken[phase.holding[is_over], 1:] = loads[is_over]
+        broken[phase.intact_joints[is_over], 0] = t
+        broken[phase.intact_joints[is_over], 1:] = forces_and_torques[is_over]
         return broken, all_impulses
 
     def _wake_sleepers(
-        self, motion: FloatArray, loads: StepForces, t: float, dt: float
+        self, motion: FloatArray, step_forces: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return the motion; wakes bodies whose forces change ``(N, 14)``."""
-        sleeping = motion[:, 13] >= self._spec.sleep.time
-        if not sleeping.any():
+        """Return body states ``(N, 14)``, awake where forces change."""
+        is_asleep = motion[:, 13] >= self._spec.sleep.time
+        if not is_asleep.any():
             return motion
-        forces = loads.forces
-        if self._forces.vary:
-            forces = self._forces.over(t, dt, motion)
-        woken = sleeping & self._forces.change(forces, t, dt, motion)
-        if not woken.any():
+        forces = step_forces.forces
+        if self._forces.is_variable:
+            forces = self._forces.step_wrenches(t, dt, motion)
+        is_woken = is_asleep & self._forces.has_changed(forces, t, dt, motion)
+        if not is_woken.any():
             return motion
         motion = motion.copy()
-        motion[woken, 13] = 0.0
+        motion[is_woken, 13] = 0.0
         return motion
 
     def frame(self, state: RigidState, t: float) -> TransformsFrame:
-        """Return the bodies at a time."""
+        """Return the poses and velocities of all bodies."""
         bodies, motion = self.bodies, state.motion
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
@@ -345,12 +372,12 @@ class RigidSimulation(SharedBodies):
         arms = points[dynamic] - motion[:, :3]
         velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
-            row, step = bodies.poses[i].at(t), self._spec.step
+            pose, step = bodies.poses[i].at(t), self._spec.step
             before, after = (
                 bodies.poses[i].at(t - step / 2),
                 bodies.poses[i].at(t + step / 2),
             )
-            points[i], rotations[i] = row[:3], row[3:]
+            points[i], rotations[i] = pose[:3], pose[3:]
             velocities[i] = (after[:3] - before[:3]) / step
             rotation = so3.multiply(after[3:], so3.conjugate(before[3:]))
             spins[i] = so3.log(rotation) / step
@@ -362,7 +389,7 @@ class RigidSimulation(SharedBodies):
             rotations,
             spins,
             np.ones((count, 3)),
-            bodies.of,
+            bodies.kind_of_body,
             meshes,
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
@@ -384,7 +411,7 @@ class RigidSimulation(SharedBodies):
         )
 
     def energy(self, state: RigidState) -> Energy:
-        """Return the energy of a state; potential if forces have one."""
+        """Return the kinetic energy, and the potential of conservative forces."""
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
@@ -404,17 +431,21 @@ class RigidSimulation(SharedBodies):
             "deepest": float(state.deepest[0]),
             "residual": state.residual,
         }
-        notices = [*self.joints.notices, *self._locked, *self._colliders.notices()]
-        notices += swing_notices(state, self.joints, self._spec.step)
+        notices = [
+            *self.joints.notices,
+            *self._locked_notices,
+            *self._colliders.notices(),
+        ]
+        notices += oscillation_notices(state, self.joints, self._spec.step)
         for kind in self.bodies.kinds:
             notices += kind.notices
         notices += break_notices(state, self.joints)
-        size = float(self.bodies.reaches.min(initial=np.inf))
+        size = float(self.bodies.bounding_radii.min(initial=np.inf))
         notices += depth_notices(state, size, self._shape_names)
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
-        """Return names of shapes' bodies, then of colliders."""
+        """Return the names of the bodies of shapes, then those of colliders."""
         bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
         names += [

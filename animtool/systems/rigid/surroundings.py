@@ -1,4 +1,4 @@
-"""Forces, pushes and colliders that act on rigid bodies during a step."""
+"""Forces, pushes and colliders of rigid bodies during a step."""
 
 from __future__ import annotations
 
@@ -17,53 +17,57 @@ from animtool.systems.particles.state import ParticleState
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.spec import PushModel
 
-# Relative change of a force in a step above which it wakes a sleeping body.
+# Relative change of a force in a step that wakes a sleeping body [1].
 WAKE_CHANGE = 1e-9
 
 
 class BodyForces:
-    """Forces on N dynamic bodies, from a start time."""
+    """Forces and pushes on N dynamic bodies."""
 
     def __init__(
         self, bodies: RigidBodies, forces: Sequence[Force], begin: float
     ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
         # Whether any force depends on position, velocity or time.
-        self.vary = any(force.varies for force in forces)
+        self.is_variable = any(force.varies for force in forces)
         self._pushes = [
-            (number, push)
-            for number, i in enumerate(bodies.dynamic.tolist())
-            for push in bodies.kinds[bodies.of[i]].model.pushes
+            (body, push)
+            for body, i in enumerate(bodies.dynamic.tolist())
+            for push in bodies.kinds[bodies.kind_of_body[i]].model.pushes
         ]
 
-    def over(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+    def step_wrenches(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return forces [N] and torques [N m] of a step ``(N, 6)``.
 
         Those of `forces` are evaluated at the start of the step.
         """
         wrenches, x, v = (
-            self.push_wrenches(t, dt, motion),
-            motion[:, :3],
-            motion[:, 7:10],
+            self.push_wrenches(t, dt, body_states),
+            body_states[:, :3],
+            body_states[:, 7:10],
         )
         for force in self.forces:
             wrenches[:, :3] += force.force(t, x, v, self._particles)
         return wrenches
 
-    def push_wrenches(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
+    def push_wrenches(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return forces and torques of pushes in a step ``(N, 6)``.
 
         They are evaluated for the orientations in the middle of the step, so that the
         energy of bodies that swing under a push does not drift.
         """
-        wrenches = np.zeros((len(motion), 6))
+        wrenches = np.zeros((len(body_states), 6))
         if not self._pushes:
             return wrenches
-        middle = motion.copy()
-        spins = self._bodies.spins(motion)
-        middle[:, 3:7] = so3.multiply(so3.exp(spins * (dt / 2)), motion[:, 3:7])
-        for number, push in self._pushes:
-            wrenches[number] += self._wrench_of_push(number, push, (t, t + dt), middle)
+        middle_states = body_states.copy()
+        spins = self._bodies.spins(body_states)
+        middle_states[:, 3:7] = so3.multiply(
+            so3.exp(spins * (dt / 2)), body_states[:, 3:7]
+        )
+        for body, push in self._pushes:
+            wrenches[body] += self._wrench_of_push(
+                body, push, (t, t + dt), middle_states
+            )
         return wrenches
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -73,10 +77,10 @@ class BodyForces:
             forces += force.force(t, x, v, self._particles)
         return forces / self._bodies.masses[:, None]
 
-    def slopes(
+    def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return Jacobians of the accelerations ``(N, 3, 3)``."""
+        """Return Jacobians of accelerations by position and velocity ``(N, 3, 3)``."""
         slopes = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
             if force.varies:
@@ -84,118 +88,123 @@ class BodyForces:
         by_position, by_speed = slopes / self._bodies.masses[:, None, None]
         return by_position, by_speed
 
-    def oscillation_rates(self, t: float, dt: float, motion: FloatArray) -> FloatArray:
-        """Return oscillation and spin rates of bodies under pushes ``(2, N)`` [rad/s].
+    def oscillation_rates(
+        self, t: float, dt: float, body_states: FloatArray
+    ) -> FloatArray:
+        """Return rates of oscillation and of spin under pushes ``(2, N)`` [rad/s].
 
-        The first is the rate of a pendulum whose weight is the force at its arm. The
+        The first is the frequency of a pendulum with the force as its weight. The
         second is the spin of bodies whose torque changes as they rotate, else 0.
         """
-        rates = np.zeros((2, len(motion)))
+        rates = np.zeros((2, len(body_states)))
         moments = self._bodies.moments
-        for number, push in self._pushes:
+        for body, push in self._pushes:
             if not self._active_fraction(push, (t, t + dt)):
                 continue
-            arm = np.array(push.at) - self._bodies.centres[number]
+            arm = np.array(push.at) - self._bodies.centres[body]
             torque = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
-            nonzero_inertia = moments[number][moments[number] > 0]
+            nonzero_inertia = moments[body][moments[body] > 0]
             if torque and not push.local and len(nonzero_inertia):
-                rates[0, number] += torque / nonzero_inertia.min()
+                rates[0, body] += torque / nonzero_inertia.min()
             if torque or push.local:
-                spin = self._bodies.spins(motion)[number]
-                rates[1, number] = np.linalg.norm(spin)
+                spin = self._bodies.spins(body_states)[body]
+                rates[1, body] = np.linalg.norm(spin)
         rates[0] = np.sqrt(rates[0])
         return rates
 
-    def change(
-        self, forces: FloatArray, t: float, dt: float, motion: FloatArray
+    def has_changed(
+        self, forces: FloatArray, t: float, dt: float, body_states: FloatArray
     ) -> BoolArray:
-        """Return for which bodies the force changes in the next step ``(N,)``."""
-        later = self.over(t + dt, dt, motion)
-        size = np.linalg.norm(forces, axis=1)
-        return np.asarray(np.linalg.norm(later - forces, axis=1) > WAKE_CHANGE * size)
+        """Return for which bodies the force differs in the next step ``(N,)``."""
+        next_wrenches = self.step_wrenches(t + dt, dt, body_states)
+        magnitudes = np.linalg.norm(forces, axis=1)
+        return np.asarray(
+            np.linalg.norm(next_wrenches - forces, axis=1) > WAKE_CHANGE * magnitudes
+        )
 
-    def potential(self, motion: FloatArray) -> float:
+    def potential(self, body_states: FloatArray) -> float:
         """Return the potential energy of conservative forces [J]."""
         potential = 0.0
         for force in self.forces:
-            energies = force.potential(motion[:, :3], self._particles)
+            energies = force.potential(body_states[:, :3], self._particles)
             potential += 0.0 if energies is None else float(energies.sum())
         return potential
 
-    def _active_fraction(self, push: PushModel, span: tuple[float, float]) -> float:
-        """Return the fraction of a time interval in which a push is active."""
-        t, end = span
-        start = self._begin if push.start is None else push.start
-        last = np.inf if push.end is None else push.end
-        return float(max(min(end, last) - max(t, start), 0.0) / (end - t))
+    def _active_fraction(self, push: PushModel, interval: tuple[float, float]) -> float:
+        """Return the fraction of an interval in which a push is active [1]."""
+        t, end = interval
+        push_start = self._begin if push.start is None else push.start
+        push_end = np.inf if push.end is None else push.end
+        return float(max(min(end, push_end) - max(t, push_start), 0.0) / (end - t))
 
     def _wrench_of_push(
         self,
-        number: int,
+        body: int,
         push: PushModel,
-        span: tuple[float, float],
-        motion: FloatArray,
+        interval: tuple[float, float],
+        body_states: FloatArray,
     ) -> FloatArray:
-        """Return force and torque of a push, averaged over an interval ``(6,)``."""
-        fraction = self._active_fraction(push, span)
+        """Return the mean force and torque of a push over an interval ``(6,)``."""
+        fraction = self._active_fraction(push, interval)
         if not fraction:
             return np.zeros(6)
-        bodies, axes = self._bodies, motion[number, 3:7]
-        frame = so3.multiply(axes, so3.conjugate(bodies.axes[number]))
+        bodies, axes = self._bodies, body_states[body, 3:7]
+        frame = so3.multiply(axes, so3.conjugate(bodies.axes[body]))
         force, torque = np.array(push.force), np.array(push.torque)
         if push.local:
             force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
-        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[number])
+        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[body])
         return np.concatenate([force, torque + np.cross(arm, force)]) * fraction
 
     @cached_property
     def _particles(self) -> ParticleState:
+        """Dynamic bodies as particles, for force fields."""
         bodies = self._bodies
         count = len(bodies.dynamic)
         return ParticleState(
             np.arange(count),
             bodies.masses,
             np.zeros(count),
-            bodies.reaches,
+            bodies.bounding_radii,
             np.full(count, self._begin),
             np.full(count, np.inf),
-            bodies.start[:, :3],
+            bodies.initial_states[:, :3],
         )
 
 
 class StepColliders:
-    """Colliders in the kernel's layout.
+    """Colliders of a step, in the kernel's layout.
 
     Attributes:
         colliders: All of them.
-        first: Index of the first collider that belongs to a kinematic body.
+        first: Index of the first collider of a kinematic body.
     """
 
     def __init__(self, colliders: Colliders, first: int = 0) -> None:
         self.colliders, self.first = colliders, first
-        # Surface points of the last step, and the colliders made from them.
+        # Surface points of the last step, and all colliders with those surfaces.
         self._cached: tuple[list[FloatArray], Colliders] | None = None
 
     def arrays(self, t: float, end: float) -> tuple[Any, ...]:
-        """Return collider arrays for a step."""
+        """Return the colliders of a step as kernel arrays."""
         sheets = self.colliders.sheets
         if not sheets:
             return self.colliders.arrays(t, end)
-        positions = [point for sheet in sheets for point in _ends(sheet, t, end)]
+        positions = [point for sheet in sheets for point in _end_points(sheet, t, end)]
         cached = self._cached
         if cached is None or any(
             old_points is not new_points
             for old_points, new_points in zip(cached[0], positions, strict=True)
         ):
             sheet_colliders = [_rigid_collider(sheet, t, end) for sheet in sheets]
-            in_step = Colliders(
+            step_colliders = Colliders(
                 [*self.colliders, *sheet_colliders], (), self.colliders.bodies
             )
-            cached = self._cached = positions, in_step
+            cached = self._cached = positions, step_colliders
         return cached[1].arrays(t, end)
 
 
-def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
+def _end_points(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
     """Return the points of a surface at the start and the end of a step.
 
     Both are the same array if the surface teleports in the step.
@@ -205,16 +214,16 @@ def _ends(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:
 
 
 def _rigid_collider(sheet: Sheet, t: float, end: float) -> Collider:
-    """Return a collider with the shape of a surface at the start of a step.
+    """Return a surface as a collider with the shape at the start of a step.
 
     It moves with the rigid motion that fits the surface's points best (Kabsch, 1976).
     """
-    begin, after = _ends(sheet, t, end)
-    collider = sheet.collider(begin, sheet.motion.triangles(t))
-    if begin is after or (begin == after).all():
+    start_points, end_points = _end_points(sheet, t, end)
+    collider = sheet.collider(start_points, sheet.motion.triangles(t))
+    if start_points is end_points or (start_points == end_points).all():
         return collider
-    centre, end_centre = begin.mean(axis=0), after.mean(axis=0)
-    u, _, v = np.linalg.svd((after - end_centre).T @ (begin - centre))
+    centre, end_centre = start_points.mean(axis=0), end_points.mean(axis=0)
+    u, _, v = np.linalg.svd((end_points - end_centre).T @ (start_points - centre))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ v)]) @ v
     poses = Poses(
         (t, end),

@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: lets a rig fall as a ragdoll, starting at a given frame."""
+"""The pass `ragdoll`: lets a rig fall from a given frame on."""
 
 from __future__ import annotations
 
@@ -30,24 +30,24 @@ from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
-    bodies_of_rig,
-    joints_of_rig,
+    build_ragdoll,
+    build_ragdoll_joints,
 )
 from animtool.systems.rigid.ragdoll_motion import (
     DriveTargets,
     ragdoll_simulation,
-    ragdoll_speeds,
     ragdoll_transforms,
+    ragdoll_velocities,
 )
 from animtool.systems.rigid.shared import RigidState
 
-# Overshoot of joint limits that is tolerated [rad].
+# Tolerated overshoot of joint limits [rad].
 ANGLE_TOLERANCE = math.radians(1.0)
 SLIDE_TOLERANCE = 0.001  # the same for prismatic joints [m]
 
 
-def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
-    """Return a take whose rig falls as a ragdoll, starting at a given frame.
+def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
+    """Return a take whose rig falls as a ragdoll from a given frame on.
 
     Args:
         take: A take with a rig that has colliders.
@@ -58,8 +58,8 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
     clock, rig = take.clock, take.rig
     codes = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
     times = (codes - codes[0]) / float(clock.fps)
-    first_index = _index(options.start, codes, "start", 0)
-    last_index = _index(options.end, codes, "end", clock.count - 1)
+    first_index = _frame_index(options.start, codes, "start", 0)
+    last_index = _frame_index(options.end, codes, "end", clock.count - 1)
     if first_index == clock.count - 1 and options.end is None:
         return take
     if last_index <= first_index:
@@ -72,17 +72,17 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         world.positions[first_index : first_index + 1],
         world.linear[first_index : first_index + 1],
     )
-    bodies = bodies_of_rig(rig, pose, options)
+    ragdoll = build_ragdoll(rig, pose, options)
     coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
     targets = DriveTargets(
-        bodies, times - times[first_index], coordinates, coordinate_slices(rig)
+        ragdoll, times - times[first_index], coordinates, coordinate_slices(rig)
     )
     shifted_colliders = [
-        _shifted_in_time(collider, float(times[first_index]))
+        _shift_times(collider, float(times[first_index]))
         for collider in options.colliders
     ]
-    speeds = ragdoll_speeds(bodies, world, times, first_index)
-    run = _run(bodies, options, targets, speeds, Colliders(shifted_colliders))
+    speeds = ragdoll_velocities(ragdoll, world, times, first_index)
+    run = _start_run(ragdoll, options, targets, speeds, Colliders(shifted_colliders))
     origins, frame_rotations = [], []
     for k in range(first_index, clock.count):
         frame = run.at(float(times[k] - times[first_index]))
@@ -91,33 +91,35 @@ def ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
         frame_rotations.append(frame.rotations)
         if context.progress is not None:
             context.progress((k + 1 - first_index) / (clock.count - first_index))
-    fallen = ragdoll_transforms(
-        bodies,
+    fall_transforms = ragdoll_transforms(
+        ragdoll,
         np.array(origins),
         np.array(frame_rotations),
         translations[first_index:],
         rotations[first_index:],
     )
-    weights = _weights(codes, first_index, last_index, options)[first_index:]
+    weights = _blend_weights(codes, first_index, last_index, options)[first_index:]
     blended = [translations.copy(), rotations.copy()]
     blended[0][first_index:] += weights[:, None, None] * (
-        fallen[0] - translations[first_index:]
+        fall_transforms[0] - translations[first_index:]
     )
     blended[1][first_index:] = so3.slerp(
         rotations[first_index:],
-        so3.align_signs(fallen[1], rotations[first_index]),
-        np.broadcast_to(weights[:, None], fallen[1].shape[:2]),
+        so3.align_signs(fall_transforms[1], rotations[first_index]),
+        np.broadcast_to(weights[:, None], fall_transforms[1].shape[:2]),
     )
     motion = replace(
         take.motion,
         translations=Channel.from_dense(blended[0]),
         rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
-    context.notices.extend(_notices(bodies, run, fallen, float(codes[first_index])))
+    context.notices.extend(
+        _notices(ragdoll, run, fall_transforms, float(codes[first_index]))
+    )
     return replace(take, motion=motion)
 
 
-def _shifted_in_time(collider: Collider, t: float) -> Collider:
+def _shift_times(collider: Collider, t: float) -> Collider:
     """Return a collider with its sample times shifted so that ``t`` [s] becomes 0."""
     poses = collider.poses
     if len(poses.sample_times) == 1:
@@ -125,21 +127,22 @@ def _shifted_in_time(collider: Collider, t: float) -> Collider:
     return replace(collider, poses=replace(poses, times=poses.sample_times - t))
 
 
-def _run(
-    bodies: Ragdoll,
+def _start_run(
+    ragdoll: Ragdoll,
     options: RagdollOptions,
     targets: DriveTargets,
-    start: FloatArray,
+    velocities: FloatArray,
     colliders: Colliders,
 ) -> SimulationRun:
-    down = [0.0, -options.gravity, 0.0]
-    if bodies.rig.up is UpAxis.Z:
-        down = [0.0, 0.0, -options.gravity]
+    """Return the simulation run of a ragdoll, with initial velocities ``(N, 6)``."""
+    gravity = [0.0, -options.gravity, 0.0]
+    if ragdoll.rig.up is UpAxis.Z:
+        gravity = [0.0, 0.0, -options.gravity]
     simulation = ragdoll_simulation(
-        bodies,
-        joints_of_rig(bodies, options, targets),
+        ragdoll,
+        build_ragdoll_joints(ragdoll, options, targets),
         colliders,
-        down,
+        gravity,
         "ragdoll",
         step=options.step,
         substeps=options.substeps,
@@ -147,30 +150,33 @@ def _run(
     )
     initial_state = simulation.initial()
     motion = initial_state.motion.copy()
-    motion[:, 7:13] = start
+    motion[:, 7:13] = velocities
     state: ReachedState[RigidState] = ReachedState(
         0, replace(initial_state, motion=motion)
     )
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
 
 
-def _weights(
-    codes: FloatArray, first: int, last: int, options: RagdollOptions
+def _blend_weights(
+    codes: FloatArray, first_index: int, last_index: int, options: RagdollOptions
 ) -> FloatArray:
-    """Return blend weights of the fall by frame ``(F,)``, eased at both ends."""
+    """Return blend weights of the fall by frame ``(F,)``, smooth at both ends."""
 
-    def ramp(frames: FloatArray) -> FloatArray:
+    def smooth_ramp(frames: FloatArray) -> FloatArray:
         linear = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
         fraction = np.asarray(linear, np.float64)
         return fraction * fraction * (3 - 2 * fraction)
 
-    rise_weights = ramp(codes - codes[first])
+    rise_weights = smooth_ramp(codes - codes[first_index])
     if options.end is None:
         return rise_weights
-    return np.asarray(rise_weights * (1 - ramp(codes - codes[last])))
+    return np.asarray(rise_weights * (1 - smooth_ramp(codes - codes[last_index])))
 
 
-def _index(frame: float | None, codes: FloatArray, option: str, default: int) -> int:
+def _frame_index(
+    frame: float | None, codes: FloatArray, option: str, default: int
+) -> int:
+    """Return the index of a frame of an option; raise SIM062 if it is missing."""
     if frame is None:
         return default
     matches = np.flatnonzero(np.abs(codes - frame) < 1e-6)
@@ -181,27 +187,27 @@ def _index(frame: float | None, codes: FloatArray, option: str, default: int) ->
 
 
 def _notices(
-    bodies: Ragdoll,
+    ragdoll: Ragdoll,
     run: SimulationRun,
-    fallen: tuple[FloatArray, FloatArray],
-    begin: float,
+    fall_transforms: tuple[FloatArray, FloatArray],
+    first_frame: float,
 ) -> list[Fault]:
-    """Return the notices of a run, with the joint limit that was exceeded most.
+    """Return the notices of a run, with the joint that exceeds its limits most.
 
     Args:
-        bodies: The ragdoll.
+        ragdoll: The ragdoll.
         run: Its simulation.
-        fallen: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of all
-            joints in the fall.
-        begin: First frame of the fall.
+        fall_transforms: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of
+            all joints in the fall.
+        first_frame: First frame of the fall.
     """
-    rig = bodies.rig
-    mass = float(bodies.bodies.masses.sum())
-    message = f"{counted(len(bodies.joints), 'body', 'bodies')} of {mass:.3g} kg "
-    message += f"fell from frame {begin:g} on"
-    worst_excess, name, text = 0.0, "", ""
-    coordinates = coordinates_from_local(rig, LocalTransforms(*fallen))
-    joints_with_parent = bodies.joints[bodies.above >= 0].tolist()
+    rig = ragdoll.rig
+    mass = float(ragdoll.bodies.masses.sum())
+    message = f"{counted(len(ragdoll.joints), 'body', 'bodies')} of {mass:.3g} kg "
+    message += f"fell from frame {first_frame:g} on"
+    worst_excess, worst_joint, worst_text = 0.0, "", ""
+    coordinates = coordinates_from_local(rig, LocalTransforms(*fall_transforms))
+    joints_with_parent = ragdoll.joints[ragdoll.parent_bodies >= 0].tolist()
     for j, coordinate in enumerate(coordinate_slices(rig)):
         limits, values = rig.joints[j].limits, coordinates[:, coordinate]
         if j not in joints_with_parent or limits is None:
@@ -209,32 +215,34 @@ def _notices(
         if isinstance(limits, RangeLimit):
             values = values[:, 0]
         overshoot = float(np.abs(limits.excess(values)).max(initial=0.0))
-        slides = rig.joints[j].type is JointType.PRISMATIC
-        excess = overshoot / (SLIDE_TOLERANCE if slides else ANGLE_TOLERANCE)
+        is_prismatic = rig.joints[j].type is JointType.PRISMATIC
+        excess = overshoot / (SLIDE_TOLERANCE if is_prismatic else ANGLE_TOLERANCE)
         if excess > worst_excess:
-            worst_excess, name = excess, rig.joints[j].name
+            worst_excess, worst_joint = excess, rig.joints[j].name
             overshoot_text = (
                 f"{1000 * overshoot:.2g} mm"
-                if slides
+                if is_prismatic
                 else f"{math.degrees(overshoot):.2g}°"
             )
-            text = f"joint {name!r} exceeds its limits by {overshoot_text}"
-    if text:
-        message += f"; {text}, the most of all"
+            worst_text = f"joint {worst_joint!r} exceeds its limits by {overshoot_text}"
+    if worst_text:
+        message += f"; {worst_text}, the most of all"
     notices = [Fault("SIM128", message, severity=Severity.NOTE)]
     if worst_excess > 1:
         hint = "use shorter steps, or a pose within the limits at `start`"
-        notices.append(warning("SIM129", text, hint))
+        notices.append(warning("SIM129", worst_text, hint))
     return notices + [notice for notice in run.notices if notice.code != "SIM126"]
 
 
-def _check(options: RagdollOptions, name: str = "") -> None:
-    faults = [fault for fault in range_faults(options) if name in ("", fault.where)]
+def _check(options: RagdollOptions, option: str = "") -> None:
+    """Raise the faults of all options, or of one."""
+    faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
     if faults:
         raise OptionError(faults)
 
 
 def _checks(options: RagdollOptions) -> OptionChecks:
+    """Return the checks of the options, by option."""
     return {name: partial(_check, options, name) for name in ranges_of(RagdollOptions)}
 
 
@@ -243,7 +251,7 @@ PASS = Pass(
     "Let the rig fall from a frame on, as rigid bodies of its colliders",
     RagdollOptions,
     Scope.CLIP,
-    ragdoll,
+    apply_ragdoll,
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),

@@ -1,4 +1,4 @@
-"""Ragdoll extras: passive muscle tone, and capsules for fingers."""
+"""Passive muscle tone of ragdolls, and capsules for their fingers."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ from animtool.sim.colliders.on_joints import JointCapsules
 # the damping ratio of that spring.
 STIFFNESS_FRACTION, DAMPING_RATIO = 0.15, 0.35
 GRAVITY = 9.81  # [m/s²]
-# Radius of a finger relative to its mean bone length; and length of its last bone
-# relative to the bone before it, if no end joint gives that length.
-FINGER_RADIUS, LAST_BONE = 0.2, 0.8
-# A joint with this many child chains of two or more joints is a hand, whatever the
-# names.
-HAND_CHAINS = 3
-_NAMES = re.compile(r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGNORECASE)
+# Radius of a finger relative to its mean bone length, and length of its last bone
+# relative to the bone before it, if it has no end joint.
+FINGER_RADIUS_RATIO, LAST_BONE_RATIO = 0.2, 0.8
+# A joint with this many child chains of two or more joints is a hand, regardless of the
+# names of the joints.
+MIN_HAND_CHAINS = 3
+_FINGER_NAMES = re.compile(
+    r"thumb|finger|index|middle|ring|pinky|little|digit", re.IGNORECASE
+)
 
 
 def with_finger_capsules(
     rig: Rig, world: WorldTransforms, capsules: JointCapsules
 ) -> JointCapsules:
-    """Return the capsules of a rig with those of its fingers added to the hands.
+    """Return the capsules of a rig, with those of fingers added to its hands.
 
     A hand is a joint that has capsules, has no descendants with capsules, and from
     which fingers branch off.
@@ -45,10 +47,14 @@ def with_finger_capsules(
     ancestors = {k for j in joints_with_capsules for k in rig.upwards(j)[1:]}
     joints, ends, radii = [], [], []
     for hand in sorted(joints_with_capsules - ancestors):
-        chains = [_chain(children, child) for child in children.get(hand, ())]
+        chains = [_joint_chain(children, child) for child in children.get(hand, ())]
         long_chains = [chain for chain in chains if len(chain) > 1]
-        finger_chains = [c for c in long_chains if _NAMES.search(rig.joints[c[0]].name)]
-        for chain in long_chains if len(long_chains) >= HAND_CHAINS else finger_chains:
+        finger_chains = [
+            c for c in long_chains if _FINGER_NAMES.search(rig.joints[c[0]].name)
+        ]
+        for chain in (
+            long_chains if len(long_chains) >= MIN_HAND_CHAINS else finger_chains
+        ):
             points = world.positions[0, chain]
             bones = np.diff(points, axis=0)
             lengths = np.linalg.norm(bones, axis=1)
@@ -58,14 +64,16 @@ def with_finger_capsules(
                 rig.joints[chain[-1]].name.lower().endswith(("end", "tip", "nub"))
             )
             if not has_end_joint:
-                points = np.concatenate([points, points[-1:] + LAST_BONE * bones[-1:]])
+                points = np.concatenate(
+                    [points, points[-1:] + LAST_BONE_RATIO * bones[-1:]]
+                )
             inverse_linear = np.linalg.inv(world.linear[0, hand])
-            local = (points - world.positions[0, hand]) @ inverse_linear.T
-            size = np.cbrt(np.abs(np.linalg.det(inverse_linear)))
-            for a, b in pairwise(local):
+            local_points = (points - world.positions[0, hand]) @ inverse_linear.T
+            scale = np.cbrt(np.abs(np.linalg.det(inverse_linear)))
+            for a, b in pairwise(local_points):
                 joints.append(hand)
                 ends.append(np.stack([a, b]))
-                radii.append(FINGER_RADIUS * lengths.mean() * size)
+                radii.append(FINGER_RADIUS_RATIO * lengths.mean() * scale)
     if not joints:
         return capsules
     return JointCapsules(
@@ -75,7 +83,7 @@ def with_finger_capsules(
     )
 
 
-def _chain(children: dict[int, list[int]], joint: int) -> list[int]:
+def _joint_chain(children: dict[int, list[int]], joint: int) -> list[int]:
     """Return a joint and its descendants, up to the first branch."""
     chain = [joint]
     while len(children.get(chain[-1], ())) == 1:
@@ -84,24 +92,25 @@ def _chain(children: dict[int, list[int]], joint: int) -> list[int]:
 
 
 def passive_springs(
-    above: IntArray, masses: FloatArray, centres: FloatArray, pivots: FloatArray
+    parent_bodies: IntArray, masses: FloatArray, centres: FloatArray, pivots: FloatArray
 ) -> FloatArray:
-    """Return the stiffness [N m/rad] and damping [N m s/rad] of joints ``(N, 2)``.
+    """Return stiffness [N m/rad] and damping [N m s/rad] of joints ``(N, 2)``.
 
-    Both grow with the weight that hangs from the joint, and with its lever arm.
+    Both increase with the weight below the joint, and with its lever arm.
 
     Args:
-        above: The parent body of each body ``(N,)``, -1 for none; parents come first.
+        parent_bodies: Parent body of each body ``(N,)``, -1 for none; parents come
+            first.
         masses: Masses ``(N,)`` [kg].
         centres: Centres of mass in the world ``(N, 3)`` [m].
         pivots: Positions of the joints to the parent bodies ``(N, 3)`` [m].
     """
-    weights, weighted_centres = masses.copy(), masses[:, None] * centres
-    for i in range(len(above) - 1, -1, -1):
-        if above[i] >= 0:
-            weights[above[i]] += weights[i]
-            weighted_centres[above[i]] += weighted_centres[i]
-    arms = np.linalg.norm(weighted_centres / weights[:, None] - pivots, axis=1)
-    stiffness = STIFFNESS_FRACTION * weights * GRAVITY * arms
-    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * weights) * arms
+    supported_masses, weighted_centres = masses.copy(), masses[:, None] * centres
+    for i in range(len(parent_bodies) - 1, -1, -1):
+        if parent_bodies[i] >= 0:
+            supported_masses[parent_bodies[i]] += supported_masses[i]
+            weighted_centres[parent_bodies[i]] += weighted_centres[i]
+    arms = np.linalg.norm(weighted_centres / supported_masses[:, None] - pivots, axis=1)
+    stiffness = STIFFNESS_FRACTION * supported_masses * GRAVITY * arms
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * supported_masses) * arms
     return np.stack([stiffness, damping], axis=1)

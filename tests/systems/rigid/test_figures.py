@@ -33,9 +33,13 @@ from animtool.systems.rigid.physics import (
     stage_joints,
     static_colliders,
 )
-from animtool.systems.rigid.ragdoll import RagdollOptions, bodies_of_rig, joints_of_rig
-from animtool.systems.rigid.ragdoll_motion import ragdoll_speeds
-from animtool.systems.rigid.take_pass import ragdoll
+from animtool.systems.rigid.ragdoll import (
+    RagdollOptions,
+    build_ragdoll,
+    build_ragdoll_joints,
+)
+from animtool.systems.rigid.ragdoll_motion import ragdoll_velocities
+from animtool.systems.rigid.take_pass import apply_ragdoll
 from animtool.systems.rigid.tone import passive_springs
 
 
@@ -133,11 +137,11 @@ def run(folder: Path, times: list[float], **keys: Any) -> dict[str, Any]:
     pulls: list[Any] = [forces.potential(motion)]
     for t in (0.0, 0.04, 0.19, 0.3):
         pulls += [
-            forces.over(t, 1 / 60, motion),
+            forces.step_wrenches(t, 1 / 60, motion),
             forces.push_wrenches(t, 1 / 60, motion),
             forces.oscillation_rates(t, 1 / 60, motion),
             forces.accelerations(t, x, v),
-            forces.slopes(t, x, v),
+            forces.jacobians(t, x, v),
         ]
     return {
         "begun": simulation.initial(),
@@ -191,7 +195,7 @@ def test_what_is_described_and_read_again(tmp_path: Path) -> None:
             "poses": [part["poses"].at(0.3) for part in parts],
             "rows": read.rows,
             "numbers": read.numbers,
-            "above": read.above,
+            "above": read.parent_bodies,
             "pairs": read.pairs,
             "breaks": read.breaks,
             "still": [(one.poses.at(0.0), one.friction) for one in still],
@@ -286,7 +290,7 @@ def test_rigs_that_fall(name: str, options: dict[str, Any]) -> None:
     ball = obstacle(Sphere(0.4), 0.1, 0.1, 0.1, name="ball")
     context = PassContext(lambda _: take, Path())
     given = RagdollOptions(colliders=(GROUND, ball), step=0.01, **options)
-    fallen = ragdoll(take, given, context)
+    fallen = apply_ragdoll(take, given, context)
     made: Any = fallen.motion.dense()
     codes = " ".join(one.message for one in context.notices)
     check_figures(__file__, name, {"motion": list(made)[:2], "codes": codes})
@@ -297,25 +301,27 @@ def test_bodies_of_a_rig_and_their_speeds() -> None:
     translations, rotations, scales = take.motion.dense()
     world = forward_kinematics(take.rig, translations, rotations, scales)
     pose = WorldTransforms(world.positions[2:3], world.linear[2:3])
-    own = bodies_of_rig(take.rig, pose, RagdollOptions())
+    own = build_ragdoll(take.rig, pose, RagdollOptions())
     times = np.array([0.0, 0.1, 0.25, 0.3, 0.5])
     bodies = own.bodies
-    joints = joints_of_rig(own, RagdollOptions(tone=0.0), lambda _: np.zeros((0, 5)))
+    joints = build_ragdoll_joints(
+        own, RagdollOptions(tone=0.0), lambda _: np.zeros((0, 5))
+    )
     check_figures(
         __file__,
         "bodies",
         {
-            "above": own.above,
+            "above": own.parent_bodies,
             "frames": own.frames,
             "turns": own.axes,
             "rows": joints.rows,
             "numbers": joints.numbers,
             "pairs": joints.pairs,
-            "others": joints.others,
+            "others": joints.other_pairs,
             "masses": bodies.masses,
             "moments": bodies.moments,
-            "start": bodies.start,
-            "speeds": [ragdoll_speeds(own, world, times, k) for k in (0, 1, 3)],
+            "start": bodies.initial_states,
+            "speeds": [ragdoll_velocities(own, world, times, k) for k in (0, 1, 3)],
         },
     )
 
@@ -330,7 +336,7 @@ def test_joints_that_keep_each_other_from_moving() -> None:
     centres = np.array([[0.5, 0.1, 0], [1.1, 0.5, 0], [5, 0.5, 0.2]])
     found = locked_joints(rows, frames, centres)
     assert found
-    assert any(one.by for one in found)
+    assert any(one.blocking_joints for one in found)
     check_figures(__file__, "locked", found)
 
 

@@ -16,12 +16,12 @@ from animtool.sim.colliders import Poses
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
     Joints,
-    _joint_drive,
-    _joint_limits,
-    joint_loads,
+    _drive_parameters,
+    _limit_parameters,
+    joint_forces_and_torques,
     relative_frame,
-    swapped_parameters,
-    to_parent,
+    swap_bodies,
+    to_parent_frame,
 )
 from animtool.systems.rigid.spec import RigidJointModel
 
@@ -33,7 +33,7 @@ def model(kind: str, **keys: Any) -> RigidJointModel:
 
 def test_pins_and_balls_are_in_degrees_and_slides_in_metres() -> None:
     def limits(kind: str, **keys: Any) -> list[float]:
-        return _joint_limits(model(kind, **keys), "it", "joints[0]")
+        return _limit_parameters(model(kind, **keys), "it", "joints[0]")
 
     assert limits("pin", limits=[-90, 180])[:2] == pytest.approx([-np.pi / 2, np.pi])
     assert limits("prismatic", limits=[-90, 180])[:2] == [-90, 180]
@@ -45,11 +45,13 @@ def test_pins_and_balls_are_in_degrees_and_slides_in_metres() -> None:
 
 def test_motors_turn_in_degrees_and_slide_in_metres() -> None:
     for kind, factor in (("pin", np.pi / 180), ("prismatic", 1.0)):
-        own = _joint_drive(model(kind, drive={"speed": 90, "most": 7}), "joints[0]")
+        own = _drive_parameters(
+            model(kind, drive={"speed": 90, "most": 7}), "joints[0]"
+        )
         assert own[-1] == pytest.approx(90 * factor)
         assert own[-2] == 7
         drive = {"target": 30, "stiffness": 5, "damping": 2}
-        own = _joint_drive(model(kind, drive=drive), "joints[0]")
+        own = _drive_parameters(model(kind, drive=drive), "joints[0]")
         assert own[0] == pytest.approx(30 * factor)
         assert own[5:] == [5, 2, -1, 0]
 
@@ -57,14 +59,14 @@ def test_motors_turn_in_degrees_and_slide_in_metres() -> None:
 def test_what_is_turned_round_moves_the_other_way() -> None:
     drive = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), 0.7)
     rest = np.array([-0.2, 0.5, 0.3, 0.4, 0.25, *drive, 5.0, 2.0, 7.0, 1.5])
-    found = swapped_parameters(rest)
+    found = swap_bodies(rest)
     assert_allclose(found[:5], [-0.5, 0.2, 0.3, 0.4, -0.25])
     assert_allclose(found[5:9], so3.conjugate(drive))
     assert_allclose(found[9:], [5.0, 2.0, 7.0, -1.5])
-    assert_allclose(swapped_parameters(found), rest)
+    assert_allclose(swap_bodies(found), rest)
     # Without limits the least is above the most, and stays so.
     rest[:2] = 1.0, 0.0
-    assert_allclose(swapped_parameters(rest)[:2], [1.0, 0.0])
+    assert_allclose(swap_bodies(rest)[:2], [1.0, 0.0])
 
 
 def test_loads_are_forces_and_torques_by_what_the_joint_leaves_free() -> None:
@@ -73,11 +75,11 @@ def test_loads_are_forces_and_torques_by_what_the_joint_leaves_free() -> None:
     rows = np.array([[JOINT_KINDS[name], -1, 0] for name in names])
     blank = np.zeros((2, 0))
     joints = Joints(rows, blank, [Poses()] * 2, breaks=np.full((2, 2), np.inf),
-                    names=names, above=[-1, -1], notices=[],
+                    names=names, parent_bodies=[-1, -1], notices=[],
                     pairs=np.full((2, 2), -1))  # fmt: skip
     held = np.zeros((2, 12))
     held[:, :9] = [1.0, 4.0, 0.0, 0.0, 6.0, 0.0, 5.0, 3.0, 8.0]
-    found = joint_loads(joints, held)
+    found = joint_forces_and_torques(joints, held)
     assert_allclose(found[0], [5.0, 10.0])  # (1 + 5 - 3, 4), and 6 beside 8
     assert_allclose(found[1], [np.sqrt(17), np.sqrt(4 + 36 + 64)])
 
@@ -88,7 +90,7 @@ def test_frames_are_seen_and_placed_back() -> None:
     frame = np.array([1.0, 5.0, 3.0, *so3.IDENTITY])
     seen = relative_frame(pose, frame)
     assert_allclose(seen, [3, 0, 0, *so3.conjugate(turn)], atol=1e-12)
-    assert_allclose(to_parent(pose, seen), frame, atol=1e-12)
+    assert_allclose(to_parent_frame(pose, seen), frame, atol=1e-12)
 
 
 def test_what_is_fixed_to_a_turned_frame_of_the_world_stays(tmp_path: Path) -> None:

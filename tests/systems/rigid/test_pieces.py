@@ -12,7 +12,7 @@ from support.rigid import FLOOR, Rigid, ball
 
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid import kind
-from animtool.systems.rigid.pieces import convex_pieces, excess_volume, solid_of_mesh
+from animtool.systems.rigid.pieces import convex_pieces, excess_volume, mesh_solid
 
 pytest.importorskip("coacd", reason="meshes are taken apart by coacd")
 
@@ -56,7 +56,7 @@ def body(folder: Path, mesh: Mesh, **keys: Any) -> dict[str, Any]:
 def test_pieces_fill_the_mesh() -> None:
     mesh = bracket()
     assert mesh.watertight
-    assert solid_of_mesh(mesh).volume == pytest.approx(3)
+    assert mesh_solid(mesh).volume == pytest.approx(3)
     made = convex_pieces(mesh)
     assert len(made) == 2
     assert abs(excess_volume(mesh, [core for _, core in made])) < 1e-3

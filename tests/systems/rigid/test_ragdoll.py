@@ -31,10 +31,10 @@ from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.systems.rigid.cores import core_of, solid_of
-from animtool.systems.rigid.ragdoll import RagdollOptions, _rest_frames, bodies_of_rig
+from animtool.systems.rigid.ragdoll import RagdollOptions, _rest_frames, build_ragdoll
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
-from animtool.systems.rigid.take_pass import ragdoll
+from animtool.systems.rigid.take_pass import apply_ragdoll
 
 LENGTH = 0.5
 SIDES = {"left": -0.2, "right": 0.2}
@@ -73,7 +73,7 @@ def still(rig: Rig, frames: int = 25, fps: int = 24, speed: float = 0.0) -> Take
 
 def fallen(take: Take, **options: Any) -> Take:
     context = PassContext(lambda _: take, Path())
-    made = ragdoll(
+    made = apply_ragdoll(
         take, RagdollOptions(**{"blend": 0.0, "tone": 0.0, **options}), context
     )
     return replace(made, notices=tuple(context.notices))
@@ -297,8 +297,8 @@ def test_bodies_weigh_what_the_rig_says() -> None:
     world = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
-    plain = bodies_of_rig(rig, world, RagdollOptions()).bodies.kinds
-    hip, first, last = bodies_of_rig(
+    plain = build_ragdoll(rig, world, RagdollOptions()).bodies.kinds
+    hip, first, last = build_ragdoll(
         replace(rig, masses=masses), world, RagdollOptions()
     ).bodies.kinds
     assert [hip.mass, first.mass, last.mass] == [3.0, 2.0, 2.0]
@@ -315,7 +315,7 @@ def test_bodies_weigh_what_the_rig_says() -> None:
     # Steiner: two masses of 1 kg, a quarter of a metre to each side.
     assert_allclose(sorted(last.moments), [0.2, 0.625, 0.625])
     heavy = RagdollOptions(mass=14.0)
-    kinds = bodies_of_rig(replace(rig, masses=masses), world, heavy).bodies.kinds
+    kinds = build_ragdoll(replace(rig, masses=masses), world, heavy).bodies.kinds
     assert_allclose([kind.mass for kind in kinds], [6.0, 4.0, 4.0])
 
 

@@ -85,9 +85,9 @@ def test_those_whose_forces_change_wake_and_the_others_sleep() -> None:
     changed = np.array([True, False, True, False])
     asked: list[Any] = []
     forces = SimpleNamespace(
-        vary=True,
-        over=lambda *given: asked.append(given) or "varied",
-        change=lambda own, *_: (asked.append(own), changed)[1],
+        is_variable=True,
+        step_wrenches=lambda *given: asked.append(given) or "varied",
+        has_changed=lambda own, *_: (asked.append(own), changed)[1],
     )
     spec = SimpleNamespace(sleep=SimpleNamespace(time=0.5))
     own: Any = SimpleNamespace(_spec=spec, _forces=forces)
@@ -96,7 +96,7 @@ def test_those_whose_forces_change_wake_and_the_others_sleep() -> None:
     assert found[:, 13].tolist() == [0.1, 0.5, 0.0, 0.9]
     assert motion[2, 13] == 0.7
     assert asked[-1] == "varied"
-    forces.vary = False
+    forces.is_variable = False
     assert RigidSimulation._wake_sleepers(own, motion, loads, 1.0, 0.1)[2, 13] == 0
     assert asked[-1] == "kept"
     changed[2] = False

@@ -14,7 +14,7 @@ from numpy.testing import assert_allclose
 from support.rigid import FLOOR, GRAVITY, Rigid, ball, box
 
 from animtool.core.errors import ToleranceError
-from animtool.systems.rigid.loads import BodyLoads
+from animtool.systems.rigid.loads import StepForceSolver
 
 STEP, MASS, UNTIL = 0.01, 0.01, 0.5
 FALL: dict[str, Any] = {"gravity": None}
@@ -242,11 +242,11 @@ def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
     """Who only spins asks for as many as there may be at most."""
     rates = np.array(swings), np.array(spins)
     own: Any = SimpleNamespace(_rates=lambda *_: rates, _body=lambda k: f"body {k}")
-    assert BodyLoads.parts(own, 1.0, dt, np.zeros((2, 14))) == parts
+    assert StepForceSolver.required_substeps(own, 1.0, dt, np.zeros((2, 14))) == parts
     stopped: list[tuple[Any, ...]] = []
     own._stop = lambda *given: stopped.append(given)
     rates = np.array([0.0, 1280.0]), np.zeros(2)
-    BodyLoads.parts(own, 1.0, dt, np.zeros((2, 14)))
+    StepForceSolver.required_substeps(own, 1.0, dt, np.zeros((2, 14)))
     ((t, message, hint),) = stopped
     assert t == 1.0
     assert "body 1" in message

@@ -22,7 +22,7 @@ from animtool.sim.colliders import Box, Poses
 from animtool.sim.colliders import Collider as Obstacle
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.rigid.ragdoll import RagdollOptions
-from animtool.systems.rigid.take_pass import ragdoll
+from animtool.systems.rigid.take_pass import apply_ragdoll
 from animtool.systems.rigid.tone import (
     DAMPING_RATIO,
     GRAVITY,
@@ -72,7 +72,7 @@ def fallen(rig: Rig, frames: int, **options: object) -> Take:
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), frames)
     take = Take(rig, clock, motion)
     context = PassContext(lambda _: take, Path())
-    return ragdoll(take, RagdollOptions(blend=0.0, **options), context)  # type: ignore[arg-type]
+    return apply_ragdoll(take, RagdollOptions(blend=0.0, **options), context)  # type: ignore[arg-type]
 
 
 def test_fingers_get_capsules_along_their_bones() -> None:
