@@ -19,7 +19,7 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.onto_rig import NameMap, map_names, open_rig
 from animtool.scene.systems.character_motion import open_take
-from animtool.systems.crowds.cycles import gaits_of
+from animtool.systems.crowds.cycles import build_gaits
 from animtool.systems.crowds.gaits import Gaits
 
 
@@ -41,7 +41,7 @@ class GaitsSource:
         rotation = up_from_up(UpAxis.Y, rig.up)
         if rotation is not None:
             rig = rotate_rig(rig, np.array(rotation), UpAxis.Y)
-        return gaits_of(
+        return build_gaits(
             rig, [(clip_path.stem, _on_rig(clip_path, rig)) for clip_path in self.clips]
         )
 

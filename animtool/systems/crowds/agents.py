@@ -1,4 +1,4 @@
-"""Agents of a crowd: start positions, preferred speeds and routes."""
+"""Agents of a crowd: start positions, preferred speeds and groups."""
 
 from __future__ import annotations
 
@@ -27,22 +27,23 @@ from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
 from animtool.systems.particles.emitter import Emitter, uniforms
 
-# Minimum preferred speed over the mean, and maximum standard deviations from the mean.
+# Lowest preferred speed relative to the mean, and largest deviation from the mean in
+# standard deviations.
 MIN_SPEED_RATIO = 1 / 3
 MAX_DEVIATIONS = 2.0
-# Default maximum speed over the mean.
+# Default maximum speed relative to the mean.
 MAX_SPEED_RATIO = 1.3
-# Ratio of the least to the largest yielding: if agents yielded equally, they would form
-# stable arches in front of doors.
+# Ratio of the smallest to the largest yielding. Agents that all yield equally would
+# form stable arches in front of doors.
 MIN_YIELDING = 0.2
 # Agents aim at random points within this fraction of a goal's radius; the members of a
 # group aim at the same point.
 GOAL_SPREAD = 0.8
-# Spacing within a group, over the sum of radii.
+# Spacing within a group, relative to the sum of two radii.
 GROUP_SPACING = 1.3
 # Iterations that separate agents at the start, and number of neighbour rebuilds.
 SEPARATION_ITERATIONS, SEPARATION_ROUNDS = 100, 100
-# Remaining overlap over a radius; less is invisible.
+# Accepted overlap relative to a radius; less is invisible.
 OVERLAP_TOLERANCE = 0.004
 
 
@@ -54,13 +55,13 @@ class Agents(Groups):
         starts: Start positions, x and z ``(N, 2)`` [m].
         speeds: Preferred speeds ``(N,)`` [m/s].
         max_speeds: Maximum speeds ``(N,)`` [m/s].
-        yielding: How much each gives way to agents that it touches ``(N,)`` [1].
-        delays: Time from the start until they set out ``(N,)`` [s].
-        groups: Group of each, -1 for none ``(N,)``.
-        lateral_offsets: Position in the group, left of its middle ``(N,)`` [m].
-        goal_offsets: Position in goals, relative to their radius ``(N, 2)``.
-        sizes: Size of the body relative to the rig ``(N,)``.
-        clip_phases: Phase at which each starts its clips, 0 to 1 ``(N,)``.
+        yielding: How far an agent gives way to those it touches ``(N,)`` [1].
+        delays: Time from the start until they begin to walk ``(N,)`` [s].
+        groups: Index of the group, -1 for none ``(N,)``.
+        lateral_offsets: Position in the group, to the left of its centre ``(N,)`` [m].
+        goal_offsets: Target position in goals, relative to their radius ``(N, 2)``.
+        sizes: Body size relative to the rig ``(N,)``.
+        clip_phases: Phase at which clips start, 0 to 1 ``(N,)``.
     """
 
     noun: ClassVar[str] = "agent"
@@ -77,7 +78,7 @@ class Agents(Groups):
 
     @cached_property
     def heights(self) -> FloatArray:
-        """Return each agent's height ``(N,)`` [m]."""
+        """Height of each agent ``(N,)`` [m]."""
         return self.per_individual([one.height for one in self.entries])
 
 
@@ -92,17 +93,17 @@ class AgentMotion:
 
 def build_agents(
     spec: CrowdsModel,
-    parts: Sequence[Mapping[str, Any]],
+    population_data: Sequence[Mapping[str, Any]],
     begin: float,
     frame: GroundFrame,
 ) -> tuple[Agents, list[Fault]]:
-    """Return the agents of a spec; overlapping ones are separated (SIM147)."""
+    """Return the agents of a spec, moved apart if they overlap (SIM147)."""
     _check_keys(spec)
-    samples = [
-        _sample_population(population, part, begin, frame)
-        for population, part in zip(spec.populations, parts, strict=True)
+    sampled_fields = [
+        _sample_population(population, data, begin, frame)
+        for population, data in zip(spec.populations, population_data, strict=True)
     ]
-    counts = [len(sample[0]) for sample in samples]
+    counts = [len(sample[0]) for sample in sampled_fields]
     (
         starts,
         speeds,
@@ -114,10 +115,12 @@ def build_agents(
         clip_phases,
     ) = (
         np.concatenate(sample)
-        for sample in zip(*(population[:8] for population in samples), strict=True)
+        for sample in zip(
+            *(population[:8] for population in sampled_fields), strict=True
+        )
     )
     groups, group_count = [], 0
-    for *_, groups_of_population in samples:
+    for *_, groups_of_population in sampled_fields:
         groups.append(
             np.where(groups_of_population >= 0, groups_of_population + group_count, -1)
         )
@@ -144,16 +147,16 @@ def build_agents(
     )
     return _without_overlaps(
         agents,
-        [part.get("points") is not None for part in parts],
+        [data.get("points") is not None for data in population_data],
     )
 
 
 def _without_overlaps(
-    agents: Agents, from_points: Sequence[bool]
+    agents: Agents, has_points: Sequence[bool]
 ) -> tuple[Agents, list[Fault]]:
-    """Return agents moved until none overlap at the start.
+    """Return agents moved until they do not overlap at the start.
 
-    Agents with positions from a file are reported.
+    Agents whose positions are from a file are reported.
     """
     count, starts, overlap = len(agents), agents.starts, np.inf
     radius = float(agents.radii.max(initial=1.0))
@@ -166,13 +169,13 @@ def _without_overlaps(
         # Separated agents may now be inside another.
         overlap = overlap if (starts == previous).all() else np.inf
     distances = np.linalg.norm(starts - agents.starts, axis=1)
-    moved_far = (distances > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
-        from_points, bool
+    is_moved = (distances > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
+        has_points, bool
     )[agents.kinds]
     faults = []
-    if moved_far.any():
-        message = f"{counted(int(moved_far.sum()), 'agent')} would start inside each "
-        message += f"other, {agents.label(int(np.argmax(moved_far)))} first: moved "
+    if is_moved.any():
+        message = f"{counted(int(is_moved.sum()), 'agent')} would start inside each "
+        message += f"other, {agents.label(int(np.argmax(is_moved)))} first: moved "
         message += f"apart by up to {distances.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:
@@ -184,11 +187,11 @@ def _without_overlaps(
 
 
 def separate_agents(
-    agents: Agents, x: FloatArray, starts: npt.NDArray[np.int32], walls: FloatArray
+    agents: Agents, x: FloatArray, first_walls: npt.NDArray[np.int32], walls: FloatArray
 ) -> tuple[FloatArray, float]:
-    """Return x and z ``(N, 2)`` without overlaps, and the overlap that remains [m].
+    """Return positions without overlaps ``(N, 2)``, and the remaining overlap [m].
 
-    ``walls`` are rows of `Walls`; ``starts`` has the first wall of each agent.
+    ``walls`` are rows of `Walls`; ``first_walls`` has the first wall of each agent.
     """
     velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
@@ -196,7 +199,7 @@ def separate_agents(
         points=x, velocities=velocities, preferred=velocities,
         radii=agents.radii, max_speeds=np.zeros(count), yielding=agents.yielding,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
-        modes=np.zeros(count, np.uint8), starts=starts, walls=walls,
+        modes=np.zeros(count, np.uint8), starts=first_walls, walls=walls,
         sight=radius, nearest=0, horizon=1.0, space=0.0, push=0.0, headway=0.0,
         side=0.0, step=1.0, max_passes=SEPARATION_ITERATIONS,
         tolerance=OVERLAP_TOLERANCE * radius,
@@ -206,25 +209,27 @@ def separate_agents(
 
 def _sample_population(
     population: PopulationModel,
-    parts: Mapping[str, Any],
+    data: Mapping[str, Any],
     begin: float,
     frame: GroundFrame,
 ) -> tuple[Any, ...]:
-    """Return start positions and other sampled fields of a population, groups last."""
-    points = parts.get("points")
+    """Return start positions and random properties of a population, groups last."""
+    points = data.get("points")
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
     ):
         message = f"points of {population.name!r} have shape {points.shape} or are not "
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
-    keys = np.arange(count)
-    randoms, more_randoms = np.split(uniforms(population.seed, keys, 10), [6], axis=1)
-    group = population.group
+    agent_indices = np.arange(count)
+    randoms, body_randoms = np.split(
+        uniforms(population.seed, agent_indices, 10), [6], axis=1
+    )
+    group_size = population.group
     if points is None:
         emitter = Emitter(
-            place=parts["place"],
-            poses=parts["poses"],
+            place=data["place"],
+            poses=data["poses"],
             speed=0.0,
             inherit=0.0,
             seed=population.seed,
@@ -233,22 +238,26 @@ def _sample_population(
     starts = frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
     lateral_offsets = np.zeros(count)
-    if group > 1:
-        groups, index = np.divmod(keys, group)
+    if group_size > 1:
+        groups, index_in_group = np.divmod(agent_indices, group_size)
         sizes = np.bincount(groups)[groups]
         lateral_offsets = (
-            (index - (sizes - 1) / 2) * 2 * GROUP_SPACING * population.radius
+            (index_in_group - (sizes - 1) / 2) * 2 * GROUP_SPACING * population.radius
         )
-        if parts.get("points") is None:
+        if data.get("points") is None:
             # The others stand around the first, at a random angle.
-            directions = _unit_vectors(2 * np.pi * randoms[groups * group, 0])
-            starts = starts[groups * group] + directions * lateral_offsets[:, None]
-        more_randoms[:, 2:] = more_randoms[groups * group, 2:]
-        randoms = np.concatenate([randoms[groups * group, :5], randoms[:, 5:]], axis=1)
+            directions = _unit_vectors(2 * np.pi * randoms[groups * group_size, 0])
+            starts = starts[groups * group_size] + directions * lateral_offsets[:, None]
+        body_randoms[:, 2:] = body_randoms[groups * group_size, 2:]
+        randoms = np.concatenate(
+            [randoms[groups * group_size, :5], randoms[:, 5:]], axis=1
+        )
     speed = population.speed
     # Box-Muller transform.
-    normal = np.sqrt(-2 * np.log1p(-randoms[:, 1])) * np.cos(2 * np.pi * randoms[:, 2])
-    deviations = np.clip(normal, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
+    deviates = np.sqrt(-2 * np.log1p(-randoms[:, 1])) * np.cos(
+        2 * np.pi * randoms[:, 2]
+    )
+    deviations = np.clip(deviates, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
     return (
         starts,
@@ -257,10 +266,10 @@ def _sample_population(
         population.delay * randoms[:, 3],
         lateral_offsets,
         GOAL_SPREAD
-        * np.sqrt(more_randoms[:, 2:3])
-        * _unit_vectors(2 * np.pi * more_randoms[:, 3]),
-        (1 + population.size) ** (2 * more_randoms[:, 0] - 1),
-        more_randoms[:, 1],
+        * np.sqrt(body_randoms[:, 2:3])
+        * _unit_vectors(2 * np.pi * body_randoms[:, 3]),
+        (1 + population.size) ** (2 * body_randoms[:, 0] - 1),
+        body_randoms[:, 1],
         groups,
     )
 
@@ -271,11 +280,12 @@ def _unit_vectors(angles: FloatArray) -> FloatArray:
 
 
 def _check_keys(spec: CrowdsModel) -> None:
-    """Refuse invalid combinations of keys (SIM145)."""
+    """Raise SIM145 for keys that contradict each other."""
     refuse_all("SIM145", _key_problems(spec))
 
 
 def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
+    """Yield conflicts between goals, populations and doors."""
     goals = [goal.name for goal in spec.goals]
     yield from duplicate_names("goals", goals)
     yield from duplicate_names(
@@ -295,11 +305,11 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
             message = f"the route of {population.name!r} repeats one goal"
             yield message, where, "then: stay"
     for key in ("shows", "gaits"):
-        is_shown = [
+        has_key = [
             getattr(population, key) is not None for population in spec.populations
         ]
-        if any(is_shown) and not all(is_shown):
-            name = spec.populations[is_shown.index(False)].name
+        if any(has_key) and not all(has_key):
+            name = spec.populations[has_key.index(False)].name
             message = f"some populations have {key}, but {name!r} does not"
             yield message, "populations", "give it to all of them, or make two systems"
     for k, door in enumerate(spec.doors):

@@ -1,4 +1,4 @@
-"""Initial state of a crowd: its ground, clear start positions, reachable goals."""
+"""Checks and corrections of the initial state of a crowd."""
 
 from __future__ import annotations
 
@@ -18,39 +18,42 @@ from animtool.systems.crowds.spec import CrowdsModel
 from animtool.systems.crowds.steering import Steering
 from animtool.systems.framework.simulation import SimContext
 
-# Passes that move agents out of obstacles at the start.
+# Most passes that move agents out of obstacles at the start.
 MAX_CLEARING_PASSES = 20
 
 
 def clear_starts(
     agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return start positions clear of obstacles; warns of moved agents (SIM148)."""
-    x, notices = agents.starts, list[Fault]()
+    """Return start positions outside of obstacles, and warnings (SIM148)."""
+    positions, notices = agents.starts, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.free.any():
-        is_off_grid = is_blocked(grid, x)
-        x = np.where(
-            is_off_grid[:, None], grid.positions_of(grid.nearest_free_node(x)), x
+        is_off_grid = is_blocked(grid, positions)
+        positions = np.where(
+            is_off_grid[:, None],
+            grid.node_positions(grid.nearest_free_node(positions)),
+            positions,
         )
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
-        walls = obstacles.walls(begin, 0.0, x)
-        if not (walls.gaps < 0).any() and (x == agents.starts).all():
+        walls = obstacles.walls(begin, 0.0, positions)
+        if not (walls.gaps < 0).any() and (positions == agents.starts).all():
             break
-        previous = x
-        x, _ = separate_agents(agents, x, walls.starts, walls.rows)
-        if np.abs(x - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
+        previous = positions
+        positions, _ = separate_agents(agents, positions, walls.starts, walls.rows)
+        if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
     is_moved = (
-        np.linalg.norm(x - agents.starts, axis=1) > OVERLAP_TOLERANCE * agents.radii
+        np.linalg.norm(positions - agents.starts, axis=1)
+        > OVERLAP_TOLERANCE * agents.radii
     )
     if is_moved.any():
         first = agents.label(int(np.argmax(is_moved)))
         message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
         message += f"or off the ground, {first} first: moved out"
         notices.append(warning("SIM148", message, "begin elsewhere"))
-    return x, notices
+    return positions, notices
 
 
 def unreachable_goal_warnings(
@@ -62,17 +65,19 @@ def unreachable_goal_warnings(
         return []
     components = grid.components.ravel()
     start_components = components[grid.nearest_free_node(start)]
-    for g, goal in enumerate(spec.goals):
-        position = steering.points[g : g + 1]
+    for goal_index, goal in enumerate(spec.goals):
+        position = steering.goal_points[goal_index : goal_index + 1]
         if is_blocked(grid, position)[0]:
             message = f"the goal {goal.name!r} is in an obstacle or off the ground: "
             message += "agents go to the nearest free position"
             faults.append(warning("SIM146", message, "move the goal"))
         goal_component = components[grid.nearest_free_node(position)[0]]
-        for kind, population in enumerate(spec.populations):
-            cut_off = (agents.kinds == kind) & (start_components != goal_component)
-            if goal.name in population.route and cut_off.any():
-                message = f"no path leads {counted(int(cut_off.sum()), 'agent')} of "
+        for population_index, population in enumerate(spec.populations):
+            is_cut_off = (agents.kinds == population_index) & (
+                start_components != goal_component
+            )
+            if goal.name in population.route and is_cut_off.any():
+                message = f"no path leads {counted(int(is_cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
                 message += "to the nearest position that they can reach"
                 hint = "leave a gap wider than the agents, or move the goal"
@@ -81,7 +86,7 @@ def unreachable_goal_warnings(
 
 
 def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatArray:
-    """Return a world direction projected on the ground ``(2,)``, normalised."""
+    """Return a world direction projected on the ground, normalized ``(2,)``."""
     ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
     length = float(np.linalg.norm(ground_direction))
     if not length > 0:
@@ -91,12 +96,12 @@ def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatAr
 
 
 def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
-    """Return the frame of the ground, and its terrain."""
-    components = context.parts["ground"]
+    """Return the frame of the ground, and its height field."""
+    ground_data = context.parts["ground"]
     poses, shape, mesh = (
-        components["poses"],
-        components.get("shape"),
-        components.get("mesh"),
+        ground_data["poses"],
+        ground_data.get("shape"),
+        ground_data.get("mesh"),
     )
     if len(poses.sample_times) > 1:
         message = "the ground cannot move"
@@ -109,7 +114,7 @@ def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     if mesh is not None:
         surface = mesh()[0]
         corners = triangulated(surface.counts, surface.indices)
-        return frame, Terrain(surface.points[corners])
+        return frame, Terrain(surface.goal_points[corners])
     if shape is None:
         return frame, Terrain()
     if not isinstance(shape, Mesh):

@@ -1,6 +1,6 @@
 """Locomotion of agents' bodies: gait blending and planted feet.
 
-All is in the frame of the ground; a body has x to its left and z ahead.
+Coordinates are in the frame of the ground. A body has x to its left and z ahead.
 """
 
 from __future__ import annotations
@@ -13,13 +13,13 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
-from animtool.systems.crowds.footing import Blend, BodyState, Footing, limited_landings
+from animtool.systems.crowds.footing import Blend, BodyState, Footing, limit_landings
 from animtool.systems.crowds.gaits import PHASE_COUNT
 from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
 from animtool.systems.crowds.reach import MAX_CYCLE_RATE, LegReach, Stances, step_rates
 from animtool.systems.crowds.shoulders import Trunk
 
-# Agents slower than this fraction of the slowest gait stand, unless a foot is
+# Fraction of the slowest gait's speed below which agents stand, unless a foot is
 # misplaced.
 STANDING_SPEED = 0.1
 # Cadence is proportional to this power of speed (Grieve and Gear, 1966).
@@ -30,21 +30,21 @@ MIN_CADENCE_RATIO, MAX_CADENCE_RATIO = 0.7, 1.6
 PACE_TIME = 0.2
 # Time to blend from walking to standing [s].
 STANDING_TIME = 0.3
-# Phase of its cycle after which a foot that is about to land does not lift again.
+# Phase after which a foot that is about to land does not lift again.
 NO_LIFT_PHASE = 0.95
-# Largest difference of the yaw rate from its smoothed value for step rates [rad/s].
+# Largest difference of the yaw rate from its smoothed value, for step rates [rad/s].
 YAW_RATE_TOLERANCE = 0.6
-# Largest change of cadence [cycles/s²]; faster changes would jerk the legs.
+# Largest rate of change of the cadence [cycles/s²]; faster changes would jerk the legs.
 MAX_CADENCE_CHANGE = 12.0
-# Speed at which lowered hips rise, over the leg length [1/s].
+# Speed at which lowered hips rise, in leg lengths [1/s].
 HIP_RISE_SPEED = 0.6
 # Fraction of a swing after which its landing does not change.
 LANDING_FIXED_PHASE = 0.6
-# Largest yaw by which a landing is predicted [rad].
+# Largest yaw in the prediction of a landing [rad].
 MAX_YAW = 1.0
 # Speeds in any direction above this multiple of the standing speed count as walking.
 PUSHED_SPEED = 3.0
-# Largest step sideways and backwards from the hips, over the leg length.
+# Largest steps sideways and backwards, relative to the leg length.
 MAX_SIDE_STEP, MAX_BACK_STEP = 0.25, 0.3
 # Largest yaw of a body over a planted foot [rad].
 MAX_STANCE_YAW = 0.8
@@ -52,50 +52,52 @@ MAX_STANCE_YAW = 0.8
 
 @dataclass(frozen=True)
 class AgentBodies(Footing):
-    """Steps the bodies of N agents."""
+    """Steps the bodies of N agents: phases, footholds and hips."""
 
     @cached_property
     def animated(self) -> IntArray:
-        """Return the joints that gaits or leg IK rotate, ascending ``(M,)``."""
+        """Joints that gaits, leg IK or the trunk rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
-        tables = [
+        rotation_tables = [
             gait.rotations for gait in (*gaits.moving, gaits.idle, *gaits.reactions)
         ]
-        is_moved = [(np.abs(gait - rest) > 1e-9).any(axis=(0, 2)) for gait in tables]
-        legs = [joint for leg in gaits.walker.legs for joint in leg[:3]]
-        legs += self.trunk.joints.tolist()
-        return np.union1d(np.flatnonzero(np.any(is_moved, axis=0)), legs)
+        is_moved = [
+            (np.abs(gait - rest) > 1e-9).any(axis=(0, 2)) for gait in rotation_tables
+        ]
+        joints = [joint for leg in gaits.walker.legs for joint in leg[:3]]
+        joints += self.trunk.joints.tolist()
+        return np.union1d(np.flatnonzero(np.any(is_moved, axis=0)), joints)
 
     @cached_property
     def trunk(self) -> Trunk:
-        """Return the joints that rotate the shoulders."""
-        return Trunk.of(self.gaits.walker.person)
+        """Joints that rotate the shoulders."""
+        return Trunk.of(self.gaits.walker.skeleton)
 
     @cached_property
-    def tables(self) -> tuple[list[FloatArray], FloatArray]:
-        """Return rotations of the animated joints of each gait, and of the idle."""
+    def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
+        """Rotations of the animated joints: of each gait, and of the idle clip."""
         gaits = self.gaits
         return [
             gait.rotations[:, self.animated] for gait in gaits.moving
         ], gaits.idle.rotations[:, self.animated]
 
-    def first(self, motion: AgentMotion, chances: FloatArray) -> BodyState:
-        """Return bodies standing at the start, from random numbers ``(N,)``."""
-        count = len(chances)
-        paces = np.zeros((count, 3))
-        blend = self.blend(paces)
-        stands = self.standing_targets(motion, blend)
+    def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
+        """Return bodies standing at the start, with random phases ``(N,)``."""
+        count = len(random_phases)
+        motions = np.zeros((count, 3))
+        blend = self.blend(motions)
+        standing_targets = self.standing_targets(motion, blend)
         return BodyState(
-            chances,
-            stands,
+            random_phases,
+            standing_targets,
             -np.ones((count, 2)),
-            stands,
+            standing_targets,
             blend.rate,
             np.zeros(count),
             np.ones(count),
-            chances * self.gaits.idle.period,
-            paces,
+            random_phases * self.gaits.idle.period,
+            motions,
             -np.ones(count),
             np.zeros(count),
             np.zeros((count, 2)),
@@ -103,7 +105,7 @@ class AgentBodies(Footing):
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return gait weights at the agents' speeds and yaw rates ``(N, 3)``."""
+        """Return gait weights and blended steps, at speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
         speeds, yaw_rates, left_speeds = (
             paces[:, 0] / self.scales,
@@ -118,7 +120,7 @@ class AgentBodies(Footing):
         gait_paces = np.array([[gait.speed, gait.period] for gait in moving])
         speed, period = np.einsum("ng,gk->kn", weights, gait_paces)
         cadence = (np.hypot(speeds, left_speeds) / speed) ** CADENCE_POWER
-        rate = np.clip(cadence, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
+        rates = np.clip(cadence, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
         steps = np.einsum(
             "ng,gfk->nfk", weights, np.stack([gait.steps for gait in moving])
         )
@@ -126,31 +128,31 @@ class AgentBodies(Footing):
             "ng,gf->nf", weights, np.stack([m.stance_fractions for m in moving])
         )
         # Sideways, backward and spinning motion uses shorter, more frequent steps.
-        side_step = left_speeds * stance_fractions.mean(axis=1) / (2 * rate)
-        back_step = -speeds * stance_fractions.mean(axis=1) / (2 * rate)
-        excess = np.maximum(
+        side_step = left_speeds * stance_fractions.mean(axis=1) / (2 * rates)
+        back_step = -speeds * stance_fractions.mean(axis=1) / (2 * rates)
+        rate_factor = np.maximum(
             np.abs(side_step) / (MAX_SIDE_STEP * leg), back_step / (MAX_BACK_STEP * leg)
         )
-        stance_yaw = np.abs(yaw_rates) * stance_fractions.mean(axis=1) / rate
-        excess = np.maximum(excess, stance_yaw / MAX_STANCE_YAW)
-        excess = np.clip(excess, 1.0, np.maximum(MAX_CYCLE_RATE / rate, 1.0))
-        free_rate, rate = rate, rate * excess
-        stride = speeds / speed / (rate * period)
+        stance_yaw = np.abs(yaw_rates) * stance_fractions.mean(axis=1) / rates
+        rate_factor = np.maximum(rate_factor, stance_yaw / MAX_STANCE_YAW)
+        rate_factor = np.clip(rate_factor, 1.0, np.maximum(MAX_CYCLE_RATE / rates, 1.0))
+        free_rates, rates = rates, rates * rate_factor
+        stride = speeds / speed / (rates * period)
         steps[..., 1] *= stride[:, None]
-        steps[..., 0] += (side_step / excess)[:, None]
-        return Blend(weights, rate, free_rate, stride, stance_fractions, steps)
+        steps[..., 0] += (side_step / rate_factor)[:, None]
+        return Blend(weights, rates, free_rates, stride, stance_fractions, steps)
 
-    def next(
+    def advance(
         self,
         state: BodyState,
         before: AgentMotion,
         after: AgentMotion,
         dt: float,
-        hit: BoolArray | None = None,
+        is_hit: BoolArray | None = None,
     ) -> BodyState:
-        """Return bodies after a step [s], in which feet may land and lift.
+        """Return bodies after a step [s], in which feet may lift and land.
 
-        ``hit``: mask of agents that were hit in the step ``(N,)``.
+        ``is_hit`` is a mask of agents that were hit in the step ``(N,)``.
         """
         yaw_velocities = wrap_angles(after.headings - before.headings) / dt
         # Actual velocities: those of pushed agents differ from the preferred ones.
@@ -168,11 +170,11 @@ class AgentBodies(Footing):
         is_moving = (local_velocities[:, 1] > slow_speed) | (
             np.linalg.norm(local_velocities, axis=1) > PUSHED_SPEED * slow_speed
         )
-        walks = is_moving | is_misplaced.any(axis=1)
+        is_walking = is_moving | is_misplaced.any(axis=1)
         phases = self._lift_phases(
-            state, blend, walks & (state.still >= 1), is_misplaced, after
+            state, blend, is_walking & (state.still >= 1), is_misplaced, after
         )
-        advances = walks | ~is_standing
+        is_advancing = is_walking | ~is_standing
         stances = self._foot_stances(state, after, phases, blend)
         speeds = local_velocities / self.scales[:, None]
         yaw_rates = np.clip(
@@ -180,7 +182,7 @@ class AgentBodies(Footing):
             paces[:, 1] - YAW_RATE_TOLERANCE,
             paces[:, 1] + YAW_RATE_TOLERANCE,
         )
-        rates, ends = step_rates(self.reach, stances, speeds, yaw_rates)
+        rates, is_stance_over = step_rates(self.leg_reach, stances, speeds, yaw_rates)
         # Hurried steps slow down again with the pace.
         target_rates = state.rates + (blend.rate - state.rates) * -np.expm1(
             -dt / PACE_TIME
@@ -189,27 +191,27 @@ class AgentBodies(Footing):
         rates = np.minimum(
             rates, np.maximum(target_rates, state.rates + MAX_CADENCE_CHANGE * dt)
         )
-        change = np.where(advances, rates * dt, 0.0)
+        phase_change = np.where(is_advancing, rates * dt, 0.0)
         footholds, swings = state.places.copy(), state.swings.copy()
         aims, heels, spans = state.aims.copy(), state.heels.copy(), state.spans.copy()
         for k in range(2):
-            swings[ends[:, k], k] = 0.0
-            begins = np.where(
-                ends[:, k], stances.begins[:, k], blend.stance_fractions[:, k]
+            swings[is_stance_over[:, k], k] = 0.0
+            stance_phases = np.where(
+                is_stance_over[:, k], stances.begins[:, k], blend.stance_fractions[:, k]
             )
-            heel_pitches = self.pitches(k, begins, blend, state.still)
+            heel_pitches = self.pitches(k, stance_phases, blend, state.still)
             self._advance_foot(
-                k, phases, change, blend, (before, after), footholds, swings
+                k, phases, phase_change, blend, (before, after), footholds, swings
             )
             has_lifted = (state.swings[:, k] < 0) & (swings[:, k] >= 0)
             heels[has_lifted, k] = heel_pitches[has_lifted]
-            remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, begins)
+            remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, stance_phases)
             spans[has_lifted, k] = remaining_phases[has_lifted]
             has_landed = (state.swings[:, k] >= LANDING_FIXED_PHASE) & (
                 swings[:, k] < 0
             )
             footholds[has_landed, k] = state.aims[has_landed, k]
-        phases = (phases + change) % 1.0
+        phases = (phases + phase_change) % 1.0
         for k in range(2):
             is_swinging = (swings[:, k] >= 0) & ~(
                 state.swings[:, k] >= LANDING_FIXED_PHASE
@@ -217,15 +219,15 @@ class AgentBodies(Footing):
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             future_points = after.points + after.velocities * remaining_times[:, None]
-            landings = self.landing_at(
+            landings = self.landing(
                 k, blend, future_points, after.headings + yaw, footholds
             )
             was_planted = state.swings[:, k] < 0
-            aims[is_swinging, k] = limited_landings(
+            aims[is_swinging, k] = limit_landings(
                 aims, landings, swings, was_planted, self.scales, dt, k
             )[is_swinging]
         standing_change = (
-            np.where(walks | (swings >= 0).any(axis=1), -dt, dt) / STANDING_TIME
+            np.where(is_walking | (swings >= 0).any(axis=1), -dt, dt) / STANDING_TIME
         )
         next_state = replace(
             state,
@@ -237,13 +239,13 @@ class AgentBodies(Footing):
             still=np.clip(state.still + standing_change, 0.0, 1.0),
             clocks=state.clocks + dt,
             paces=paces,
-            reacts=self._reaction_times(state.reacts, dt, hit),
+            reacts=self._reaction_times(state.reacts, dt, is_hit),
             heels=heels,
             spans=spans,
         )
-        return self._within_reach(state, next_state, after, blend, dt)
+        return self._keep_in_reach(state, next_state, after, blend, dt)
 
-    def _within_reach(
+    def _keep_in_reach(
         self,
         before: BodyState,
         state: BodyState,
@@ -251,54 +253,62 @@ class AgentBodies(Footing):
         blend: Blend,
         dt: float,
     ) -> BodyState:
-        """Return bodies with landed feet moved within reach, hips lowered as needed."""
+        """Return bodies with landed feet moved into reach, and hips lowered."""
         stances = self._foot_stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
         leg = self.gaits.walker.leg
         lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
         for k in range(2):
-            stance = (
+            foot_stance = (
                 k,
                 stances.thighs[:, k],
                 stances.feet[:, k],
                 stances.pitches[0, :, k],
             )
             is_planted = state.swings[:, k] < 0
-            margin, outwards = self.reach.margin(*stance)
+            reach_margin, outwards = self.leg_reach.reach_margin(*foot_stance)
             has_landed = is_planted & (footholds[:, k] != before.places[:, k]).any(
                 axis=1
             )
-            shift = np.minimum(margin, 0.0)[:, None] * outwards * self.scales[:, None]
+            shift = (
+                np.minimum(reach_margin, 0.0)[:, None] * outwards * self.scales[:, None]
+            )
             footholds[has_landed, k, :2] += rotated_about_y(shift, motion.headings)[
                 has_landed
             ]
-            required_lowering = np.where(is_planted, self.reach.lowered(*stance), 0.0)
+            required_lowering = np.where(
+                is_planted, self.leg_reach.hip_lowering(*foot_stance), 0.0
+            )
             lowering = np.maximum(lowering, required_lowering)
         return replace(state, places=footholds, lowered=lowering)
 
     @cached_property
-    def reach(self) -> LegReach:
-        """Return the reach of the legs."""
+    def leg_reach(self) -> LegReach:
+        """Reach of the legs."""
         return LegReach.of(self.gaits)
 
     def pitches(
-        self, k: int, begins: FloatArray, blend: Blend, standing: FloatArray
+        self,
+        k: int,
+        stance_phases: FloatArray,
+        blend: Blend,
+        standing_weights: FloatArray,
     ) -> FloatArray:
-        """Return heel pitches of planted feet ``(N,)`` [rad]."""
-        stance_rows = np.clip(begins / blend.stance_fractions[:, k], 0.0, 1.0) * (
-            PHASE_COUNT - 1
-        )
-        pitch = np.zeros(len(begins))
+        """Return the heel pitches of planted feet ``(N,)`` [rad]."""
+        stance_rows = np.clip(
+            stance_phases / blend.stance_fractions[:, k], 0.0, 1.0
+        ) * (PHASE_COUNT - 1)
+        pitch = np.zeros(len(stance_phases))
         for weight, gait in zip(blend.weights.T, self.gaits.moving, strict=True):
             pitch += weight * np.interp(
                 stance_rows, np.arange(PHASE_COUNT), gait.pitches[k]
             )
-        return np.asarray(pitch * (1 - standing))
+        return np.asarray(pitch * (1 - standing_weights))
 
     def _foot_stances(
         self, state: BodyState, motion: AgentMotion, phases: FloatArray, blend: Blend
     ) -> Stances:
-        """Return the stances of feet at phases ``(N,)``."""
+        """Return the stances of both feet at phases ``(N,)``."""
         feet = np.zeros((len(phases), 2, 4))
         offsets = rotated_about_y(
             state.places[..., :2] - motion.points[:, None], -motion.headings[:, None]
@@ -310,7 +320,7 @@ class AgentBodies(Footing):
         feet[..., 1] = (heights.reshape(-1, 2) - body_height[:, None]) / self.scales[
             :, None
         ]
-        thighs = self.reach.thighs(phases, blend.weights, state.still)
+        thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
         thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
         begins = (phases[:, None] - [0.0, 0.5]) % 1.0
         pitches = np.array(
@@ -334,79 +344,81 @@ class AgentBodies(Footing):
         )
 
     def _reaction_times(
-        self, reacts: FloatArray, dt: float, hit: BoolArray | None
+        self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
     ) -> FloatArray:
-        """Return the time since each reaction began, after a step ``(N,)`` [s]."""
+        """Return the time since each reaction began ``(N,)`` [s]; -1 without one."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period
         times = np.where(reacts >= 0, reacts + dt, reacts)
         times = np.where(times > period, -1.0, times)
-        return times if hit is None else np.where(hit & (times < 0), 0.0, times)
+        return times if is_hit is None else np.where(is_hit & (times < 0), 0.0, times)
 
     def _lift_phases(
         self,
         state: BodyState,
         blend: Blend,
-        begins: BoolArray,
+        is_starting: BoolArray,
         is_misplaced: BoolArray,
         motion: AgentMotion,
     ) -> FloatArray:
-        """Return phases ``(N,)``; bodies that start lift the foot farther back."""
+        """Return phases ``(N,)``; bodies that start to walk lift the rear foot."""
         offsets = self.standing_targets(motion, blend) - state.places
         forward = rotated_about_y(offsets[..., :2], -motion.headings[:, None])[..., 1]
-        score = forward + np.where(is_misplaced, 10.0, 0.0)
-        right_first = score[:, 1] > score[:, 0]
+        scores = forward + np.where(is_misplaced, 10.0, 0.0)
+        lifts_right_first = scores[:, 1] > scores[:, 0]
         lift_phases = np.where(
-            right_first,
+            lifts_right_first,
             0.5 + blend.stance_fractions[:, 1],
             blend.stance_fractions[:, 0],
         )
-        return np.where(begins, lift_phases % 1.0, state.phases)
+        return np.where(is_starting, lift_phases % 1.0, state.phases)
 
     def _advance_foot(
         self,
         k: int,
         phases: FloatArray,
-        change: FloatArray,
+        phase_change: FloatArray,
         blend: Blend,
         motions: tuple[AgentMotion, AgentMotion],
         footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
-        """Lift, swing and land a foot of each body in a step, in place."""
+        """Lift, swing and land one foot of each body, in place."""
         begin = (phases - 0.5 * k) % 1.0
-        end = begin + change
+        end = begin + phase_change
         stance_end = blend.stance_fractions[:, k]
         # Feet that are planted longer than in the current gait lift at once.
-        lifts = (swings[:, k] < 0) & (change > 0) & (end >= stance_end) & (begin < 1)
+        is_lifting = (
+            (swings[:, k] < 0) & (phase_change > 0) & (end >= stance_end) & (begin < 1)
+        )
         is_late = (begin > stance_end) & ~(begin < NO_LIFT_PHASE)
-        lifts &= ~is_late
-        swings[lifts, k] = 0.0
-        phase = np.where(lifts, np.maximum(begin, stance_end), begin)
+        is_lifting &= ~is_late
+        swings[is_lifting, k] = 0.0
+        phase = np.where(is_lifting, np.maximum(begin, stance_end), begin)
         is_swinging = swings[:, k] >= 0
         progress = np.clip((end - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
         has_landed = is_swinging & (end >= 1)
-        fraction = (1 - begin) / np.where(change > 0, change, 1.0)
-        footholds[has_landed, k] = self.landing(k, blend, motions, fraction, footholds)[
-            has_landed
-        ]
+        fraction = (1 - begin) / np.where(phase_change > 0, phase_change, 1.0)
+        footholds[has_landed, k] = self.landing_in_step(
+            k, blend, motions, fraction, footholds
+        )[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
         swings[has_landed, k] = -1.0
 
 
-def _gait_weights(points: FloatArray, gait_points: FloatArray) -> FloatArray:
+def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:
     """Return gait weights ``(N, G)`` by gradient-band interpolation (Johansen, 2009).
 
-    ``points`` ``(N, 2)`` and ``gait_points`` ``(G, 2)``: speed and scaled yaw rate.
+    Samples ``(N, 2)`` and gait points ``(G, 2)`` are speeds and scaled yaw rates.
     """
     if len(gait_points) == 1:
-        return np.ones((len(points), 1))
+        return np.ones((len(samples), 1))
     offsets = gait_points[None] - gait_points[:, None]  # (i, j, 2)
     squares = (offsets * offsets).sum(axis=2)
     squares[squares == 0] = np.inf
     projections = (
-        np.einsum("nik,ijk->nij", points[:, None] - gait_points[None], offsets)
+        np.einsum("nik,ijk->nij", samples[:, None] - gait_points[None], offsets)
         / squares
     )
     # The nearest band has at least half the weight: the sum is never 0.

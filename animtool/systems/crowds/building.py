@@ -1,4 +1,4 @@
-"""Builds crowds from their specs: separated agents clear of obstacles, with bodies."""
+"""Builds crowds from specs: agents, steering, obstacles and bodies."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
-    """Return the crowd of a spec.
+    """Build the crowd of a spec.
 
     Raises:
         OptionError: The spec is invalid (SIM145).
@@ -42,11 +42,14 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         refuse("SIM145", message, "systems", hint)
     agents, notices = build_agents(spec, parts, begin, frame)
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
-    start, moved = clear_starts(agents, steering.grid, obstacles, begin)
-    notices += [*moved, *unreachable_goal_warnings(spec, agents, steering, start)]
-    shows = [part.get("shows") for part in parts]
-    cycles = {show: show() for show in shows if show is not None}
-    order = list(cycles)
+    start, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
+    notices += [
+        *moved_warnings,
+        *unreachable_goal_warnings(spec, agents, steering, start),
+    ]
+    prototypes = [part.get("shows") for part in parts]
+    meshes_by_prototype = {show: show() for show in prototypes if show is not None}
+    distinct_prototypes = list(meshes_by_prototype)
     casting, falling = _build_bodies(spec, agents, frame, ground, context)
     if casting is not None:
         for group in casting.groups:
@@ -63,8 +66,10 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         notices,
         casting,
         falling,
-        tuple(cycle[0] for cycle in cycles.values()),
-        np.array([order.index(s) if s else 0 for s in shows], np.int64),
+        tuple(cycle[0] for cycle in meshes_by_prototype.values()),
+        np.array(
+            [distinct_prototypes.index(s) if s else 0 for s in prototypes], np.int64
+        ),
     )
 
 
@@ -75,7 +80,7 @@ def _build_steering(
     ground: Terrain,
     context: SimContext,
 ) -> tuple[Steering, Obstacles]:
-    """Return the steering towards goals, and the obstacles."""
+    """Return the steering towards goals, and the obstacles on the ground."""
     colliders, begin = context.colliders, context.begin
     goals = _project_on_ground(frame, [goal.at for goal in spec.goals])
     grid, edge = navigation_grids(spec, agents, frame, ground, colliders, goals, begin)
@@ -114,21 +119,21 @@ def _build_bodies(
     ground: Terrain,
     context: SimContext,
 ) -> tuple[AgentCast | None, FallSimulator | None]:
-    """Return bodies if populations have gaits, and ragdolls if something can hit."""
-    sources = [part.get("gaits") for part in context.parts["populations"]]
-    gaits = [source for source in sources if source is not None]
+    """Return bodies if populations have gaits, and ragdolls if colliders move."""
+    gait_sources = [part.get("gaits") for part in context.parts["populations"]]
+    gaits = [source for source in gait_sources if source is not None]
     if not gaits:
         return None, None
     from animtool.systems.crowds.cast import AgentCast
     from animtool.systems.crowds.falls import FallSimulator
 
     colliders = context.colliders
-    moving = bool(colliders.bodies) or any(
+    has_moving_colliders = bool(colliders.bodies) or any(
         len(c.poses.sample_times) > 1 for c in colliders
     )
-    casting = AgentCast.of(agents, gaits, ground, falls=moving)
-    possible = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
-    if not (moving and all(possible) and len(agents)):
+    casting = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
+    can_fall = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
+    if not (has_moving_colliders and all(can_fall) and len(agents)):
         return casting, None
     falling = FallSimulator(
         casting.rigs, agents.sizes, frame, ground, colliders, spec.step
@@ -139,5 +144,5 @@ def _build_bodies(
 def _project_on_ground(
     frame: GroundFrame, points: Sequence[Sequence[float]]
 ) -> FloatArray:
-    """Project world points on the ground: x and z ``(K, 2)``."""
+    """Return world points projected on the ground: x and z ``(K, 2)``."""
     return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]

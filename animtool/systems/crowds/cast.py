@@ -20,17 +20,17 @@ from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import BodyState, Heights
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import GroundFrame, rotations_about_y
-from animtool.systems.crowds.poses import poses_of
+from animtool.systems.crowds.poses import body_poses
 
-# Sample rate of the idle cycle [1/s], which is slow.
+# Sample rate of the idle clip, which moves slowly [1/s].
 IDLE_RATE = 24.0
-# Phases of a swing at which soles are close to the ground.
+# Phases of a swing before and after which soles are close to the ground.
 LIFT_PHASE, LANDING_PHASE = 0.08, 0.78
 
 
 @dataclass(frozen=True)
 class CastGroup:
-    """Agents that share a rig, and their character."""
+    """Agents that share a rig, with their bodies and character."""
 
     agents: IntArray  # indices of agents (n,)
     bodies: AgentBodies
@@ -39,7 +39,7 @@ class CastGroup:
 
 @dataclass(frozen=True)
 class AgentCast:
-    """The bodies of N agents, grouped by rig."""
+    """The bodies and characters of N agents, grouped by rig."""
 
     groups: Sequence[CastGroup]
     order: IntArray  # agent order, rig by rig (N,)
@@ -50,56 +50,58 @@ class AgentCast:
         sources: Sequence[Callable[[], Gaits]],
         ground: Heights,
         *,
-        falls: bool,
+        can_fall: bool,
     ) -> AgentCast:
-        """Return bodies for agents, from their populations' gaits; some may fall."""
-        distinct = list(dict.fromkeys(sources))
-        sources_of_agents = np.array([distinct.index(source) for source in sources])[
-            agents.kinds
-        ]
+        """Return the bodies of agents, from the gaits of their populations."""
+        distinct_sources = list(dict.fromkeys(sources))
+        sources_of_agents = np.array(
+            [distinct_sources.index(source) for source in sources]
+        )[agents.kinds]
         groups = []
-        for k, source in enumerate(distinct):
+        for k, source in enumerate(distinct_sources):
             rows = np.flatnonzero(sources_of_agents == k)
             bodies = AgentBodies(source(), agents.sizes[rows], ground)
-            groups.append(CastGroup(rows, bodies, _build_cast(bodies, falls=falls)))
+            groups.append(
+                CastGroup(rows, bodies, _build_cast(bodies, can_fall=can_fall))
+            )
         order = np.concatenate([group.agents for group in groups])
         return AgentCast(groups, order)
 
-    def first(self, motion: AgentMotion, chances: FloatArray) -> BodyState:
-        """Return the initial bodies of all agents."""
+    def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
+        """Return the initial bodies of all agents, with random phases ``(N,)``."""
         return self._in_agent_order(
             [
-                group.bodies.first(
-                    select_rows(motion, group.agents), chances[group.agents]
+                group.bodies.initial(
+                    select_rows(motion, group.agents), random_phases[group.agents]
                 )
                 for group in self.groups
             ]
         )
 
-    def next(
+    def advance(
         self,
         state: BodyState,
         before: AgentMotion,
         after: AgentMotion,
         dt: float,
-        hit: BoolArray,
+        is_hit: BoolArray,
     ) -> BodyState:
-        """Return the bodies after a step [s]; some were hit ``(N,)``."""
+        """Return the bodies of all agents after a step [s]."""
         return self._in_agent_order(
             [
-                group.bodies.next(
+                group.bodies.advance(
                     select_rows(state, group.agents),
                     select_rows(before, group.agents),
                     select_rows(after, group.agents),
                     dt,
-                    hit[group.agents],
+                    is_hit[group.agents],
                 )
                 for group in self.groups
             ]
         )
 
     def _in_agent_order(self, states: Sequence[BodyState]) -> BodyState:
-        """Return the states of all rigs joined, in agent order."""
+        """Return the states of all groups in one record, in agent order."""
         agent_rows = np.argsort(self.order)
         return BodyState(
             *(
@@ -112,7 +114,7 @@ class AgentCast:
 
     @property
     def rigs(self) -> list[Rig]:
-        """Return each agent's rig."""
+        """Rig of each agent."""
         rigs = [self.groups[0].cast.rig] * len(self.order)
         for group in self.groups:
             for i in group.agents.tolist():
@@ -127,7 +129,7 @@ class AgentCast:
         ground: Heights,
         agent: int,
     ) -> WorldTransforms:
-        """Return world transforms of an agent's joints, as one frame."""
+        """Return the world transforms of an agent's joints, as one frame."""
         group = next(
             candidate for candidate in self.groups if agent in candidate.agents
         )
@@ -135,7 +137,7 @@ class AgentCast:
         bodies = replace(
             group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
         )
-        poses = poses_of(bodies, select_rows(state, row), select_rows(motion, row))
+        poses = body_poses(bodies, select_rows(state, row), select_rows(motion, row))
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
         world = forward_kinematics(rig, positions, poses.rotations)
@@ -154,25 +156,25 @@ class AgentCast:
         state: BodyState,
         motion: AgentMotion,
         heights: FloatArray,
-        placed: tuple[GroundFrame, FloatArray],
-        visible: BoolArray,
+        placement: tuple[GroundFrame, FloatArray],
+        is_visible: BoolArray,
         primvars: Mapping[str, Any],
-        fallen: Mapping[int, tuple[FloatArray, FloatArray]],
+        fallen_poses: Mapping[int, tuple[FloatArray, FloatArray]],
     ) -> CharactersFrame:
-        """Return the characters at a time.
+        """Return the characters as a frame.
 
         Args:
             state: State of their bodies.
             motion: Motion of the agents.
             heights: Heights of the ground below them ``(N,)`` [m].
-            placed: Frame of the ground, and world velocities of agents ``(N, 3)``
+            placement: Frame of the ground, and world velocities of agents ``(N, 3)``
                 [m/s].
-            visible: Which agents are visible ``(N,)``.
-            primvars: Values per agent.
-            fallen: Local translations and rotations of fallen agents, by index; those
-                of the root are in world space.
+            is_visible: Mask of visible agents ``(N,)``.
+            primvars: Values per agent, by name.
+            fallen_poses: Local translations and rotations of fallen agents, by index;
+                those of the root are in world space.
         """
-        frame, velocities = placed
+        frame, velocities = placement
         rotations, roots = [], []
         points = np.column_stack([motion.points[:, 0], heights, motion.points[:, 1]])
         for group in self.groups:
@@ -180,8 +182,8 @@ class AgentCast:
                 select_rows(state, group.agents),
                 select_rows(motion, group.agents),
             )
-            poses = poses_of(group.bodies, *group_state)
-            for i, (positions, fallen_rotations) in fallen.items():
+            poses = body_poses(group.bodies, *group_state)
+            for i, (positions, fallen_rotations) in fallen_poses.items():
                 for row in np.flatnonzero(group.agents == i).tolist():
                     rotation = so3.multiply(
                         frame.rotation, rotations_about_y(motion.headings[i])
@@ -202,11 +204,11 @@ class AgentCast:
             (state.still >= 1) & ~motion.velocities.any(axis=1) & (state.reacts < 0)
         )
         is_idle &= state.shoulders == 0
-        is_idle[list(fallen)] = False
+        is_idle[list(fallen_poses)] = False
         # Feet that are about to land or just lifted are also close to the ground.
-        near_ground = (state.swings < LIFT_PHASE) | (state.swings > LANDING_PHASE)
-        near_ground[list(fallen)] = False
-        stands = near_ground & (state.swings < 0)
+        is_near_ground = (state.swings < LIFT_PHASE) | (state.swings > LANDING_PHASE)
+        is_near_ground[list(fallen_poses)] = False
+        is_planted = is_near_ground & (state.swings < 0)
         return CharactersFrame(
             order,
             frame.to_world(points)[order],
@@ -218,10 +220,10 @@ class AgentCast:
             np.array([len(group.agents) for group in self.groups]),
             tuple(rotations),
             np.concatenate(roots),
-            stands[order],
-            near_ground[order],
+            is_planted[order],
+            is_near_ground[order],
             np.where(is_idle, state.clocks, np.nan)[order],
-            visible[order],
+            is_visible[order],
             {name: values[order] for name, values in primvars.items()},
         )
 
@@ -234,18 +236,18 @@ def select_rows(record: Any, rows: IntArray) -> Any:
     return replace(record, **changes)
 
 
-def _build_cast(bodies: AgentBodies, *, falls: bool) -> Cast:
-    """Return the character of a group, with the pose that idle agents share."""
+def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
+    """Return the character of a group, with the idle pose that agents share."""
     gaits = bodies.gaits
     period = 2 * gaits.idle.period if len(gaits.idle.rotations) > 1 else 0.0
     count = max(round(period * IDLE_RATE), 1)
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
     motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level_bodies = replace(bodies, scales=np.ones(count), ground=_flat_ground)
-    initial = level_bodies.first(motion, np.zeros(count))
-    poses = poses_of(level_bodies, replace(initial, clocks=clocks), motion)
+    initial = level_bodies.initial(motion, np.zeros(count))
+    poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated
-    if falls:
+    if can_fall:
         animated_joints = np.union1d(
             animated_joints, JointCapsules.of(gaits.walker.rig).joints
         )
@@ -261,5 +263,5 @@ def _build_cast(bodies: AgentBodies, *, falls: bool) -> Cast:
 
 
 def _flat_ground(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return flat ground."""
+    """Return heights 0 and normals along y."""
     return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

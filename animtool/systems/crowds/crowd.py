@@ -40,11 +40,11 @@ if TYPE_CHECKING:
 
 # Passes that separate overlapping agents in a step.
 SEPARATION_PASSES = 100
-# Modes of agents, as the kernel encodes them.
+# Modes of agents, in the encoding of the kernel.
 WALKING, STAYING, LEFT_SCENE = np.uint8(0), np.uint8(1), np.uint8(2)
 # Weight of the preferred velocity in the direction that agents face [1].
 FACING_PREFERRED = 0.5
-# Preference of the lane to the left of oncoming agents.
+# Preference for passing on the left of oncoming agents.
 SIDE_PREFERENCES = {"right": -0.2, "left": 0.2, "none": 0.0}
 # Below this fraction of the preferred speed, agents yaw proportionally slower.
 SLOW_YAW_SPEED = 0.6
@@ -56,7 +56,7 @@ MAX_YAW_RATE = 4.0
 
 @dataclass(frozen=True, slots=True)
 class CrowdState:
-    """The state of N agents on the ground."""
+    """State of N agents on the ground."""
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # x and z (N, 2) [m/s]
@@ -69,16 +69,16 @@ class CrowdState:
 
 @dataclass(frozen=True, eq=False)
 class Crowd:
-    """Simulation of walking agents.
+    """Simulates the agents of a crowd.
 
     Attributes:
-        checked: Whether steps check that all numbers are finite.
+        checked: Whether steps raise if a number is not finite.
         begin: Start time [s].
-        start: x and z at the start ``(N, 2)`` [m].
-        casting: Bodies of the agents; None if they are points or meshes.
-        falling: Ragdolls of falling agents; None if nobody can fall.
-        meshes: Distinct prototypes that populations show.
-        shown: Index of the mesh of each population.
+        start_points: x and z at the start ``(N, 2)`` [m].
+        cast: Bodies of the agents; None if they are points or meshes.
+        fall_simulator: Ragdolls of falling agents; None if nobody can fall.
+        meshes: Distinct meshes that populations show.
+        mesh_of_population: Index of the mesh of each population.
     """
 
     checked = True
@@ -90,12 +90,12 @@ class Crowd:
     agents: Agents
     steering: Steering
     obstacles: Obstacles
-    start: FloatArray
+    start_points: FloatArray
     notices: Sequence[Fault]
-    casting: AgentCast | None
-    falling: FallSimulator | None
+    cast: AgentCast | None
+    fall_simulator: FallSimulator | None
     meshes: tuple[MeshFrame, ...]
-    shown: IntArray
+    mesh_of_population: IntArray
 
     @cached_property
     def _relaxation_times(self) -> FloatArray:
@@ -106,65 +106,71 @@ class Crowd:
 
     def initial(self) -> CrowdState:
         """Return the initial state, with headings along the preferred velocities."""
-        x, progress = self.start, self.steering.first()
+        x, progress = self.start_points, self.steering.initial()
         at_rest = np.zeros_like(x)
-        preferred = self.steering.preferred(np.inf, self.begin, progress, x)
+        preferred = self.steering.preferred_velocities(np.inf, self.begin, progress, x)
         headings = np.arctan2(preferred[:, 0], preferred[:, 1])
         bodies = None
-        if self.casting is not None:
+        if self.cast is not None:
             motion = AgentMotion(x, at_rest, headings)
-            bodies = self.casting.first(motion, self.agents.clip_phases)
-        falls = None if self.falling is None else self.falling.none()
+            bodies = self.cast.initial(motion, self.agents.clip_phases)
+        falls = None if self.fall_simulator is None else self.fall_simulator.no_falls()
         return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return the state after a step [s]."""
-        agents, rules = self.agents, self.spec.avoidance
+        agents, avoidance = self.agents, self.spec.avoidance
         if not len(agents):
             return state
         x, v = state.points, state.velocities
-        preferred = self.steering.preferred(t, self.begin, state.progress, x)
-        relaxed = v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
+        preferred = self.steering.preferred_velocities(t, self.begin, state.progress, x)
+        relaxed_velocities = (
+            v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
+        )
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
         modes[state.progress.stages == GONE] = LEFT_SCENE
-        if not all(np.isfinite(values).all() for values in (x, v, relaxed, walls.rows)):
+        if not all(
+            np.isfinite(values).all()
+            for values in (x, v, relaxed_velocities, walls.rows)
+        ):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
-        shoulders = self._shoulders(state, has_fallen)
-        points, velocities, overlap, pressed = _kernels.crowd_step(
-            points=x, velocities=v, preferred=relaxed,
+        shoulders = self._shoulder_yaws(state, has_fallen)
+        points, velocities, overlap, shoulder_targets = _kernels.crowd_step(
+            points=x, velocities=v, preferred=relaxed_velocities,
             radii=agents.radii, max_speeds=agents.max_speeds, yielding=agents.yielding,
             shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
             groups=agents.groups, modes=modes, starts=walls.starts, walls=walls.rows,
-            sight=rules.sight, nearest=rules.nearest, horizon=rules.horizon,
-            space=rules.space, push=rules.push, headway=rules.headway,
-            side=SIDE_PREFERENCES[rules.side], step=dt, max_passes=SEPARATION_PASSES,
+            sight=avoidance.sight, nearest=avoidance.nearest, horizon=avoidance.horizon,
+            space=avoidance.space, push=avoidance.push, headway=avoidance.headway,
+            side=SIDE_PREFERENCES[avoidance.side], step=dt,
+            max_passes=SEPARATION_PASSES,
             tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
-        headings = self._yawed(state.headings, preferred, velocities, dt)
+        headings = self._turn_headings(state.headings, preferred, velocities, dt)
         bodies = state.bodies
         falls = state.falls
-        if self.casting is not None and bodies is not None:
+        if self.cast is not None and bodies is not None:
             before, after = _motion_of(state), AgentMotion(points, velocities, headings)
             speeds = self._impact_speeds(walls, dt)
             is_hit = speeds > self.spec.impact.stagger
-            bodies = self.casting.next(bodies, before, after, dt, is_hit)
+            bodies = self.cast.advance(bodies, before, after, dt, is_hit)
             yawed_shoulders = step_shoulders(
-                shoulders, np.where(is_hit, 0.0, pressed), dt
+                shoulders, np.where(is_hit, 0.0, shoulder_targets), dt
             )
             bodies = replace(bodies, shoulders=yawed_shoulders)
-            if self.falling is not None and falls is not None:
+            if self.fall_simulator is not None and falls is not None:
                 new_falls = np.flatnonzero(
                     (speeds > self.spec.impact.fall) & ~has_fallen
                 )
                 if len(new_falls):
-                    falls = self._with_new_falls(state, falls, new_falls, dt)
-                falls = self.falling.step(falls, t, dt)
+                    falls = self._add_falls(state, falls, new_falls, dt)
+                falls = self.fall_simulator.step(falls, t, dt)
         if not (np.isfinite(points).all() and np.isfinite(headings).all()):
             message = f"agents blew up at {t + dt:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
@@ -173,20 +179,20 @@ class Crowd:
             points, velocities, headings, progress, overlap, bodies, falls
         )
 
-    def _with_new_falls(
+    def _add_falls(
         self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
     ) -> Falls:
-        """Return falls with more agents ``(K,)``, from the start of a step.
+        """Return falls with more agents ``(K,)``, which fall from the start of a step.
 
         Their velocities are those of continued walking; colliders move the bodies.
         """
-        assert self.casting is not None
-        assert self.falling is not None
+        assert self.cast is not None
+        assert self.fall_simulator is not None
         assert state.bodies is not None
         motion, v = _motion_of(state), state.velocities
         next_motion = AgentMotion(motion.points + v * dt, v, motion.headings)
         no_hits = np.zeros(len(v), np.bool_)
-        next_bodies = self.casting.next(state.bodies, motion, next_motion, dt, no_hits)
+        next_bodies = self.cast.advance(state.bodies, motion, next_motion, dt, no_hits)
         poses, next_poses = (
             [self._world(bodies, agent_motion, i) for i in new_falls.tolist()]
             for bodies, agent_motion in (
@@ -194,10 +200,10 @@ class Crowd:
                 (next_bodies, next_motion),
             )
         )
-        return self.falling.add_falls(falls, new_falls, poses, next_poses, dt)
+        return self.fall_simulator.add_falls(falls, new_falls, poses, next_poses, dt)
 
-    def _shoulders(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
-        """Return shoulder yaws ``(N,)`` [rad].
+    def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
+        """Return the shoulder yaws of agents ``(N,)`` [rad].
 
         Agents shown as points or meshes have none; fallen ones keep their space.
         """
@@ -206,24 +212,28 @@ class Crowd:
         return np.where(has_fallen, 0.0, state.bodies.shoulders)
 
     def _impact_speeds(self, walls: Walls, dt: float) -> FloatArray:
-        """Return the highest speed of an impact on each agent ``(N,)`` [m/s]."""
+        """Return the largest speed of an impact on each agent ``(N,)`` [m/s]."""
         speeds = np.zeros(len(self.agents))
-        touches = walls.gaps < np.maximum(walls.closing, 0.0) * dt
-        np.maximum.at(speeds, walls.agents_of_walls[touches], walls.closing[touches])
+        is_touching = walls.gaps < np.maximum(walls.closing_speeds, 0.0) * dt
+        np.maximum.at(
+            speeds,
+            walls.agents_of_walls[is_touching],
+            walls.closing_speeds[is_touching],
+        )
         return speeds
 
     def _world(
         self, bodies: BodyState | None, motion: AgentMotion, i: int
     ) -> WorldTransforms:
-        """Return an agent's joints in the world."""
-        assert self.casting is not None
+        """Return the world transforms of an agent's joints."""
+        assert self.cast is not None
         assert bodies is not None
-        return self.casting.world(bodies, motion, self.ground_frame, self.ground, i)
+        return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
 
-    def _yawed(
+    def _turn_headings(
         self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
-        """Return headings ``(N,)`` after agents turn towards their motion."""
+        """Return headings ``(N,)`` [rad], rotated towards the direction of motion."""
         directions = v + FACING_PREFERRED * preferred
         speed_ratio = np.linalg.norm(directions, axis=1) / (
             SLOW_YAW_SPEED * self.agents.speeds
@@ -239,11 +249,13 @@ class Crowd:
         state: CrowdState,
         t: float,  # noqa: ARG002
     ) -> PointsFrame | TransformsFrame | CharactersFrame:
-        """Return points, meshes and characters at a time."""
+        """Return agents as points, meshes or characters."""
         agents = self.agents
-        visible = state.progress.stages != GONE
+        is_visible = state.progress.stages != GONE
         ids = (
-            np.flatnonzero(visible) if state.bodies is None else np.arange(len(visible))
+            np.flatnonzero(is_visible)
+            if state.bodies is None
+            else np.arange(len(is_visible))
         )
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self.ground(x)
@@ -255,16 +267,16 @@ class Crowd:
         velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
         kinds = agents.kinds[ids]
         primvars = {"population": kinds} if len(agents.entries) > 1 else {}
-        if self.casting is not None and state.bodies is not None:
+        if self.cast is not None and state.bodies is not None:
             placement = frame, velocities
-            return self.casting.frame(
+            return self.cast.frame(
                 state.bodies,
                 _motion_of(state),
                 heights,
                 placement,
-                visible,
+                is_visible,
                 primvars,
-                self._fallen(state.falls),
+                self._fallen_poses(state.falls),
             )
         if not self.meshes:
             return PointsFrame(ids, points, velocities, agents.radii[ids], primvars)
@@ -278,33 +290,37 @@ class Crowd:
             ),
             np.zeros((len(ids), 3)),
             np.ones((len(ids), 3)),
-            self.shown[kinds],
+            self.mesh_of_population[kinds],
             self.meshes,
             primvars,
         )
 
-    def _fallen(self, falls: Falls | None) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return local translations and rotations of fallen agents, by number."""
-        if falls is None or self.falling is None:
+    def _fallen_poses(
+        self, falls: Falls | None
+    ) -> dict[int, tuple[FloatArray, FloatArray]]:
+        """Return local translations and rotations of fallen agents, by agent."""
+        if falls is None or self.fall_simulator is None:
             return {}
         return {
-            agent: self.falling.poses(falls, k)
+            agent: self.fall_simulator.poses(falls, k)
             for k, agent in enumerate(falls.agents.tolist())
         }
 
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return the number, speed and progress of agents, and their overlap."""
-        left = state.progress.stages == GONE
-        speeds = np.linalg.norm(state.velocities[~left], axis=1)
+        """Return the number, speed, progress and overlap of agents."""
+        has_left = state.progress.stages == GONE
+        speeds = np.linalg.norm(state.velocities[~has_left], axis=1)
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
         if len(speeds):
             values["speed"] = float(speeds.mean())
         if state.falls is not None:
             values["fallen"] = float(len(state.falls.agents))
-        values["goals reached"] = float(np.where(left, 0, state.progress.stages).sum())
+        values["goals reached"] = float(
+            np.where(has_left, 0, state.progress.stages).sum()
+        )
         return Diagnostics(values=values, notices=self.notices)
 
 
 def _motion_of(state: CrowdState) -> AgentMotion:
-    """Return the motion of agents at a state."""
+    """Return positions, velocities and headings of a state."""
     return AgentMotion(state.points, state.velocities, state.headings)

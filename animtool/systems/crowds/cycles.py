@@ -1,4 +1,4 @@
-"""Gaits from takes: walk cycles are cut into steps."""
+"""Gaits from takes: walk cycles, cut into steps."""
 
 from __future__ import annotations
 
@@ -35,58 +35,62 @@ from animtool.systems.crowds.ground import (
     wrap_angles,
 )
 
-# Slower clips count as standing; in leg lengths per second [1/s].
+# Speed below which a clip counts as standing, in leg lengths [1/s].
 MIN_TRAVEL_SPEED = 0.2
 # Bounds of the period of a gait, two steps [s].
 MIN_PERIOD, MAX_PERIOD = 0.4, 2.5
 # Cycles with a larger seam, relative to their motion, are rejected.
 MAX_SEAM_FRACTION = 0.35
-# Repeats of a cycle for step detection: the middle one has both neighbours.
+# Repeats of a cycle for step detection; the middle one has a cycle on both sides.
 CYCLE_REPEATS = 3
 
 
-def gaits_of(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
+def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Return takes on a rig as gaits, by name."""
     walker = Walker.of(rig)
-    moving: list[Gait] = []
-    idle: list[Gait] = []
+    moving_gaits: list[Gait] = []
+    idle_gaits: list[Gait] = []
     reactions: list[Gait] = []
     for name, take in takes:
         kind, gait = _build_gait(walker, name, take)
-        {"moves": moving, "stands": idle, "reacts": reactions}[kind].append(gait)
+        {"moves": moving_gaits, "stands": idle_gaits, "reacts": reactions}[kind].append(
+            gait
+        )
     notices = []
-    if not moving:
+    if not moving_gaits:
         message = "none of the clips walks: add one that moves ahead in even steps"
         raise OptionError(Fault("SIM149", message, where="gaits"))
-    moving.sort(key=lambda gait: gait.speed)
-    slowest = moving[0]
+    moving_gaits.sort(key=lambda gait: gait.speed)
+    slowest = moving_gaits[0]
     if slowest.speed > RUNNING_FROUDE * np.sqrt(9.81 * walker.leg):
         message = f"no clip walks: {slowest.name!r}, which runs at {slowest.speed:.2g} "
         message += "m/s, is slowed down, with shorter steps"
         notices.append(warning("SIM150", message, "add a clip that walks"))
-    if not idle:
+    if not idle_gaits:
         message = f"no clip stands still: agents stand as in {slowest.name!r} at foot "
         message += "contact"
         notices.append(warning("SIM150", message, "add a clip that stands still"))
-        idle.append(
+        idle_gaits.append(
             replace(slowest, rotations=slowest.rotations[:1], hips=slowest.hips[:1])
         )
-    return Gaits(walker, tuple(moving), idle[0], tuple(reactions), tuple(notices))
+    return Gaits(
+        walker, tuple(moving_gaits), idle_gaits[0], tuple(reactions), tuple(notices)
+    )
 
 
-# Froude number (square root) above which people run.
+# Square root of the Froude number above which people run.
 RUNNING_FROUDE = 0.7
 
 
-def heading_of(rotations: FloatArray) -> FloatArray:
-    """Return headings of rotations ``(…, 4)``: yaw about y [rad]."""
+def headings_of(rotations: FloatArray) -> FloatArray:
+    """Return the headings of rotations ``(…, 4)``: yaws about y [rad]."""
     return np.asarray(2 * np.arctan2(rotations[..., 1], rotations[..., 3]))
 
 
 def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
-    """Return the kind of a take (moves, stands, reacts), and its gait."""
+    """Return the kind of a clip (moves, stands, reacts), and its gait."""
     world = take.motion.world(walker.rig)
-    hips = middle_of_hips(walker.person, world.positions)
+    hips = middle_of_hips(walker.skeleton, world.positions)
     fps = float(take.clock.rate)
     distance = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
     seconds = max(len(hips) - 1, 1) / fps
@@ -94,8 +98,8 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
         cycle_frames = find_cycle(take, shortest=MIN_PERIOD, longest=MAX_PERIOD)
     except OptionError:
         cycle_frames = None
-    range_ = float(np.ptp(hips[:, [0, 2]], axis=0).max())
-    if range_ < MIN_TRAVEL_SPEED * walker.leg * min(seconds, 1.0):
+    travel_range = float(np.ptp(hips[:, [0, 2]], axis=0).max())
+    if travel_range < MIN_TRAVEL_SPEED * walker.leg * min(seconds, 1.0):
         return "stands", _uncut_gait(walker, name, take, world)
     if (
         cycle_frames is None
@@ -114,7 +118,7 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
 
 @dataclass(frozen=True)
 class CyclePath:
-    """The path of a body over a cycle: an arc at constant speed.
+    """Path of a body over a cycle: an arc at constant speed.
 
     Attributes:
         begin: First frame.
@@ -133,11 +137,11 @@ class CyclePath:
     turning: float
 
     def headings(self, frames: FloatArray) -> FloatArray:
-        """Return headings ``(K,)`` [rad]."""
+        """Return headings at frames ``(K,)`` [rad]."""
         return self.heading + self.turning * (frames - self.begin)
 
     def positions(self, frames: FloatArray) -> FloatArray:
-        """Return x and z ``(K, 2)`` [m]."""
+        """Return x and z at frames ``(K, 2)`` [m]."""
         return (
             self.origin
             + _arc_integrals(self.heading, self.turning, frames - self.begin)
@@ -146,7 +150,7 @@ class CyclePath:
 
     @staticmethod
     def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
-        """Return the path of the second of three cycles ``(3 L, …)``."""
+        """Return the path fitted to the second of three cycles ``(3 L, …)``."""
         frames = np.arange(length, 2 * length)
         turning = float(headings[2 * length] - headings[length]) / length
         heading = float((headings[frames] - turning * (frames - length)).mean())
@@ -158,11 +162,11 @@ class CyclePath:
         return replace(path, origin=offsets.mean(axis=0))
 
 
-def _arc_integrals(heading: float, turning: float, t: FloatArray) -> FloatArray:
+def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatArray:
     """Return integrals of velocity in a rotating frame, as matrices ``(K, 2, 2)``."""
-    end = heading + turning * t
+    end = heading + turning * frames
     if abs(turning) < 1e-9:
-        cosine, sine = np.cos(heading) * t, np.sin(heading) * t
+        cosine, sine = np.cos(heading) * frames, np.sin(heading) * frames
     else:
         cosine = (np.sin(end) - np.sin(heading)) / turning
         sine = (np.cos(heading) - np.cos(end)) / turning
@@ -172,11 +176,11 @@ def _arc_integrals(heading: float, turning: float, t: FloatArray) -> FloatArray:
 
 
 def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
-    """Return the second of three cycles as a gait; None without exactly two steps."""
+    """Return the second of three cycles as a gait; None unless it has two steps."""
     translations, rotations, _ = take.motion.dense()
     world = forward_kinematics(walker.rig, translations, rotations)
     length, fps = take.clock.count // CYCLE_REPEATS, float(take.clock.rate)
-    hips = middle_of_hips(walker.person, world.positions)
+    hips = middle_of_hips(walker.skeleton, world.positions)
     path = CyclePath.of(hips, _hip_headings(walker, world), length)
     if path.velocity[1] <= abs(path.velocity[0]):
         return None
@@ -215,18 +219,18 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
 
 @dataclass(frozen=True)
 class FootStance:
-    """The frames in which a foot is planted, and is flat."""
+    """Frames in which a foot is planted."""
 
-    lands: int
-    lifts: int
-    flat: BoolArray  # by frame
+    lands: int  # first frame
+    lifts: int  # frame after the last
+    flat: BoolArray  # mask of frames in which the foot is flat ``(F,)``
 
 
 def _find_stance(
-    walker: Walker, world: WorldTransforms, k: int, length: int, fps: float
+    walker: Walker, world: WorldTransforms, foot_index: int, length: int, fps: float
 ) -> FootStance | None:
-    """Return a foot's single stance that begins in the second cycle, or None."""
-    _, _, foot, toe = walker.legs[k]
+    """Return the only stance of a foot that begins in the second cycle, or None."""
+    _, _, foot, toe = walker.legs[foot_index]
     toe_positions = None if toe < 0 else world.positions[:, toe]
     contacts: FootContacts = find_contacts(
         world.positions[:, foot], toe_positions, fps, walker.leg
@@ -250,9 +254,9 @@ def _build_step(
     k: int,
     stance: FootStance,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return a step's landing, pitches, and swing rotations and lifts."""
+    """Return landing, pitches, and swing rotations and lifts of a foot."""
     _, _, foot, toe = walker.legs[k]
-    level, ball = walker.level[k], walker.ball[k]
+    level, ball = walker.level_rotations[k], walker.ball_offsets[k]
     stance_frames = np.arange(stance.lands, stance.lifts)
     flat_frames = (
         stance_frames[stance.flat[stance_frames]]
@@ -260,22 +264,25 @@ def _build_step(
         else stance_frames
     )
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
-    yaw = float(np.unwrap(heading_of(soles[flat_frames])).mean())
+    yaw = float(np.unwrap(headings_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
     foothold = toe_positions[stance_frames].mean(axis=0) - so3.rotate(
         rotations_about_y(np.array(yaw)), ball
     )
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
-    land = np.array([float(stance.lands)])
-    (start,), (start_heading,) = path.positions(land), path.headings(land)
+    landing_frame = np.array([float(stance.lands)])
+    (start,), (start_heading,) = (
+        path.positions(landing_frame),
+        path.headings(landing_frame),
+    )
     step = np.append(
         rotated_about_y(foothold - start, -start_heading),
         wrap_angles(yaw - start_heading),
     )
     (end_point,), (end_heading,) = (
-        path.positions(land + path.length),
-        path.headings(land + path.length),
+        path.positions(landing_frame + path.length),
+        path.headings(landing_frame + path.length),
     )
     next_foothold = np.append(
         end_point + rotated_about_y(step[:2], end_heading),
@@ -313,17 +320,17 @@ def _build_step(
 
 
 def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
-    """Return rotations ``(F, …, 4)`` interpolated at frames ``(K,)``."""
+    """Return rotations ``(F, …, 4)`` interpolated at fractional frames ``(K,)``."""
     values = sample_rows(rotations, frames)
     return np.asarray(values / np.linalg.norm(values, axis=-1, keepdims=True))
 
 
 def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
-    """Return an uncut take as a gait, relative to its first hip position."""
+    """Return a clip as a gait without steps, relative to its first hip position."""
     _, rotations, _ = take.motion.dense()
     heading = _hip_headings(walker, world)[0]
     to_forward = rotations_about_y(np.array(-heading))
-    hips = middle_of_hips(walker.person, world.positions)
+    hips = middle_of_hips(walker.skeleton, world.positions)
     origin = np.array([hips[0, 0], _ground_height(walker, world), hips[0, 2]])
     root = so3.rotate(to_forward, world.positions[:, 0] - origin)
     local = rotations.copy()
@@ -333,15 +340,15 @@ def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -
 
 
 def _hip_headings(walker: Walker, world: WorldTransforms) -> FloatArray:
-    """Return the heading of the hips over time ``(F,)`` [rad]."""
-    hips = max(walker.person.first("hips"), 0)
-    rest = walker.person.rotations[hips]
+    """Return the heading of the hips at each frame ``(F,)`` [rad]."""
+    hips = max(walker.skeleton.first("hips"), 0)
+    rest = walker.skeleton.rotations[hips]
     rotations = so3.multiply(world.rotations[:, hips], so3.conjugate(rest))
-    return np.unwrap(heading_of(rotations)) + walker.heading
+    return np.unwrap(headings_of(rotations)) + walker.heading
 
 
 def _ground_height(walker: Walker, world: WorldTransforms) -> float:
     """Return the height of the ground below planted feet [m]."""
     feet = [leg[2] for leg in walker.legs]
-    heights = world.positions[:, feet, 1] - walker.ankle
+    heights = world.positions[:, feet, 1] - walker.ankle_heights
     return float(np.quantile(heights.min(axis=1), 0.1))

@@ -17,7 +17,7 @@ from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.systems.crowds.ground import GroundFrame, Terrain
-from animtool.systems.crowds.limits import clamped_to_limits, with_widened_limits
+from animtool.systems.crowds.limits import clamp_to_limits, widen_limits
 from animtool.systems.framework.simulation import growing
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -34,23 +34,24 @@ from animtool.systems.rigid.simulation import RigidSimulation
 
 # Substep of falling bodies [s].
 FALL_STEP = 0.0025
-# Bodies slower than this for this time are at rest [m/s], [s].
+# Speed below which a body is at rest [m/s], and for how long it must be slower [s].
 REST_SPEED, REST_TIME = 0.15, 0.3
-# Largest speed of a fall [m/s]; for faster bodies the step is divided into this many.
+# Largest speed of a falling body [m/s]; steps with faster ones are repeated in this
+# many substeps.
 MAX_FALL_SPEED, SUBSTEPS = 60.0, 8
 GRAVITY = 9.81  # [m/s²]
 
 
 @dataclass(frozen=True, slots=True)
 class Falls:
-    """K fallen agents, in the order of their falls.
+    """Agents that have fallen, in the order of their falls.
 
     Attributes:
-        agents: Index of each agent ``(K,)``.
+        agents: Indices of the agents ``(K,)``.
         positions: World positions of joints when the fall began ``(K, J, 3)`` [m].
         turns: World rotations of joints when the fall began ``(K, J, 4)``.
-        motion: States of the B bodies of each, as of rigid bodies ``(K, B, 14)``.
-        slow: Time for which each has moved slowly ``(K,)`` [s].
+        motion: States of the B bodies of each agent, as in `RigidState` ``(K, B, 14)``.
+        slow: Time for which each agent has moved slowly ``(K,)`` [s].
     """
 
     agents: IntArray = field(metadata=growing())
@@ -60,7 +61,7 @@ class Falls:
     slow: FloatArray = field(metadata=growing())
 
     @staticmethod
-    def none(joints: int, bodies: int) -> Falls:
+    def no_falls(joints: int, bodies: int) -> Falls:
         """Return an empty record for rigs with at most these joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
@@ -78,13 +79,13 @@ _LocalPose = tuple[FloatArray, FloatArray]
 class FallingRagdoll:
     """The ragdoll of a falling agent."""
 
-    rig: Rig  # of the agent's size, with limits widened to its pose at the fall
+    rig: Rig  # scaled to the agent, with limits widened to its pose at the fall
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
 
 class FallSimulator:
-    """Steps the ragdolls of falling agents, among colliders and on the ground.
+    """Simulates agents that fall as ragdolls, among colliders and on the ground.
 
     Args:
         rigs: Rig of each agent.
@@ -107,7 +108,7 @@ class FallSimulator:
         self._rigs, self._sizes = rigs, sizes
         self._up = frame.vector_to_world(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
-        if not ground.flat:
+        if not ground.is_plane:
             facing_up = ground.triangles
             a, b, c = facing_up.swapaxes(0, 1)
             faces_down = np.cross(b - a, c - a)[:, 1] < 0
@@ -130,11 +131,11 @@ class FallSimulator:
         """Return whether a rig has bodies for a ragdoll."""
         return bool(len(JointCapsules.of(rig)))
 
-    def none(self) -> Falls:
-        """Return an empty record of falls."""
+    def no_falls(self) -> Falls:
+        """Return a record without falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
-        return Falls.none(
+        return Falls.no_falls(
             joints, max(len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs)
         )
 
@@ -155,15 +156,15 @@ class FallSimulator:
             rotations = np.tile(so3.IDENTITY, (1, falls.turns.shape[1], 1))
             positions[0, : len(rig.joints)] = pose.positions[0]
             rotations[0, : len(rig.joints)] = pose.rotations[0]
-            fall = self._ragdoll_of(agent, positions[0], rotations[0])
+            fall = self._ragdoll(agent, positions[0], rotations[0])
             # Velocities of a pose pair belong to the later one.
-            pair = WorldTransforms(
+            pose_pair = WorldTransforms(
                 np.concatenate([next_pose.positions, pose.positions]),
                 np.concatenate([next_pose.linear, pose.linear]),
             )
             motion = fall.simulation.initial().motion.copy()
             motion[:, 7:13] = ragdoll_velocities(
-                fall.ragdoll, pair, np.array([dt, 0.0]), 1
+                fall.ragdoll, pose_pair, np.array([dt, 0.0]), 1
             )
             motion_row = np.zeros((1, *falls.motion.shape[1:]))
             motion_row[0, : len(motion)] = motion
@@ -177,12 +178,12 @@ class FallSimulator:
         return falls
 
     def step(self, falls: Falls, t: float, dt: float) -> Falls:
-        """Return falls after a step [s]; resting bodies stay."""
+        """Return the falls after a step [s]; bodies at rest are not simulated."""
         motion, slow = falls.motion.copy(), falls.slow.copy()
         for k, agent in enumerate(falls.agents.tolist()):
             if slow[k] >= REST_TIME:
                 continue
-            fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
+            fall = self._ragdoll(agent, falls.positions[k], falls.turns[k])
             count = len(fall.simulation.initial().motion)
             next_motion = _step_ragdoll(fall.simulation, motion[k, :count], t, dt)
             speeds = np.linalg.norm(next_motion[:, 7:10], axis=1)
@@ -190,37 +191,37 @@ class FallSimulator:
             slow[k] = slow[k] + dt if speeds.max() < REST_SPEED else 0.0
         return replace(falls, motion=motion, slow=slow)
 
-    def poses(self, falls: Falls, k: int) -> _LocalPose:
-        """Return a fallen agent's local translations and rotations (cached).
+    def poses(self, falls: Falls, row: int) -> _LocalPose:
+        """Return local translations and rotations of a fallen agent, cached.
 
         Those of the first joint are in world space. The pose of agents at rest is
         reused.
         """
-        agent = int(falls.agents[k])
-        key = falls.positions[k].tobytes(), falls.motion[k].tobytes()
+        agent = int(falls.agents[row])
+        key = falls.positions[row].tobytes(), falls.motion[row].tobytes()
         if agent not in self._cached_poses or self._cached_poses[agent][0] != key:
-            self._cached_poses[agent] = key, self._pose(falls, k)
+            self._cached_poses[agent] = key, self._pose(falls, row)
         return self._cached_poses[agent][1]
 
-    def _pose(self, falls: Falls, k: int) -> _LocalPose:
-        """Compute `poses` from the ragdoll."""
-        agent = int(falls.agents[k])
-        fall = self._ragdoll_of(agent, falls.positions[k], falls.turns[k])
+    def _pose(self, falls: Falls, row: int) -> _LocalPose:
+        """Compute the local translations and rotations of a fallen agent."""
+        agent = int(falls.agents[row])
+        fall = self._ragdoll(agent, falls.positions[row], falls.turns[row])
         rig, bodies = fall.rig, fall.ragdoll.bodies
         frame = fall.simulation.frame(
             replace(
                 fall.simulation.initial(),
                 motion=np.ascontiguousarray(
-                    falls.motion[k, : len(bodies.kind_of_body)]
+                    falls.motion[row, : len(bodies.kind_of_body)]
                 ),
             ),
             0.0,
         )
         count = len(rig.joints)
-        local = _local_rotations(rig, falls.turns[k, :count])
+        local = _local_rotations(rig, falls.turns[row, :count])
         has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
-        translations[~has_parent] = falls.positions[k, :count][~has_parent]
+        translations[~has_parent] = falls.positions[row, :count][~has_parent]
         local_translations, local_rotations = ragdoll_transforms(
             fall.ragdoll,
             frame.points[None],
@@ -228,18 +229,20 @@ class FallSimulator:
             translations[None],
             local[None],
         )
-        return local_translations[0], clamped_to_limits(rig, local_rotations[0])
+        return local_translations[0], clamp_to_limits(rig, local_rotations[0])
 
-    def _ragdoll_of(
+    def _ragdoll(
         self, agent: int, positions: FloatArray, rotations: FloatArray
     ) -> FallingRagdoll:
-        """Return the ragdoll of a fallen agent in a pose."""
+        """Return the ragdoll of an agent that fell from a world pose, cached."""
         key = agent, positions.tobytes()
         if key not in self._ragdolls:
-            size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]])
-            rig = placed_rig(self._rigs[agent], size)
+            placement = Placement(
+                np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]]
+            )
+            rig = placed_rig(self._rigs[agent], placement)
             count = len(rig.joints)
-            rig = with_widened_limits(rig, _local_rotations(rig, rotations[:count]))
+            rig = widen_limits(rig, _local_rotations(rig, rotations[:count]))
             pose = WorldTransforms(
                 positions[None, :count], so3.to_matrix(rotations[None, :count])
             )
@@ -261,23 +264,23 @@ class FallSimulator:
 
 
 def _step_ragdoll(
-    simulation: RigidSimulation, motion: FloatArray, t: float, dt: float
+    simulation: RigidSimulation, body_states: FloatArray, t: float, dt: float
 ) -> FloatArray:
-    """Return body states ``(B, 14)`` after a step [s], in substeps if needed."""
+    """Return body states ``(B, 14)`` after a step [s], in substeps if they are fast."""
     initial = simulation.initial()
     for substeps in (1, SUBSTEPS):
-        result, substep = motion, dt / substeps
+        states, substep = body_states, dt / substeps
         for i in range(substeps):
-            state = replace(initial, motion=np.ascontiguousarray(result))
-            result = simulation.step(state, t + i * substep, substep).motion
-            if not np.linalg.norm(result[:, 7:10], axis=1).max() < MAX_FALL_SPEED:
+            state = replace(initial, motion=np.ascontiguousarray(states))
+            states = simulation.step(state, t + i * substep, substep).motion
+            if not np.linalg.norm(states[:, 7:10], axis=1).max() < MAX_FALL_SPEED:
                 break
         else:
-            return result
+            return states
     # Squeezed between immovable bodies: it continues from rest.
-    result = motion.copy()
-    result[:, 7:13] = 0.0
-    return result
+    states = body_states.copy()
+    states[:, 7:13] = 0.0
+    return states
 
 
 def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
@@ -292,5 +295,5 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
 
 
 def is_at_rest(falls: Falls) -> BoolArray:
-    """Return a mask of the falls that have come to rest ``(K,)``."""
+    """Return which falls have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

@@ -15,14 +15,15 @@ from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, swing_progress
 from animtool.systems.crowds.ground import rotated_about_y, wrap_angles
 
-# A planted foot is misplaced if farther than this from its target, over the leg length,
-# or rotated by more [rad].
+# Largest distance of a planted foot from its target, relative to the leg length, and
+# largest yaw [rad]; beyond them it is misplaced.
 MAX_FOOT_OFFSET, MAX_FOOT_YAW = 0.15, 0.45
-# Least step width over the gaits' width.
+# Smallest step width relative to that of the gaits.
 STEP_WIDTH = 0.6
-# Feet pass each other with this gap, over the leg length, if closer than this along z.
+# Gap of feet that pass each other, and range along z in which they do; both relative to
+# the leg length.
 PASSING_GAP, PASSING_RANGE = 0.09, 0.35
-# Largest speeds at which a landing may change [m/s], [rad/s]; faster changes would jerk
+# Largest rates at which a landing may change [m/s], [rad/s]; faster changes would jerk
 # the legs.
 MAX_LANDING_SPEED, MAX_LANDING_YAW_RATE = 2.5, 6.0
 
@@ -38,37 +39,37 @@ class Heights(Protocol):
 class BodyState:
     """Gait phases and feet of N bodies."""
 
-    phases: FloatArray  # of the cycle, the left foot lands at 0 (N,)
+    phases: FloatArray  # phase of the cycle; the left foot lands at 0 (N,)
     places: FloatArray  # last foothold of each foot: x, z, heading (N, 2, 3)
-    swings: FloatArray  # progress of each swing, -1 if planted (N, 2)
+    swings: FloatArray  # progress of each foot's swing, -1 if planted (N, 2)
     aims: FloatArray  # landings of swinging feet (N, 2, 3)
     rates: FloatArray  # cycles per second (N,) [1/s]
-    lowered: FloatArray  # lowering of the hips, which recovers slowly (N,) [m]
-    still: FloatArray  # 1 standing, 0 walking (N,)
-    clocks: FloatArray  # of the idle (N,) [s]
+    lowered: FloatArray  # lowering of the hips, which rise again slowly (N,) [m]
+    still: FloatArray  # blend weight: 1 is standing, 0 walking (N,)
+    clocks: FloatArray  # time of the idle clip (N,) [s]
     # Smoothed forward speed [m/s], yaw rate [rad/s] and speed to the left (N, 3).
     paces: FloatArray
     reacts: FloatArray  # time since a reaction began, -1 without one (N,) [s]
-    shoulders: FloatArray  # yaw (N,) [rad]
+    shoulders: FloatArray  # yaw of the shoulders (N,) [rad]
     heels: FloatArray  # heel pitch of each foot when it lifted (N, 2) [rad]
     spans: FloatArray  # fraction of the cycle that remained at each lift (N, 2)
 
 
 @dataclass(frozen=True)
 class Blend:
-    """Gait weights of N agents, and their blended steps."""
+    """Gait weights of N agents, with blended cadence and steps."""
 
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles per second (N,)
-    free: FloatArray  # cycles per second of straight forward motion (N,)
-    stride: FloatArray  # step length relative to the gaits' (N,)
+    free_rate: FloatArray  # cycles per second of straight forward motion (N,)
+    stride: FloatArray  # step length relative to that of the gaits (N,)
     stance_fractions: FloatArray  # fraction of the cycle that feet are planted (N, 2)
     steps: FloatArray  # footholds in the frame of the body (N, 2, 3)
 
 
 @dataclass(frozen=True)
 class Footing:
-    """Foot placement of N bodies.
+    """Finds footholds for N bodies.
 
     Attributes:
         scales: Size of each body relative to its rig ``(N,)``.
@@ -78,50 +79,52 @@ class Footing:
     scales: FloatArray
     ground: Heights
 
-    def landing(
+    def landing_in_step(
         self,
-        k: int,
+        foot_index: int,
         blend: Blend,
         motions: tuple[AgentMotion, AgentMotion],
         fractions: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return landings ``(N, 3)`` for bodies at fractions of the current step."""
+        """Return landings ``(N, 3)`` of a foot, for bodies at fractions of a step."""
         before, after = motions
         points = before.points + fractions[:, None] * (after.points - before.points)
         change = wrap_angles(after.headings - before.headings)
         headings = before.headings + fractions * change
-        return self.landing_at(k, blend, points, headings, footholds)
+        return self.landing(foot_index, blend, points, headings, footholds)
 
-    def landing_at(
+    def landing(
         self,
-        k: int,
+        foot_index: int,
         blend: Blend,
         points: FloatArray,
         headings: FloatArray,
         footholds: FloatArray,
     ) -> FloatArray:
-        """Return a foot's landings for bodies at positions and headings ``(N, 3)``.
+        """Return landings ``(N, 3)`` of a foot, for bodies at positions and headings.
 
         The foot lands on its side of the other foot.
         """
-        side = 1 - 2 * k
-        step = blend.steps[:, k] * np.stack(
+        side = 1 - 2 * foot_index
+        step = blend.steps[:, foot_index] * np.stack(
             [self.scales, self.scales, 0 * self.scales + 1], 1
         )
-        other_foot = rotated_about_y(footholds[:, 1 - k, :2] - points, -headings)
+        other_foot = rotated_about_y(
+            footholds[:, 1 - foot_index, :2] - points, -headings
+        )
         min_width = (
             STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
         )
-        too_near = side * (step[:, 0] - other_foot[:, 0]) < min_width
+        is_too_close = side * (step[:, 0] - other_foot[:, 0]) < min_width
         # Another foot that is out of reach is no obstacle.
-        too_near &= np.abs(other_foot[:, 0]) < 2 * min_width
-        x = np.where(too_near, other_foot[:, 0] + side * min_width, step[:, 0])
+        is_too_close &= np.abs(other_foot[:, 0]) < 2 * min_width
+        x = np.where(is_too_close, other_foot[:, 0] + side * min_width, step[:, 0])
         offsets = rotated_about_y(np.stack([x, step[:, 1]], axis=1), headings)
         return np.column_stack([points + offsets, headings + step[:, 2]])
 
     def standing_targets(self, motion: AgentMotion, blend: Blend) -> FloatArray:
-        """Return foot targets of standing bodies ``(N, 2, 3)``."""
+        """Return the foot targets of standing bodies ``(N, 2, 3)``."""
         steps = (
             blend.steps
             * np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)[:, None]
@@ -135,25 +138,25 @@ class Footing:
     def is_misplaced(
         self, state: BodyState, motion: AgentMotion, blend: Blend
     ) -> BoolArray:
-        """Return a mask of feet away from their standing targets ``(N, 2)``."""
+        """Return which feet are too far from their standing targets ``(N, 2)``."""
         offsets = state.places - self.standing_targets(motion, blend)
         distances = np.linalg.norm(offsets[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
         yaws = np.abs(wrap_angles(offsets[..., 2]))
         return np.asarray((distances > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
 
-    def feet(
+    def foot_poses(
         self, state: BodyState, motion: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return feet in the frame of bodies ``(N, 2, 4)``, and ground normals.
+        """Return feet in the frames of their bodies ``(N, 2, 4)``, and ground normals.
 
         Feet are x, y, z and yaw, at the scale of the rig. Also returns the distance of
-        each foot from the nearer of its last and its next foothold ``(N, 2)``.
+        each foot from the nearer of its last and next footholds ``(N, 2)``.
         """
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
         foothold_distances = np.zeros((len(state.phases), 2))
-        base, _ = self.heights(motion.points)
+        ground_heights, _ = self.heights(motion.points)
         footholds = state.places.copy()
         for k in range(2):
             is_swinging = state.swings[:, k] >= 0
@@ -185,9 +188,9 @@ class Footing:
                 start_normal + fraction * (target_normal - start_normal),
                 start_normal,
             )
-            feet[:, k, 1] = (height - base) / self.scales
+            feet[:, k, 1] = (height - ground_heights) / self.scales
         foothold_distances += (
-            self._detour(state, motion, footholds) / self.scales[:, None]
+            self._avoid_planted_feet(state, motion, footholds) / self.scales[:, None]
         )
         offsets = rotated_about_y(
             footholds[..., :2] - motion.points[:, None], -motion.headings[:, None]
@@ -199,7 +202,7 @@ class Footing:
         )
         return feet, normals, foothold_distances
 
-    def _detour(
+    def _avoid_planted_feet(
         self, state: BodyState, motion: AgentMotion, footholds: FloatArray
     ) -> FloatArray:
         """Move swinging feet around planted ones, in place.
@@ -208,17 +211,17 @@ class Footing:
         """
         detours = np.zeros((len(footholds), 2))
         local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
-        gap, range_ = (
-            part * self.gaits.walker.leg * self.scales
-            for part in (PASSING_GAP, PASSING_RANGE)
+        gap, passing_range = (
+            ratio * self.gaits.walker.leg * self.scales
+            for ratio in (PASSING_GAP, PASSING_RANGE)
         )
         for k in range(2):
             side = 1 - 2 * k
             offset = local[:, k] - local[:, 1 - k]
             fraction = np.maximum(state.swings[:, k], 0.0)
-            nearness = np.clip(1 - np.abs(offset[:, 1]) / range_, 0.0, 1.0)
+            proximity = np.clip(1 - np.abs(offset[:, 1]) / passing_range, 0.0, 1.0)
             # The detour of crossed feet is limited: faster legs would jerk.
-            shift = np.clip(gap - side * offset[:, 0], 0.0, gap) * nearness
+            shift = np.clip(gap - side * offset[:, 0], 0.0, gap) * proximity
             displacement = np.zeros_like(offset)
             displacement[:, 0] = side * shift * 16 * (fraction * (1 - fraction)) ** 2
             footholds[:, k, :2] += rotated_about_y(displacement, motion.headings)
@@ -226,36 +229,40 @@ class Footing:
         return detours
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights and normals of the ground; 0 beyond its edge."""
+        """Return heights and normals of the ground; heights are 0 beyond its edge."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
 
 
-def limited_landings(
+def limit_landings(
     aims: FloatArray,
     requested: FloatArray,
     swings: FloatArray,
     was_planted: BoolArray,
     scales: FloatArray,
     dt: float,
-    k: int,
+    foot_index: int,
 ) -> FloatArray:
-    """Return landings of foot ``k`` ``(N, 3)``, limited to the speed of a foot.
+    """Return landings ``(N, 3)`` of a foot, limited in their rate of change.
 
-    ``requested``: landings; ``was_planted``: feet that just lifted ``(N,)``.
+    ``requested`` are the new landings; feet that just lifted (``was_planted``) get them
+    at once.
     """
     progress = np.where(
-        was_planted, 0.0, swing_progress(np.clip(swings[:, k], 0.0, 1.0))
+        was_planted, 0.0, swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))
     )
-    correction = requested - aims[:, k]
+    correction = requested - aims[:, foot_index]
     distances = progress * np.linalg.norm(correction[:, :2], axis=1)
     fraction = np.minimum(
         MAX_LANDING_SPEED * scales * dt / np.maximum(distances, 1e-9), 1.0
     )
-    landings = aims[:, k] + np.where(distances > 0, fraction, 1.0)[:, None] * correction
+    landings = (
+        aims[:, foot_index]
+        + np.where(distances > 0, fraction, 1.0)[:, None] * correction
+    )
     yaw = wrap_angles(correction[:, 2])
     max_yaw = np.where(
         progress > 0, MAX_LANDING_YAW_RATE * dt / np.maximum(progress, 1e-9), np.inf
     )
-    landings[:, 2] = aims[:, k, 2] + np.clip(yaw, -max_yaw, max_yaw)
+    landings[:, 2] = aims[:, foot_index, 2] + np.clip(yaw, -max_yaw, max_yaw)
     return np.where(was_planted[:, None], requested, landings)

@@ -15,7 +15,7 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.rig.skeleton import Rig
 from animtool.systems.crowds.ground import rotations_about_y
 
-# Number of phases at which a cycle is sampled; interpolated in between.
+# Number of phases at which a cycle is sampled.
 PHASE_COUNT = 64
 SIDES = "lr"
 UP = np.array([0.0, 1.0, 0.0])
@@ -23,84 +23,84 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A biped rig with its leg measures.
+    """A biped rig, with the measures of its legs.
 
     Attributes:
-        person: Skeleton with y up.
+        skeleton: Skeleton with y up.
         legs: Joints of the left and right leg: thigh, shin, foot and toe (-1 for none).
         heading: Heading of its rest pose [rad].
-        level: World rotation of each planted foot ``(2, 4)``.
-        ankle: Height of the ankles of planted feet ``(2,)`` [m].
-        ball: From each ankle to the toe joint, or to the ground without one; level,
-            heading along z ``(2, 3)`` [m].
-        leg: Length of thigh and shin [m].
+        level_rotations: World rotation of each planted foot ``(2, 4)``.
+        ankle_heights: Height of the ankles of planted feet ``(2,)`` [m].
+        ball_offsets: Offset from each ankle to the toe joint, or to the ground without
+            one, for a planted foot heading along z ``(2, 3)`` [m].
+        leg: Total length of thigh and shin [m].
     """
 
-    person: RoledSkeleton
+    skeleton: RoledSkeleton
     legs: tuple[tuple[int, int, int, int], tuple[int, int, int, int]]
     heading: float
-    level: FloatArray
-    ankle: FloatArray
-    ball: FloatArray
+    level_rotations: FloatArray
+    ankle_heights: FloatArray
+    ball_offsets: FloatArray
     leg: float
 
     @property
     def rig(self) -> Rig:
-        """Return the rig."""
-        return self.person.rig
+        """The rig."""
+        return self.skeleton.rig
 
     @staticmethod
     def of(rig: Rig) -> Walker:
-        """Return a biped from its rest pose (SIM149 if it lacks two legs)."""
-        person = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-        left, right, facing = person.leg("l"), person.leg("r"), person.facing
+        """Return the legs of a biped at rest; raise SIM149 if it lacks two legs."""
+        skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
+        left, right, facing = skeleton.leg("l"), skeleton.leg("r"), skeleton.facing
         if left is None or right is None or facing is None:
             message = f"{rig.name!r} does not have two legs with thigh, shin and foot"
             raise OptionError(Fault("SIM149", message, where="gaits"))
         heading = float(np.arctan2(facing[2, 0], facing[2, 2]))
         to_forward = rotations_about_y(np.array([-heading]))[0]
-        ground = _rest_ground_height(person)
+        ground = _rest_ground_height(skeleton)
         feet = [left[2], right[2]]
         toe_offsets = []
         for leg in (left, right):
             toe = leg[3] if leg[3] >= 0 else leg[2]
             offset = so3.rotate(
-                to_forward, person.positions[toe] - person.positions[leg[2]]
+                to_forward, skeleton.positions[toe] - skeleton.positions[leg[2]]
             )
-            ground_offset = ground - person.positions[leg[2], 1]
+            ground_offset = ground - skeleton.positions[leg[2], 1]
             toe_offsets.append(
                 [offset[0], offset[1] if leg[3] >= 0 else ground_offset, offset[2]]
             )
         return Walker(
-            person,
+            skeleton,
             (left, right),
             heading,
-            so3.multiply(to_forward, person.rotations[feet]),
-            person.positions[feet, 1] - ground,
+            so3.multiply(to_forward, skeleton.rotations[feet]),
+            skeleton.positions[feet, 1] - ground,
             np.array(toe_offsets),
-            person.leg_length("l"),
+            skeleton.leg_length("l"),
         )
 
 
-def _rest_ground_height(person: RoledSkeleton) -> float:
+def _rest_ground_height(skeleton: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
-    At its lowest joint or bone end, such as that of a toe.
+    It is the height of the lowest joint or bone end, such as a toe.
     """
     ends = [
-        person.positions[joint] + so3.rotate(person.rotations[joint], np.array(tip))
-        for joint, settings in enumerate(person.rig.joints)
+        skeleton.positions[joint] + so3.rotate(skeleton.rotations[joint], np.array(tip))
+        for joint, settings in enumerate(skeleton.rig.joints)
         for tip in settings.tips
     ]
-    return float(np.vstack([person.positions, *ends])[:, 1].min())
+    return float(np.vstack([skeleton.positions, *ends])[:, 1].min())
 
 
 @dataclass(frozen=True)
 class Gait:
     """One cycle of a clip: the left foot lands first, the right in the middle.
 
-    In the frame of the body: on the ground below the hips, at constant speed along z
-    and constant yaw rate.
+    It is in the frame of the body: on the ground below the hips, moving at constant
+    speed along z and constant yaw rate.
 
     Attributes:
         rotations: Local rotations of joints ``(P, J, 4)``.
@@ -133,13 +133,13 @@ class Gait:
 
     @property
     def speed(self) -> float:
-        """Return its forward speed [m/s]."""
+        """Forward speed [m/s]."""
         return float(self.velocity[1])
 
 
 @dataclass(frozen=True)
 class Gaits:
-    """The clips of a rig's agents: moving, idle, reactions.
+    """Clips of a rig: locomotion, standing and reactions.
 
     Attributes:
         moving: Locomotion cycles, the slowest first; at least one.
@@ -156,7 +156,7 @@ class Gaits:
 
 
 def swing_progress(fraction: FloatArray) -> FloatArray:
-    """Return the eased progress of a foot over its swing."""
+    """Return the smoothed progress of a foot over its swing."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 
@@ -167,28 +167,36 @@ def rotations_about_x(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def standing_ankle(walker: Walker, k: int, pitches: FloatArray) -> FloatArray:
-    """Return ankles above planted feet ``(K, 3)`` [m].
+def standing_ankle(walker: Walker, foot_index: int, pitches: FloatArray) -> FloatArray:
+    """Return the ankle positions of planted feet ``(K, 3)`` [m].
 
     Feet are rotated by ``pitches`` ``(K, 4)`` about the ball if the heel is up, else
     about the heel.
     """
-    ankle, ball = np.array([0.0, walker.ankle[k], 0.0]), walker.ball[k]
+    ankle, ball = (
+        np.array([0.0, walker.ankle_heights[foot_index], 0.0]),
+        walker.ball_offsets[foot_index],
+    )
     on_heel = so3.rotate(pitches, ankle)
     on_ball = ankle + ball - so3.rotate(pitches, ball)
     return np.where(pitches[..., :1] > 0, on_ball, on_heel)
 
 
 def sample_rows(
-    table: FloatArray, at: FloatArray, *, cyclic: bool = False
+    table: FloatArray, rows: FloatArray, *, cyclic: bool = False
 ) -> FloatArray:
-    """Sample a table ``(P, …)`` at fractional rows; ``cyclic`` wraps around."""
+    """Return rows of a table ``(P, …)`` interpolated at fractional indices.
+
+    With ``cyclic``, the first row follows the last.
+    """
     count = len(table)
-    low = np.clip(at.astype(np.int64), 0, count - 1)
-    high = (low + 1) % count if cyclic else np.minimum(low + 1, count - 1)
-    fraction = (at - low).reshape(-1, *[1] * (table.ndim - 1))
-    first, last = table[low], table[high]
+    lower_rows = np.clip(rows.astype(np.int64), 0, count - 1)
+    upper_rows = (
+        (lower_rows + 1) % count if cyclic else np.minimum(lower_rows + 1, count - 1)
+    )
+    fraction = (rows - lower_rows).reshape(-1, *[1] * (table.ndim - 1))
+    lower_values, upper_values = table[lower_rows], table[upper_rows]
     if table.shape[-1] == 4:
-        is_opposite = (first * last).sum(axis=-1, keepdims=True) < 0
-        last = np.where(is_opposite, -last, last)
-    return np.asarray(first + fraction * (last - first))
+        is_opposite = (lower_values * upper_values).sum(axis=-1, keepdims=True) < 0
+        upper_values = np.where(is_opposite, -upper_values, upper_values)
+    return np.asarray(lower_values + fraction * (upper_values - lower_values))

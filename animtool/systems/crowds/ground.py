@@ -13,7 +13,7 @@ from animtool.maths import so3
 
 # Largest number of grid cells along an axis.
 MAX_CELLS = 2048
-# Points outside a triangle by less are on its edge [1].
+# Points count as inside a triangle up to this barycentric distance outside [1].
 EDGE_TOLERANCE = 1e-9
 
 
@@ -38,7 +38,7 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class GroundFrame:
-    """The frame of the ground: agents use its x and z; y is up.
+    """The frame of the ground; y is up, and agents move along x and z.
 
     Attributes:
         origin: Origin in world space ``(3,)`` [m].
@@ -67,17 +67,17 @@ class GroundFrame:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field of triangles seen from above; without any, a plane at height 0.
+    """Height field of triangles seen from above; a plane at height 0 without any.
 
     Attributes:
-        triangles: Corners of each, in the frame of the ground ``(T, 3, 3)`` [m].
+        triangles: Corners of triangles, in the frame of the ground ``(T, 3, 3)`` [m].
     """
 
     triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @property
-    def flat(self) -> bool:
-        """Whether it is a plane."""
+    def is_plane(self) -> bool:
+        """Whether it is a plane at height 0."""
         return not len(self.triangles)
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -87,13 +87,13 @@ class Terrain:
         """
         count = len(points)
         normals = np.tile([0.0, 1.0, 0.0], (count, 1))
-        if self.flat:
+        if self.is_plane:
             return np.zeros(count), normals
         heights = np.full(count, -np.inf)
         rows, faces = self._candidates(points)
-        (a, to_b, to_c), inverse_areas, normal_table = self._planes
+        (a, edges_b, edges_c), inverse_areas, normal_table = self._planes
         offsets = points[rows] - a[faces][:, [0, 2]]
-        b, c = to_b[faces], to_c[faces]
+        b, c = edges_b[faces], edges_c[faces]
         weight_b = (offsets[:, 0] * c[:, 2] - offsets[:, 1] * c[:, 0]) * inverse_areas[
             faces
         ]
@@ -111,21 +111,21 @@ class Terrain:
             + weight_c[is_inside] * c[is_inside, 1]
         )
         np.maximum.at(heights, rows, face_heights)
-        highest = face_heights == heights[rows]
+        is_highest = face_heights == heights[rows]
         # On a common edge of two faces, the last face is used.
-        normals[rows[highest]] = normal_table[faces[highest]]
+        normals[rows[is_highest]] = normal_table[faces[is_highest]]
         return np.where(np.isfinite(heights), heights, np.nan), normals
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Return lower and upper x and z ``(2, 2)`` [m]."""
-        flat = self.triangles[..., [0, 2]].reshape(-1, 2)
-        return np.stack([flat.min(axis=0), flat.max(axis=0)])
+        """Lower and upper x and z ``(2, 2)`` [m]."""
+        positions = self.triangles[..., [0, 2]].reshape(-1, 2)
+        return np.stack([positions.min(axis=0), positions.max(axis=0)])
 
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-        """Return first corners, both edges from them, 1 / area, and normals."""
-        a, b, c = self._upward.swapaxes(0, 1)
+        """First corners of triangles, both edges from them, 1 / area, and normals."""
+        a, b, c = self._nonvertical_triangles.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
         face_normals = np.cross(to_c, to_b)
@@ -133,8 +133,8 @@ class Terrain:
         return (a, to_b, to_c), 1 / area, face_normals * np.sign(face_normals[:, 1:2])
 
     @cached_property
-    def _upward(self) -> FloatArray:
-        """Return triangles that are not vertical ``(S, 3, 3)``."""
+    def _nonvertical_triangles(self) -> FloatArray:
+        """Triangles that are not vertical ``(S, 3, 3)``."""
         a, b, c = self.triangles[..., [0, 2]].swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = np.abs(to_b[:, 0] * to_c[:, 1] - to_b[:, 1] * to_c[:, 0])
@@ -143,32 +143,36 @@ class Terrain:
 
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
-        """Return the low corner, cell sizes and counts, and triangles by cell."""
-        flat = self._upward[..., [0, 2]]
-        low, high = flat.min(axis=(0, 1)), flat.max(axis=(0, 1))
-        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(flat)))))
+        """Low corner of the grid, cell size, cell counts, and triangles by cell."""
+        positions = self._nonvertical_triangles[..., [0, 2]]
+        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
+        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(positions)))))
         counts = np.array([cells_per_axis, cells_per_axis])
         cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
-        first = np.clip(
-            ((flat.min(axis=1) - low) / cell_size - EDGE_TOLERANCE).astype(np.int64),
+        first_cells = np.clip(
+            ((positions.min(axis=1) - low) / cell_size - EDGE_TOLERANCE).astype(
+                np.int64
+            ),
             0,
             cells_per_axis - 1,
         )
-        last = np.clip(
-            ((flat.max(axis=1) - low) / cell_size + EDGE_TOLERANCE).astype(np.int64),
+        last_cells = np.clip(
+            ((positions.max(axis=1) - low) / cell_size + EDGE_TOLERANCE).astype(
+                np.int64
+            ),
             0,
             cells_per_axis - 1,
         )
-        spans = last - first + 1
-        cell_counts = spans.prod(axis=1)
-        faces = np.repeat(np.arange(len(flat)), cell_counts)
+        cell_spans = last_cells - first_cells + 1
+        cell_counts = cell_spans.prod(axis=1)
+        faces = np.repeat(np.arange(len(positions)), cell_counts)
         k = np.arange(len(faces)) - np.repeat(
             np.cumsum(cell_counts) - cell_counts, cell_counts
         )
-        width = spans[faces, 1]
+        width = cell_spans[faces, 1]
         cells = (
-            (first[faces, 0] + k // width) * cells_per_axis
-            + first[faces, 1]
+            (first_cells[faces, 0] + k // width) * cells_per_axis
+            + first_cells[faces, 1]
             + k % width
         )
         order = np.argsort(cells, kind="stable")
@@ -181,18 +185,18 @@ class Terrain:
         """Return pairs of points and triangles that may overlap as seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size
-        inside = np.all(
+        is_inside = np.all(
             (grid_points >= -EDGE_TOLERANCE) & (grid_points <= counts + EDGE_TOLERANCE),
             axis=1,
         )
         cells = np.clip(
-            np.where(inside.reshape(-1, 1), grid_points, 0).astype(np.int64),
+            np.where(is_inside.reshape(-1, 1), grid_points, 0).astype(np.int64),
             0,
             counts - 1,
         )
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
         pair_counts = np.where(
-            inside, starts[cell_indices + 1] - starts[cell_indices], 0
+            is_inside, starts[cell_indices + 1] - starts[cell_indices], 0
         )
         rows = np.repeat(np.arange(len(points)), pair_counts)
         k = np.arange(len(rows)) - np.repeat(
@@ -205,18 +209,18 @@ def walkable(
     ground: Terrain,
     nodes: FloatArray,
     shape: tuple[int, int],
-    cell: float,
-    slope: float,
+    cell_size: float,
+    max_slope: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return heights of grid nodes and a mask of walkable ones ``(R, C)``.
+    """Return the heights of grid nodes, and which are walkable ``(R, C)``.
 
-    Nodes without ground, or that are steeper than a slope [rad] to a neighbour, are not
-    walkable.
+    Nodes without ground are not walkable, nor those with a slope to a neighbour above
+    ``max_slope`` [rad].
     """
     heights, _ = ground(nodes)
     heights = heights.reshape(shape)
     is_walkable = np.array(np.isfinite(heights))
-    max_rise = np.tan(slope) * cell
+    max_rise = np.tan(max_slope) * cell_size
     for walkable_rows, rows in ((is_walkable, heights), (is_walkable.T, heights.T)):
         is_steep = np.abs(np.diff(rows, axis=0)) > max_rise
         walkable_rows[:-1] &= ~is_steep

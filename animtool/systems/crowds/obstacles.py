@@ -18,11 +18,11 @@ from animtool.systems.crowds.ground import GroundFrame, Terrain, walkable
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
-# Least horizontal component of the normal of a wall; surfaces with less are floors or
-# ceilings.
+# Smallest horizontal component of the normal of a wall; surfaces with less are floors
+# or ceilings.
 MIN_WALL_NORMAL = 0.3
-# Margin of the navigation grid beyond starts and goals: a fraction of their extent, and
-# largest radii.
+# Margin of the navigation grid around starts and goals: a fraction of their extent,
+# plus a multiple of the largest radius.
 GRID_MARGIN, GRID_MARGIN_RADII = 0.5, 40.0
 # Grid nodes sampled in one call, to limit memory.
 SAMPLE_BLOCK = 2**18
@@ -32,30 +32,30 @@ LEAVING_SPEED = 0.8
 
 @dataclass(frozen=True)
 class Walls:
-    """Obstacles near N agents, sorted by agent.
+    """Obstacles near N agents, as half-planes sorted by agent.
 
     Attributes:
         starts: Index of each agent's first wall ``(N + 1,)``.
-        rows: Unit normal (x, z), minimum velocity along it [m/s], minimum position
-            along it [m] ``(M, 4)``.
+        rows: For each wall its unit normal (x, z), the minimum velocity along it [m/s],
+            and the minimum position along it [m] ``(M, 4)``.
         agents_of_walls: Agent of each wall ``(M,)``.
-        gaps: Distance from its surface to that of the agent ``(M,)`` [m].
-        closing: Closing speed towards the agent ``(M,)`` [m/s].
+        gaps: Distance between the surfaces of wall and agent ``(M,)`` [m].
+        closing_speeds: Speed of the wall towards the agent ``(M,)`` [m/s].
     """
 
     starts: npt.NDArray[np.int32]
     rows: FloatArray
     agents_of_walls: IntArray
     gaps: FloatArray
-    closing: FloatArray
+    closing_speeds: FloatArray
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """All obstacles of a crowd.
+    """All obstacles of a crowd: colliders, closed doors and the edge of the ground.
 
     Attributes:
-        edge: Grid of nodes on the ground; None for infinite ground.
+        edge_grid: Grid of nodes on the ground; None for infinite ground.
     """
 
     agents: Agents
@@ -63,12 +63,13 @@ class Obstacles:
     ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
-    edge: NavGrid | None = None
+    edge_grid: NavGrid | None = None
     horizon: float = 0.5  # look-ahead of avoidance [s]
-    ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))  # of doors
+    # x and z of both ends of each door ``(D, 2, 2)`` [m].
+    door_ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
-        """Return obstacles near agents at x and z ``(N, 2)``, in a step from t [s]."""
+        """Return obstacles near agents at x and z ``(N, 2)``, in a step [s]."""
         obstacles = [*self._colliders(t, dt, x), *self._doors(t, x), *self._edges(x)]
         count = len(x)
         if not obstacles:
@@ -78,10 +79,15 @@ class Obstacles:
         agents, max_speeds = self.agents, self.agents.max_speeds
         walls_near = []
         for gaps, directions, closing_speeds in obstacles:
-            reach = (max_speeds + np.abs(closing_speeds)) * self.horizon
-            nearby = np.flatnonzero(gaps < np.maximum(reach, agents.radii))
+            ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
+            near_agents = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
             walls_near.append(
-                (nearby, gaps[nearby], directions[nearby], closing_speeds[nearby])
+                (
+                    near_agents,
+                    gaps[near_agents],
+                    directions[near_agents],
+                    closing_speeds[near_agents],
+                )
             )
         agents_of_walls, gaps, directions, closing_speeds = (
             np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)
@@ -107,7 +113,7 @@ class Obstacles:
     def _colliders(
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions to the agents and closing speeds of each collider."""
+        """Return gaps, directions to agents, and closing speeds of each collider."""
         if not self.colliders.rigid:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
@@ -123,14 +129,16 @@ class Obstacles:
     def _doors(
         self, t: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions and closing speeds of doors closed at a time [s]."""
+        """Return gaps, directions and closing speeds of doors that are closed."""
         doors = []
-        for door, (a, b) in zip(self.doors, self.ends, strict=True):
+        for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
                 continue
-            edge = b - a
-            fraction = np.clip(((x - a) @ edge) / (edge @ edge), 0.0, 1.0)
-            offsets = x - a - fraction[:, None] * edge
+            door_vector = b - a
+            fraction = np.clip(
+                ((x - a) @ door_vector) / (door_vector @ door_vector), 0.0, 1.0
+            )
+            offsets = x - a - fraction[:, None] * door_vector
             distances = np.linalg.norm(offsets, axis=1)
             directions = offsets / np.where(distances > 0, distances, 1.0)[:, None]
             doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
@@ -138,9 +146,9 @@ class Obstacles:
 
     def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Return gaps, directions and closing speeds of the edge of the ground."""
-        if self.edge is None:
+        if self.edge_grid is None:
             return []
-        gaps, directions = self.edge.edges(x)
+        gaps, directions = self.edge_grid.edges(x)
         return [(gaps - self.agents.radii, directions, np.zeros(len(x)))]
 
 
@@ -148,7 +156,7 @@ def capsule_distances(
     colliders: Colliders,
     frame: GroundFrame,
     x: FloatArray,
-    base: FloatArray,
+    base_heights: FloatArray,
     radii: FloatArray,
     body_heights: FloatArray,
     t: float,
@@ -156,13 +164,16 @@ def capsule_distances(
 ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
     """Return horizontal distances of colliders from upright capsules.
 
-    Per collider: distances ``(K,)`` from the axes [m], infinite for floors, unit
-    vectors away from it ``(K, 2)`` and speeds along them ``(K,)`` [m/s]. The capsules
-    have positions x and z ``(K, 2)``, base heights ``(K,)``, radii ``(K,)`` and total
-    heights ``(K,)`` [m].
+    For each collider it returns distances ``(K,)`` from the axes [m], infinite for
+    floors, unit vectors away from the collider ``(K, 2)``, and its speeds along them
+    ``(K,)`` [m/s]. The capsules have positions x and z ``(K, 2)``, base heights
+    ``(K,)``, radii ``(K,)`` and total heights ``(K,)`` [m].
     """
     count = len(x)
-    lows, highs = base + radii, base + np.maximum(body_heights - radii, radii)
+    lows, highs = (
+        base_heights + radii,
+        base_heights + np.maximum(body_heights - radii, radii),
+    )
     levels = [lows, (lows + highs) / 2, highs]
     points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
     samples = colliders.sample(frame.to_world(points), t, t + dt)
@@ -196,15 +207,15 @@ def navigation_grids(
     goals: FloatArray,
     t: float,
 ) -> tuple[NavGrid | None, NavGrid | None]:
-    """Return navigation grids of walkable nodes and of the ground.
+    """Return a grid of walkable nodes, and one of nodes on the ground.
 
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
     """
-    static = [
+    static_obstacles = [
         collider for collider in colliders if len(collider.poses.sample_times) == 1
     ]
-    if ground.flat and not static:
+    if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
     corners = np.concatenate([agents.starts, goals])
@@ -213,16 +224,16 @@ def navigation_grids(
     )
     margin = GRID_MARGIN * (high - low).max() + GRID_MARGIN_RADII * radius
     low, high = low - margin, high + margin
-    if not ground.flat:
+    if not ground.is_plane:
         low, high = (
             np.maximum(low, ground.bounds[0]),
             np.minimum(high, ground.bounds[1]),
         )
         high = np.maximum(high, low)
     cell_size = spec.cell or radius
-    if ground.flat and np.prod((high - low) / cell_size) > MAX_NODES:
-        low, high = _bounds_of_obstacles(
-            static, frame, low, high, GRID_MARGIN_RADII * radius
+    if ground.is_plane and np.prod((high - low) / cell_size) > MAX_NODES:
+        low, high = _obstacle_bounds(
+            static_obstacles, frame, low, high, GRID_MARGIN_RADII * radius
         )
         if not (low < high).all():
             return None, None
@@ -230,41 +241,43 @@ def navigation_grids(
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
     nodes = NavGrid.nodes(low, cell, shape)
-    base, on_ground = walkable(
+    ground_heights, has_ground = walkable(
         ground, nodes, shape, cell, np.radians(spec.ground.slope)
     )
-    free = on_ground.ravel().copy()
-    if static:
-        static_colliders, heights = Colliders(static), base.ravel()
-        candidates = np.flatnonzero(free)
+    is_free = has_ground.ravel().copy()
+    if static_obstacles:
+        static_colliders, heights = Colliders(static_obstacles), ground_heights.ravel()
+        candidates = np.flatnonzero(is_free)
         height = float(agents.heights.max(initial=radius))
         for first in range(0, len(candidates), SAMPLE_BLOCK):
             block = candidates[first : first + SAMPLE_BLOCK]
-            unit, is_clear = np.ones(len(block)), np.ones(len(block), bool)
+            ones, is_clear = np.ones(len(block)), np.ones(len(block), bool)
             for distances, _, _ in capsule_distances(
                 static_colliders, frame, nodes[block], heights[block],
-                radius * unit, height * unit, t, 0.0,
+                radius * ones, height * ones, t, 0.0,
             ):  # fmt: skip
                 # Gaps narrower than an agent are blocked.
                 is_clear &= distances >= radius - cell / 2
-            free[block] = is_clear
-    edge = None if on_ground.all() and ground.flat else NavGrid(low, cell, on_ground)
-    return NavGrid(low, cell, free.reshape(shape)), edge
+            is_free[block] = is_clear
+    edge = (
+        None if has_ground.all() and ground.is_plane else NavGrid(low, cell, has_ground)
+    )
+    return NavGrid(low, cell, is_free.reshape(shape)), edge
 
 
-def _bounds_of_obstacles(
-    static: Sequence[Collider],
+def _obstacle_bounds(
+    static_obstacles: Sequence[Collider],
     frame: GroundFrame,
     low: FloatArray,
     high: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the area around obstacles within x and z bounds ``(2,)`` [m].
+    """Return bounds around obstacles, within x and z bounds ``(2,)`` [m].
 
     Infinite walls are near everything; floors are no obstacles.
     """
-    first, last = np.full(2, np.inf), np.full(2, -np.inf)
-    for collider in static:
+    obstacle_low, obstacle_high = np.full(2, np.inf), np.full(2, -np.inf)
+    for collider in static_obstacles:
         if isinstance(collider.shape, Plane):
             normal = so3.rotate(
                 collider.poses.rows[0, 3:], np.array(collider.shape.normal, float)
@@ -274,14 +287,16 @@ def _bounds_of_obstacles(
                 return low, high
             continue
         ends = shape_bounds(collider.shape)
-        box = np.array([ends[list(of), range(3)] for of in np.ndindex(2, 2, 2)])
+        box = np.array([ends[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)])
         corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
-        first = np.minimum(first, corners.min(axis=0))
-        last = np.maximum(last, corners.max(axis=0))
-    return np.maximum(low, first - margin), np.minimum(high, last + margin)
+        obstacle_low = np.minimum(obstacle_low, corners.min(axis=0))
+        obstacle_high = np.maximum(obstacle_high, corners.max(axis=0))
+    return np.maximum(low, obstacle_low - margin), np.minimum(
+        high, obstacle_high + margin
+    )
 
 
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:
-    """Return a mask of the points x and z ``(K, 2)`` that are not walkable."""
+    """Return which points x and z ``(K, 2)`` are not walkable."""
     row, column = grid.nearest_nodes(x).T
     return np.asarray(~grid.free[row, column])

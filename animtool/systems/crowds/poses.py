@@ -31,50 +31,50 @@ from animtool.systems.crowds.reach import MAX_EXTENSION, MAX_LOWERING, SWING_MAR
 REACTION_BLEND_TIME = 0.2
 # Largest slope that feet follow [rad].
 MAX_TILT = 0.45
-# Fraction at both ends of a swing in which hips are lowered for its foot.
+# Fraction of a swing, at both ends, in which hips are lowered for its foot.
 LOWERING_PHASE = 0.4
 # Fraction of a swing in which a foot blends from its stance to its gait.
 STANCE_BLEND_PHASE = 0.7
 # Fraction of a swing after which the foot rotates towards its landing.
 LANDING_PHASE = 0.6
-# Ankle lift of a flat foot, relative to that of the gait.
+# Lift of the ankle of a flat foot, relative to that in the gait.
 FLAT_FOOT_LIFT = 0.35
-# Slope of descending soles, and largest clearance [m].
+# Slope of the clearance of soles over the distance from a foothold, and its limit [m].
 SOLE_SLOPE, SOLE_CLEARANCE = 2.0, 0.02
 
 
 @dataclass(frozen=True, slots=True)
 class BodyPoses:
-    """Poses of N bodies, each in its own frame."""
+    """Poses of N bodies, in their own frames."""
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
-    roots: FloatArray  # of the root joint (N, 3) [m]
+    roots: FloatArray  # positions of the root joint (N, 3) [m]
     lowered: FloatArray  # lowering of the hips (N,) [m]
-    missed: FloatArray  # distance of ankles from their targets (N, 2) [m]
+    ankle_errors: FloatArray  # distance of ankles from their targets (N, 2) [m]
 
 
-def poses_of(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
-    """Return the poses of bodies."""
+def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
+    """Return the poses of bodies: blended gaits with leg IK."""
     rig = bodies.gaits.walker.rig
     blend = bodies.blend(state.paces)
-    played, roots = _gait_rotations(bodies, state, blend)
-    rotations = np.repeat(rig.rest_rotations[None], len(played), axis=0)
-    rotations[:, bodies.animated] = played
+    gait_rotations, roots = _gait_rotations(bodies, state, blend)
+    rotations = np.repeat(rig.rest_rotations[None], len(gait_rotations), axis=0)
+    rotations[:, bodies.animated] = gait_rotations
     bodies.trunk.rotate(rig.parents, rotations, state.shoulders)
-    feet, normals, foothold_distances = bodies.feet(state, motion)
+    feet, normals, foothold_distances = bodies.foot_poses(state, motion)
     goals, soles = _ankle_targets(
         bodies, state, blend, feet, normals, foothold_distances
     )
     # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, missed = _solve_legs(
+    lowered, ankle_errors = _solve_leg_ik(
         bodies.gaits.walker, rotations, roots, goals, soles, state
     )
     roots[:, 1] -= lowered
-    return BodyPoses(rotations, roots, lowered, missed)
+    return BodyPoses(rotations, roots, lowered, ankle_errors)
 
 
-def _solve_legs(
+def _solve_leg_ik(
     walker: Walker,
     rotations: FloatArray,
     roots: FloatArray,
@@ -100,18 +100,20 @@ def _solve_legs(
     }
     lowering = _hip_lowering(walker, joints, goals, state)
     joints = joints - lowering[:, None, None] * UP
-    goals = _goals_in_reach(walker, joints, goals, state.swings >= 0)
-    miss_distances = np.zeros((len(rotations), 2))
+    goals = _move_into_reach(walker, joints, goals, state.swings >= 0)
+    ankle_errors = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
         upper, lower = ankle_rotations(
-            walker.person,
+            walker.skeleton,
             SIDES[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
         )
-        sole = so3.multiply(soles[:, k], np.broadcast_to(walker.level[k], upper.shape))
+        sole = so3.multiply(
+            soles[:, k], np.broadcast_to(walker.level_rotations[k], upper.shape)
+        )
         hip_rotation = (
             world_rotations[hip_parent]
             if hip_parent >= 0
@@ -125,14 +127,14 @@ def _solve_legs(
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
         knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
         ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
-        miss_distances[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
-    return lowering, miss_distances
+        ankle_errors[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
+    return lowering, ankle_errors
 
 
 def _hip_lowering(
     walker: Walker, joints: FloatArray, goals: FloatArray, state: BodyState
 ) -> FloatArray:
-    """Return how far hips are lowered for the legs to reach ``(N,)`` [m].
+    """Return how far hips must be lowered for the feet ``(N,)`` [m].
 
     In the middle of a swing hips need not be lowered.
     """
@@ -162,12 +164,12 @@ def _hip_lowering(
     return np.minimum(lowering, MAX_LOWERING * walker.leg)
 
 
-def _goals_in_reach(
+def _move_into_reach(
     walker: Walker, joints: FloatArray, goals: FloatArray, is_swinging: BoolArray
 ) -> FloatArray:
-    """Return goals ``(N, 2, 3)``, with swinging feet moved into reach.
+    """Return ankle goals ``(N, 2, 3)``, with those of swinging feet in reach.
 
-    Feet that are moved towards the hips are raised for clearance.
+    Feet that are moved towards the hips are also raised.
     """
     result = goals.copy()
     for k, (thigh, *_) in enumerate(walker.legs):
@@ -185,7 +187,7 @@ def _goals_in_reach(
 
 
 def min_sole_height(distances: FloatArray) -> FloatArray:
-    """Return the minimum sole height at a distance from its foothold [m]."""
+    """Return the required sole height at a distance from a foothold [m]."""
     return np.minimum(SOLE_SLOPE * distances, SOLE_CLEARANCE)
 
 
@@ -197,7 +199,7 @@ def _ankle_targets(
     normals: FloatArray,
     foothold_distances: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ankle targets ``(N, 2, 3)``, and foot rotations."""
+    """Return ankle targets ``(N, 2, 3)``, and rotations of soles."""
     gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
@@ -209,7 +211,7 @@ def _ankle_targets(
             foot_rotations[is_swinging], ankle_offsets[is_swinging] = _swing_poses(
                 gaits, state, blend, k, is_swinging
             )
-            ankle_offsets[is_swinging, 1] += _clearance_deficit(
+            ankle_offsets[is_swinging, 1] += _missing_clearance(
                 gaits.walker,
                 k,
                 foot_rotations[is_swinging],
@@ -223,23 +225,23 @@ def _ankle_targets(
     return goals, soles
 
 
-def _clearance_deficit(
+def _missing_clearance(
     walker: Walker,
     k: int,
     foot_rotations: FloatArray,
     ankle_offsets: FloatArray,
     foothold_distances: FloatArray,
 ) -> FloatArray:
-    """Return how far swinging soles are below their clearance ``(K,)`` [m].
+    """Return how far swinging soles are below the required height ``(K,)`` [m].
 
-    ``away``: distance to their nearest foothold ``(K,)`` [m].
+    ``foothold_distances`` are those to the nearest foothold ``(K,)`` [m].
     """
-    heel = ankle_offsets - so3.rotate(foot_rotations, walker.ankle[k] * UP)
-    ball = ankle_offsets + so3.rotate(foot_rotations, walker.ball[k])
+    heel = ankle_offsets - so3.rotate(foot_rotations, walker.ankle_heights[k] * UP)
+    ball = ankle_offsets + so3.rotate(foot_rotations, walker.ball_offsets[k])
     deficit = np.zeros(len(ankle_offsets))
     for sole, rest_offset in (
         (heel, 0 * UP),
-        (ball, walker.ball[k] + walker.ankle[k] * UP),
+        (ball, walker.ball_offsets[k] + walker.ankle_heights[k] * UP),
     ):
         offsets = np.linalg.norm((sole - rest_offset)[:, [0, 2]], axis=1)
         deficit = np.maximum(
@@ -252,10 +254,10 @@ def _clearance_deficit(
 def _swing_poses(
     gaits: Gaits, state: BodyState, blend: Blend, k: int, is_swinging: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations ``(K, 4)`` and ankles ``(K, 3)`` of swinging feet.
+    """Return rotations ``(K, 4)`` and ankle offsets ``(K, 3)`` of swinging feet.
 
-    Swings begin with the last stance, as feet may lift earlier than in the gait.
-    ``up``: of which bodies foot ``k`` does ``(N,)``.
+    They are those of foot ``k`` of the bodies in which it swings. Swings start at the
+    pose of the last stance, as feet may lift earlier than in the gait.
     """
     swings = np.clip(state.swings[is_swinging, k], 0.0, 1.0)
     foot_rotations, ankle_offsets = _gait_swing(
@@ -265,14 +267,18 @@ def _swing_poses(
         gaits, state, blend, k, is_swinging, np.zeros_like(swings)
     )
     stance_rotations = rotations_about_x(state.heels[is_swinging, k])
-    weight = (1 - swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0)))[:, None]
+    stance_weight = (1 - swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0)))[
+        :, None
+    ]
     correction = so3.multiply(stance_rotations, so3.conjugate(start_rotations))
     identity = np.broadcast_to(so3.IDENTITY, correction.shape)
     rotations = so3.multiply(
-        _blend_rotations([identity, correction], np.hstack([1 - weight, weight])),
+        _blend_rotations(
+            [identity, correction], np.hstack([1 - stance_weight, stance_weight])
+        ),
         foot_rotations,
     )
-    return rotations, ankle_offsets + weight * (
+    return rotations, ankle_offsets + stance_weight * (
         standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
     )
 
@@ -285,7 +291,7 @@ def _gait_swing(
     is_swinging: BoolArray,
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and ankles of swinging feet from their gaits."""
+    """Return rotations and ankle offsets of swinging feet, from their gaits."""
     moving_gaits = gaits.moving
     rows = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
@@ -307,38 +313,42 @@ def _gait_swing(
         for end in (0, -1)
     ]
     fraction = rows / (PHASE_COUNT - 1)
-    straight = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
+    straight_offsets = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
     stride = np.minimum(blend.stride[is_swinging], 1.0)
-    ankle_offsets[:, 2] = straight + stride * (ankle_offsets[:, 2] - straight)
+    ankle_offsets[:, 2] = straight_offsets + stride * (
+        ankle_offsets[:, 2] - straight_offsets
+    )
     # Feet stay flat after standing, and lift less in quick steps.
-    stillness = state.still[is_swinging]
+    standing_weight = state.still[is_swinging]
     swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
-    typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free[
+    typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free_rate[
         is_swinging
     ]
-    hurry = 1 - np.minimum(swing_time / typical_time, 1.0)
+    shortening = 1 - np.minimum(swing_time / typical_time, 1.0)
     landing_progress = swing_progress(
         np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
     )
-    flatness = np.maximum(stillness, hurry * (1 - landing_progress))[:, None]
+    flat_weight = np.maximum(standing_weight, shortening * (1 - landing_progress))[
+        :, None
+    ]
     flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
     rotations = _blend_rotations(
-        [swing_rotations, flat_rotations], np.hstack([1 - flatness, flatness])
+        [swing_rotations, flat_rotations], np.hstack([1 - flat_weight, flat_weight])
     )
     flat_ankle = standing_ankle(gaits.walker, k, flat_rotations)
     flat_lift = FLAT_FOOT_LIFT * np.maximum(
         ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0
     )
-    ankle_offsets += flatness * (flat_ankle + flat_lift * UP - ankle_offsets)
+    ankle_offsets += flat_weight * (flat_ankle + flat_lift * UP - ankle_offsets)
     return rotations, ankle_offsets
 
 
 def _gait_rotations(
     bodies: AgentBodies, state: BodyState, blend: Blend
 ) -> tuple[FloatArray, FloatArray]:
-    """Return local rotations of `animated` ``(N, M, 4)``, and root translations."""
+    """Return rotations of animated joints ``(N, M, 4)``, and hip positions."""
     gaits, rows = bodies.gaits, state.phases * PHASE_COUNT
-    tables, idle_table = bodies.tables
+    tables, idle_table = bodies.animated_rotations
     walk_rotations = _blend_rotations(
         [sample_rows(table, rows, cyclic=True) for table in tables], blend.weights
     )
@@ -348,7 +358,7 @@ def _gait_rotations(
             for weight, table in zip(blend.weights.T, gaits.moving, strict=True)
         )
     )
-    rows = idle_rows(gaits.idle, state.clocks)
+    rows = idle_frames(gaits.idle, state.clocks)
     idle_weight = state.still[:, None]
     idle_rotations = sample_rows(idle_table, rows)
     rotations = _blend_rotations(
@@ -371,22 +381,22 @@ def _gait_rotations(
     return rotations, hips
 
 
-def idle_rows(idle: Gait, clocks: FloatArray) -> FloatArray:
-    """Return fractional rows of the idle, played back and forth."""
-    last = len(idle.rotations) - 1
-    if not last:
+def idle_frames(idle: Gait, clocks: FloatArray) -> FloatArray:
+    """Return fractional frames of the idle clip, played back and forth ``(N,)``."""
+    last_frame = len(idle.rotations) - 1
+    if not last_frame:
         return np.zeros(len(clocks))
     cycle = (clocks / idle.period) % 2.0
-    return np.asarray(np.minimum(cycle, 2 - cycle) * last)
+    return np.asarray(np.minimum(cycle, 2 - cycle) * last_frame)
 
 
 def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:
     """Return rotations ``(N, …, 4)`` blended by weights ``(N, K)``, normalised."""
-    first = rotations[0]
-    shape = (-1, *[1] * (first.ndim - 1))
-    total = first * weights[:, 0].reshape(shape)
+    reference = rotations[0]
+    shape = (-1, *[1] * (reference.ndim - 1))
+    total = reference * weights[:, 0].reshape(shape)
     for k, rotation in enumerate(rotations[1:], start=1):
-        is_opposite = (first * rotation).sum(axis=-1, keepdims=True) < 0
+        is_opposite = (reference * rotation).sum(axis=-1, keepdims=True) < 0
         total = total + np.where(is_opposite, -rotation, rotation) * weights[
             :, k
         ].reshape(shape)
@@ -394,8 +404,8 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
 
 
 def _tilt_rotations(normals: FloatArray) -> FloatArray:
-    """Return rotations from upright to normals ``(N, 3)``, up to `MAX_TILT`."""
+    """Return rotations from y to normals ``(N, 3)``, limited to `MAX_TILT`."""
     axis = np.cross(UP, normals)
-    size = np.linalg.norm(axis, axis=1)
-    angle = np.minimum(np.arctan2(size, normals[:, 1]), MAX_TILT)
-    return so3.exp(axis * (angle / np.where(size > 1e-12, size, 1.0))[:, None])
+    lengths = np.linalg.norm(axis, axis=1)
+    angle = np.minimum(np.arctan2(lengths, normals[:, 1]), MAX_TILT)
+    return so3.exp(axis * (angle / np.where(lengths > 1e-12, lengths, 1.0))[:, None])

@@ -1,4 +1,4 @@
-"""Reach of legs: when a planted foot must lift, and when a pushed body must step.
+"""Reach of legs: when a planted foot must lift.
 
 Coordinates are in the frames of bodies, at the scale of the rig.
 """
@@ -23,14 +23,14 @@ from animtool.systems.crowds.ground import rotations_about_y
 
 # Largest leg extension, as a fraction of its length.
 MAX_EXTENSION = 0.998
-# Largest lowering of hips for a planted foot, and in poses, whose thighs are exact;
-# over the leg length.
+# Largest lowering of hips for a planted foot, and in poses, where thighs are exact;
+# both relative to the leg length.
 MAX_STANCE_LOWERING, MAX_LOWERING = 0.09, 0.11
-# Largest yaw of a planted foot against the body [rad].
+# Largest yaw of a planted foot relative to the body [rad].
 MAX_YAW_INWARDS, MAX_YAW_OUTWARDS = 0.4, 0.6
-# Least margins of reach [m] and yaw [rad], so that slow agents do not hurry.
+# Smallest margins of reach [m] and yaw [rad]; with less, slow agents would hurry.
 MIN_REACH_MARGIN, MIN_YAW_MARGIN = 0.05, 0.3
-# Additional margin of airborne feet.
+# Additional lowering of hips for swinging feet, relative to the leg length.
 SWING_MARGIN = 0.045
 # Largest cadence [cycles/s].
 MAX_CYCLE_RATE = 2.5
@@ -38,38 +38,43 @@ MAX_CYCLE_RATE = 2.5
 
 @dataclass(frozen=True)
 class LegReach:
-    """Thigh positions of a rig while walking and standing.
+    """Reach of the legs of a rig, from its thigh positions in gaits.
 
     Attributes:
         gaits: Gaits of the rig.
-        walking: Thigh joints of both legs by phase, for each gait ``(P, 2, 3)`` [m].
-        standing: Mean thigh joints of the idle ``(2, 3)`` [m].
+        gait_thighs: Thigh joints of both legs by phase, for each gait ``(P, 2, 3)``
+            [m].
+        standing_thighs: Mean thigh joints of the idle clip ``(2, 3)`` [m].
     """
 
     gaits: Gaits
-    walking: tuple[FloatArray, ...]
-    standing: FloatArray
+    gait_thighs: tuple[FloatArray, ...]
+    standing_thighs: FloatArray
 
     @staticmethod
     def of(gaits: Gaits) -> LegReach:
-        """Return the reach of a rig with some gaits."""
+        """Return the leg reach of a rig with some gaits."""
         walking = tuple(_gait_thighs(gaits, gait) for gait in gaits.moving)
         return LegReach(gaits, walking, _gait_thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
-        self, phases: FloatArray, weights: FloatArray, standing: FloatArray
+        self, phases: FloatArray, weights: FloatArray, standing_weights: FloatArray
     ) -> FloatArray:
-        """Return thighs of bodies above level ground ``(N, 2, 3)``."""
+        """Return the thigh joints of bodies above level ground ``(N, 2, 3)``."""
         rows = phases * PHASE_COUNT
         thighs = np.zeros((len(phases), 2, 3))
-        for weight, table in zip(weights.T, self.walking, strict=True):
-            thighs += weight[:, None, None] * sample_rows(table, rows, cyclic=True)
-        return np.asarray(thighs + standing[:, None, None] * (self.standing - thighs))
+        for weight, gait_thighs in zip(weights.T, self.gait_thighs, strict=True):
+            thighs += weight[:, None, None] * sample_rows(
+                gait_thighs, rows, cyclic=True
+            )
+        return np.asarray(
+            thighs + standing_weights[:, None, None] * (self.standing_thighs - thighs)
+        )
 
-    def margin(
+    def reach_margin(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the remaining horizontal reach of a planted foot ``(N,)``.
+        """Return the remaining horizontal reach of a planted foot ``(N,)`` [m].
 
         Also returns the horizontal direction from the thigh to the ankle ``(N, 2)``.
 
@@ -80,19 +85,19 @@ class LegReach:
             pitches: Heel pitch of the foot ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg
-        to_ankle = self._legs(k, thighs, feet, pitches)
+        to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
         heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
         outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
         reach_squared = np.maximum((MAX_EXTENSION * leg) ** 2 - heights**2, 0.0)
         return np.asarray(np.sqrt(reach_squared) - distances), outwards
 
-    def lowered(
+    def hip_lowering(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
-        """Return how far hips must be lowered for a planted foot ``(N,)``."""
+        """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
         leg = self.gaits.walker.leg
-        to_ankle = self._legs(k, thighs, feet, pitches)
+        to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
         horizontal_squared = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
         max_height = np.sqrt(
             np.maximum((MAX_EXTENSION * leg) ** 2 - horizontal_squared, 0.0)
@@ -101,7 +106,7 @@ class LegReach:
             np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
         )
 
-    def _legs(
+    def _ankle_vectors(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return vectors from thighs to ankles of planted feet ``(N, 3)``."""
@@ -112,16 +117,16 @@ class LegReach:
 
 @dataclass(frozen=True)
 class Stances:
-    """Planted feet of N bodies at two phases.
+    """Feet of N bodies, with pitches now and at lift-off.
 
     Attributes:
         begins: Phase of each foot, from its landing ``(N, 2)``.
-        stance_fractions: Fraction of the cycle that each is planted ``(N, 2)``.
+        stance_fractions: Fraction of the cycle that each foot is planted ``(N, 2)``.
         swings: Mask of feet in the air ``(N, 2)``.
-        feet: Position x, y, z and heading of each ``(N, 2, 4)``.
+        feet: Position x, y, z and heading of each foot ``(N, 2, 4)``.
         thighs: Thigh joints ``(N, 2, 3)``.
         pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
-        rate: Undisturbed cycle rate ``(N,)`` [1/s].
+        rate: Cycle rate of the blended gaits ``(N,)`` [1/s].
     """
 
     begins: FloatArray
@@ -136,49 +141,52 @@ class Stances:
 def step_rates(
     reach: LegReach, stances: Stances, hip_velocities: FloatArray, yaw_rates: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return cycle rates ``(N,)`` [1/s] and a mask of feet out of reach ``(N, 2)``.
+    """Return cycle rates ``(N,)`` [1/s], and which feet are out of reach ``(N, 2)``.
 
-    A foot lifts before its leg ends: at how fast the hips go from it ``went``
-    ``(N, 2)`` [1/s], and at how fast they turn over it ``(N,)`` [rad/s], its stance has
-    so long at most.
+    Rates are high enough that a planted foot lifts before it is out of reach, given the
+    velocities of the hips ``(N, 2)`` [1/s] and the yaw rates ``(N,)`` [rad/s].
     """
     rate = stances.rate.copy()
-    ends = np.zeros((len(rate), 2), np.bool_)
+    is_stance_over = np.zeros((len(rate), 2), np.bool_)
     for k in range(2):
         is_swinging = stances.swings[:, k]
         phase, stance_fraction = stances.begins[:, k], stances.stance_fractions[:, k]
-        stance = k, stances.thighs[:, k], stances.feet[:, k]
-        current_margin, _ = reach.margin(*stance, stances.pitches[0, :, k])
-        lift_margin, outwards = reach.margin(*stance, stances.pitches[1, :, k])
+        foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
+        current_margin, _ = reach.reach_margin(*foot_stance, stances.pitches[0, :, k])
+        lift_margin, outwards = reach.reach_margin(
+            *foot_stance, stances.pitches[1, :, k]
+        )
         leaving_speed = -(outwards * hip_velocities).sum(axis=1)
         foot_yaw = stances.feet[:, k, 3]
         max_yaw = np.where(
             foot_yaw * (1 - 2 * k) < 0, MAX_YAW_INWARDS, MAX_YAW_OUTWARDS
         )
-        twist_rates = -yaw_rates * np.sign(foot_yaw)
+        yaw_speeds = -yaw_rates * np.sign(foot_yaw)
         required_rates = np.maximum(
-            _rate_to_reach(lift_margin, MIN_REACH_MARGIN, leaving_speed),
-            _rate_to_reach(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, twist_rates),
+            _rate_for_margin(lift_margin, MIN_REACH_MARGIN, leaving_speed),
+            _rate_for_margin(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, yaw_speeds),
         ) * np.maximum(stance_fraction - phase, 0.0)
-        ends[:, k] = ~is_swinging & (np.maximum(current_margin, lift_margin) < 0)
+        is_stance_over[:, k] = ~is_swinging & (
+            np.maximum(current_margin, lift_margin) < 0
+        )
         # A foot that lifted too early lands soon.
-        lifted_early = (is_swinging & (phase < stance_fraction)) | ends[:, k]
+        must_land = (is_swinging & (phase < stance_fraction)) | is_stance_over[:, k]
         required_rates = np.where(
-            lifted_early, MAX_CYCLE_RATE, np.where(is_swinging, 0.0, required_rates)
+            must_land, MAX_CYCLE_RATE, np.where(is_swinging, 0.0, required_rates)
         )
         rate = np.maximum(rate, np.minimum(required_rates, MAX_CYCLE_RATE))
-    return rate, ends
+    return rate, is_stance_over
 
 
-def _rate_to_reach(
+def _rate_for_margin(
     margin: FloatArray, min_margin: float, speed: FloatArray
 ) -> FloatArray:
-    """Return 1 / (time until a margin is used up) at given speeds ``(N,)`` [1/s]."""
+    """Return the inverse of the time until a margin is used up ``(N,)`` [1/s]."""
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(margin, min_margin))
 
 
 def _gait_thighs(gaits: Gaits, gait: Gait) -> FloatArray:
-    """Return the thighs over a gait ``(P, 2, 3)``."""
+    """Return the thigh joints over a gait ``(P, 2, 3)`` [m]."""
     rig = gaits.walker.rig
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips

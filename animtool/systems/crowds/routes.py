@@ -1,4 +1,4 @@
-"""Navigation: distance fields to each goal, on a grid."""
+"""Navigation grids, and distance fields to goals."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# Largest number of grid nodes: larger areas get larger cells.
+# Largest number of grid nodes; larger areas get larger cells.
 MAX_NODES = 4_000_000
-# Detours shorter than this many cells count as straight, as distances are approximate
+# Longest detour of a path that counts as straight, in cells: distances are approximate,
 # and agents avoid obstacles anyway.
 STRAIGHT_DETOUR = 1.5
 # A straight path must be free for this many cells.
@@ -23,7 +23,7 @@ TINY_LENGTH = 1e-300
 
 @dataclass(frozen=True)
 class NavGrid:
-    """Grid of nodes on the ground, some of them walkable.
+    """Grid of nodes on the ground, with a mask of walkable ones.
 
     Attributes:
         low: x and z of the first node ``(2,)`` [m].
@@ -37,20 +37,20 @@ class NavGrid:
 
     @staticmethod
     def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
-        """Return x and z of nodes ``(R·C, 2)`` [m]."""
+        """Return x and z of all nodes of a grid ``(R·C, 2)`` [m]."""
         rows, columns = np.indices(shape).reshape(2, -1)
         return np.asarray(low + cell * np.stack([rows, columns], axis=1))
 
     @cached_property
     def components(self) -> IntArray:
-        """Return the connected component of each node ``(R, C)``, 0 for none."""
+        """Connected component of each node ``(R, C)``; 0 for blocked nodes."""
         from scipy.ndimage import label
 
         return np.asarray(label(self.free)[0], np.int64)
 
     @cached_property
-    def nearest(self) -> tuple[FloatArray, IntArray]:
-        """Return the distances ``(R, C)`` [m] to the nearest free nodes, and these."""
+    def nearest_free(self) -> tuple[FloatArray, IntArray]:
+        """Distances ``(R, C)`` [m] to the nearest free nodes, and their indices."""
         from scipy.ndimage import distance_transform_edt
 
         distances, nodes = distance_transform_edt(
@@ -66,16 +66,16 @@ class NavGrid:
 
     @property
     def high(self) -> FloatArray:
-        """The last node: x and z ``(2,)`` [m]."""
+        """Position of the last node: x and z ``(2,)`` [m]."""
         return np.asarray(self.low + self.cell * (np.array(self.free.shape) - 1))
 
     def border_distance(self, points: FloatArray) -> FloatArray:
-        """Return distances from x and z ``(K, 2)`` to the border, negative outside."""
+        """Return distances of points ``(K, 2)`` from the border, negative outside."""
         distances = np.minimum(points - self.low, self.high - points)
         return np.asarray(distances.min(axis=1), np.float64)
 
     def facing_border(self, point: FloatArray) -> IntArray:
-        """Return border nodes on the sides that face an outside point x, z ``(2,)``."""
+        """Return border nodes on the sides that face a point outside the grid."""
         indices = np.arange(self.free.size).reshape(self.free.shape)
         border = [np.zeros(0, np.int64)]
         for axis, edges in enumerate((indices, indices.T)):
@@ -88,39 +88,40 @@ class NavGrid:
     def nearest_free_node(self, points: FloatArray) -> IntArray:
         """Return the free nodes nearest to x and z ``(K, 2)``."""
         row, column = self.nearest_nodes(points).T
-        return np.asarray(self.nearest[1][row, column])
+        return np.asarray(self.nearest_free[1][row, column])
 
-    def positions_of(self, numbers: IntArray) -> FloatArray:
-        """Return x and z of nodes by number ``(K, 2)`` [m]."""
-        index = np.stack(np.divmod(numbers, self.free.shape[1]), axis=-1)
+    def node_positions(self, nodes: IntArray) -> FloatArray:
+        """Return x and z of nodes by index ``(K, 2)`` [m]."""
+        index = np.stack(np.divmod(nodes, self.free.shape[1]), axis=-1)
         return np.asarray(self.low + self.cell * index)
 
     @cached_property
     def _clearances(self) -> FloatArray:
-        """Return the distance of each node to blocked ones ``(R, C)`` [m]."""
+        """Distance of each node from blocked nodes ``(R, C)`` [m]."""
         from scipy.ndimage import distance_transform_edt
 
         distances = distance_transform_edt(np.pad(self.free, 1), self.cell)
         return np.asarray(distances)[1:-1, 1:-1]
 
     def cell_corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return cells around x and z, and bilinear weights ``(K, 2, 2)``.
+        """Return the nodes around x and z, and bilinear weights ``(K, 2, 2)``.
 
-        For bilinear interpolation: rows ``(K, 2, 1)`` and columns ``(K, 1, 2)``.
+        Rows of the four nodes are ``(K, 2, 1)``, and columns ``(K, 1, 2)``.
         """
         last = np.array(self.free.shape) - 1
-        nearest_nodes = np.clip((points - self.low) / self.cell, 0, last)
-        lower_node = np.minimum(nearest_nodes.astype(np.int64), np.maximum(last - 1, 0))
+        coordinates = np.clip((points - self.low) / self.cell, 0, last)
+        lower_node = np.minimum(coordinates.astype(np.int64), np.maximum(last - 1, 0))
         corner_indices = np.minimum(lower_node[:, None] + np.array([[0], [1]]), last)
-        fraction = nearest_nodes - lower_node
+        fraction = coordinates - lower_node
         axis_weights = np.stack([1 - fraction, fraction], axis=1)
         weights = axis_weights[:, :, None, 0] * axis_weights[:, None, :, 1]
         return corner_indices[:, :, None, 0], corner_indices[:, None, :, 1], weights
 
     def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return distances of x and z ``(K, 2)`` to blocked nodes, and directions.
+        """Return distances of x and z ``(K, 2)`` from obstacles, and directions away.
 
-        Obstacles begin half a cell from blocked nodes: ``(K,)`` [m], ``(K, 2)``.
+        Distances ``(K,)`` [m] are to half a cell before blocked nodes, where obstacles
+        begin. Directions are ``(K, 2)``.
         """
         rows, columns, weights = self.cell_corners(points)
         clearances = self._clearances[rows, columns]
@@ -139,7 +140,7 @@ class NavGrid:
 
 @dataclass(frozen=True)
 class FlowField:
-    """The shortest paths to one goal from everywhere.
+    """Shortest paths to a goal, from all nodes of a grid.
 
     Attributes:
         distances: Path lengths from nodes, infinite if unreachable ``(R, C)`` [m].
@@ -151,21 +152,27 @@ class FlowField:
 
     @cached_property
     def gradient(self) -> FloatArray:
-        """Return unit vectors along the shortest path by node ``(R, C, 2)``."""
+        """Unit vectors along the shortest path from each node ``(R, C, 2)``."""
         padded_distances = np.pad(self.distances, 1, constant_values=np.inf)
         distances = self.distances
         descent = np.zeros((*distances.shape, 2))
-        inner = slice(1, -1)
+        inner_slice = slice(1, -1)
         for axis in (0, 1):
             before = padded_distances[
-                (slice(None, -2), inner) if axis == 0 else (inner, slice(None, -2))
+                (slice(None, -2), inner_slice)
+                if axis == 0
+                else (inner_slice, slice(None, -2))
             ]
             after = padded_distances[
-                (slice(2, None), inner) if axis == 0 else (inner, slice(2, None))
+                (slice(2, None), inner_slice)
+                if axis == 0
+                else (inner_slice, slice(2, None))
             ]
-            lower = np.minimum(before, after)
-            descends = np.isfinite(distances) & (lower < distances)
-            drop = np.where(descends, distances, 0) - np.where(descends, lower, 0)
+            lower_distances = np.minimum(before, after)
+            is_descending = np.isfinite(distances) & (lower_distances < distances)
+            drop = np.where(is_descending, distances, 0) - np.where(
+                is_descending, lower_distances, 0
+            )
             descent[..., axis] = np.where(before < after, -drop, drop)
         size = np.linalg.norm(descent, axis=2)[..., None]
         return descent / np.where(size > 0, size, 1.0)
@@ -173,8 +180,8 @@ class FlowField:
     def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
-        Straight to ``targets`` if the goal is near and visible. Agents on blocked nodes
-        return to a free node first.
+        They point straight at ``targets`` if the goal is near and visible. Agents on
+        blocked nodes first return to a free node.
         """
         grid = self.grid
         rows, columns, weights = grid.cell_corners(points)
@@ -184,19 +191,21 @@ class FlowField:
         is_undefined = ~unit_vectors.any(axis=1)
         if is_undefined.any():
             unit_vectors[is_undefined] = (
-                grid.positions_of(grid.nearest_free_node(points[is_undefined]))
+                grid.node_positions(grid.nearest_free_node(points[is_undefined]))
                 - points[is_undefined]
             )
-        goal = self.goal(points)
+        goal = self.path_ends(points)
         offset = goal - points
         distances = np.linalg.norm(offset, axis=1)
         row, column = grid.nearest_nodes(points).T
         # Outside the grid, visibility is that of the nearest node.
-        to_goal = np.linalg.norm(
-            goal - grid.positions_of(row * grid.free.shape[1] + column), axis=1
+        node_to_goal = np.linalg.norm(
+            goal - grid.node_positions(row * grid.free.shape[1] + column), axis=1
         )
         straight_distance = np.where(
-            grid.border_distance(points) < 0, np.maximum(distances, to_goal), distances
+            grid.border_distance(points) < 0,
+            np.maximum(distances, node_to_goal),
+            distances,
         )
         is_near = (
             self.distances[row, column]
@@ -213,7 +222,7 @@ class FlowField:
         return np.asarray(unit_vectors / np.where(lengths > 0, lengths, 1.0))
 
     def _has_line_of_sight(self, points: FloatArray, targets: FloatArray) -> BoolArray:
-        """Return whether nearby targets ``(K, 2)`` are in line of sight."""
+        """Return which nearby targets ``(K, 2)`` are in line of sight."""
         grid = self.grid
         offset = targets - points
         distances = np.linalg.norm(offset, axis=1)
@@ -229,13 +238,13 @@ class FlowField:
         free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
         return np.asarray(free.all(axis=0), np.bool_)
 
-    def goal(self, points: FloatArray) -> FloatArray:
-        """Return the ends ``(K, 2)`` of paths from x and z ``(K, 2)`` [m]."""
+    def path_ends(self, points: FloatArray) -> FloatArray:
+        """Return the ends of paths from x and z ``(K, 2)`` [m]."""
         component = self.grid.components.ravel()[self.grid.nearest_free_node(points)]
         return self.goals[component]
 
 
-def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
+def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     """Return the flow field to a goal at x and z ``(2,)``.
 
     In components of the grid without the goal, paths lead to the node nearest to it.
@@ -244,12 +253,14 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
     goal_component = int(grid.components.ravel()[node])
     nodes = np.flatnonzero(grid.free.ravel())
     components = grid.components.ravel()[nodes]
-    goal_distances = np.linalg.norm(grid.positions_of(nodes) - goal, axis=1)
+    goal_distances = np.linalg.norm(grid.node_positions(nodes) - goal, axis=1)
     order = np.lexsort([goal_distances, components])
-    first = order[np.flatnonzero(np.diff(components[order], prepend=0))]
+    nearest_to_goal = order[np.flatnonzero(np.diff(components[order], prepend=0))]
     row, column = grid.nearest_nodes(goal[None])[0]
-    goals = np.concatenate([np.zeros((1, 2)), grid.positions_of(nodes[first])])
-    seeds_around: Sequence[int] | IntArray = []
+    goals = np.concatenate(
+        [np.zeros((1, 2)), grid.node_positions(nodes[nearest_to_goal])]
+    )
+    goal_seeds: Sequence[int] | IntArray = []
     if grid.free[row, column]:
         goals[goal_component] = goal
         # Seeded around the goal, so that paths end there and not at a node; outside the
@@ -258,18 +269,18 @@ def route_to(grid: NavGrid, goal: FloatArray) -> FlowField:
             (components == goal_component) & (goal_distances < 1.5 * grid.cell)
         ]
         border = grid.facing_border(goal)
-        seeds_around = np.union1d(
+        goal_seeds = np.union1d(
             nearby_nodes,
             border[grid.components.ravel()[border] == goal_component],
         )
-    seeds = np.concatenate([nodes[first], seeds_around]).astype(np.int64)
-    starts = np.linalg.norm(
-        grid.positions_of(seeds) - goals[grid.components.ravel()[seeds]], axis=1
+    seeds = np.concatenate([nodes[nearest_to_goal], goal_seeds]).astype(np.int64)
+    start_distances = np.linalg.norm(
+        grid.node_positions(seeds) - goals[grid.components.ravel()[seeds]], axis=1
     )
-    distances = _kernels.travel_distances(grid.free, grid.cell, seeds, starts)
+    distances = _kernels.travel_distances(grid.free, grid.cell, seeds, start_distances)
     return FlowField(grid, goals, distances)
 
 
-def routes_to(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
+def flow_fields(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
     """Return the flow fields to several goals."""
-    return [route_to(grid, goal) for goal in goals]
+    return [flow_field(grid, goal) for goal in goals]

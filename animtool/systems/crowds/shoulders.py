@@ -1,7 +1,6 @@
-"""Shoulder yaw of agents, to slip past each other in a jam.
+"""Shoulder yaw of agents, so that they pass each other in a jam.
 
-Angles are yaws of the shoulder line relative to the heading; positive is to the left,
-as of headings.
+Angles are yaws of the shoulder line relative to the heading; positive is to the left.
 """
 
 from __future__ import annotations
@@ -20,18 +19,18 @@ if TYPE_CHECKING:
 
 # Largest yaw [rad].
 MAX_YAW = 0.9
-# Depth of agents over their shoulder width.
+# Depth of agents relative to their shoulder width.
 DEPTH_RATIO = 0.6
 # Time constants of yaw, and of its return [s].
 YAW_TIME, RETURN_TIME = 0.25, 0.6
-# Smaller yaws, over the largest, count as none.
+# Yaws below this fraction of the largest count as 0.
 NEGLIGIBLE_YAW = 0.02
 
 
 def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
-    """Return vectors along the shoulders, longer with more yaw, 1 at most ``(N, 2)``.
+    """Return vectors along the shoulders; their length grows with yaw to 1 ``(N, 2)``.
 
-    ``headings`` and ``shoulders`` ``(N,)`` [rad].
+    Headings and shoulder yaws are ``(N,)`` [rad].
     """
     angles = headings + shoulders
     axes = np.stack([np.cos(angles), -np.sin(angles)], axis=1)
@@ -41,29 +40,31 @@ def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
 def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> FloatArray:
     """Return shoulder yaws after a step ``(N,)`` [rad].
 
-    ``targets`` ``(N,)``: target yaw over the largest; negative is to the right. Yawed
-    shoulders keep their side.
+    ``targets`` ``(N,)`` are relative to the largest yaw; negative is to the right.
+    Shoulders that are already rotated keep their sign.
     """
-    side = np.where(shoulders != 0, np.sign(shoulders), np.sign(targets))
-    target = MAX_YAW * side * np.abs(targets)
-    time_constant = np.where(np.abs(target) > np.abs(shoulders), YAW_TIME, RETURN_TIME)
-    next_yaws = shoulders + (target - shoulders) * -np.expm1(-dt / time_constant)
+    sign = np.where(shoulders != 0, np.sign(shoulders), np.sign(targets))
+    target_yaws = MAX_YAW * sign * np.abs(targets)
+    time_constant = np.where(
+        np.abs(target_yaws) > np.abs(shoulders), YAW_TIME, RETURN_TIME
+    )
+    next_yaws = shoulders + (target_yaws - shoulders) * -np.expm1(-dt / time_constant)
     has_returned = (targets == 0) & (np.abs(next_yaws) < NEGLIGIBLE_YAW * MAX_YAW)
     return np.where(has_returned, 0.0, next_yaws)
 
 
 @dataclass(frozen=True)
 class Trunk:
-    """Joints that rotate the shoulders: the spine; neck and head counter-rotate."""
+    """Joints that rotate the shoulders: spine joints, and neck joints against them."""
 
     spine: tuple[int, ...]
-    neck: tuple[int, ...]  # with the head
+    neck: tuple[int, ...]  # neck and head joints
 
     @staticmethod
-    def of(person: RoledSkeleton) -> Trunk:
+    def of(skeleton: RoledSkeleton) -> Trunk:
         """Return the trunk of a skeleton; without a spine nothing rotates."""
         joints_by_role = {
-            role: tuple(j for j, actual in enumerate(person.roles) if actual == role)
+            role: tuple(j for j, actual in enumerate(skeleton.roles) if actual == role)
             for role in ("spine", "neck", "head")
         }
         return Trunk(
@@ -72,7 +73,7 @@ class Trunk:
 
     @property
     def joints(self) -> IntArray:
-        """Return the joints it rotates."""
+        """All joints that it rotates."""
         return np.array([*self.spine, *self.neck], np.int64)
 
     def rotate(
@@ -85,19 +86,21 @@ class Trunk:
         rows = np.flatnonzero(angles)
         if not len(rows) or not self.spine:
             return
-        local, angle = rotations[rows], angles[rows]
+        agent_rotations, agent_angles = rotations[rows], angles[rows]
         joint_fractions = [(j, 1 / len(self.spine)) for j in self.spine]
         joint_fractions += [(j, -1 / len(self.neck)) for j in self.neck]
         for joint, fraction in joint_fractions:
             parent_rotation = np.broadcast_to(so3.IDENTITY, (len(rows), 4))
             for j in _ancestors(parents, joint):
-                parent_rotation = so3.multiply(parent_rotation, local[:, j])
-            yaw = rotations_about_y(fraction * angle)
+                parent_rotation = so3.multiply(parent_rotation, agent_rotations[:, j])
+            yaw = rotations_about_y(fraction * agent_angles)
             local_yaw = so3.multiply(
                 so3.conjugate(parent_rotation), so3.multiply(yaw, parent_rotation)
             )
-            local[:, joint] = so3.multiply(local_yaw, local[:, joint])
-        rotations[rows] = local
+            agent_rotations[:, joint] = so3.multiply(
+                local_yaw, agent_rotations[:, joint]
+            )
+        rotations[rows] = agent_rotations
 
 
 def _ancestors(parents: IntArray, joint: int) -> list[int]:

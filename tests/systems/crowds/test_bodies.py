@@ -21,11 +21,11 @@ from animtool.scene.systems.gaits import GaitsSource
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.cast import AgentCast, CastGroup, select_rows
-from animtool.systems.crowds.cycles import gaits_of
+from animtool.systems.crowds.cycles import build_gaits
 from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import GroundFrame, rotations_about_y
-from animtool.systems.crowds.poses import MAX_TILT, _tilt_rotations, poses_of
+from animtool.systems.crowds.poses import MAX_TILT, _tilt_rotations, body_poses
 
 SAMPLES = Path(__file__).parents[3] / "samples"
 TAKES = SAMPLES / "retarget" / "takes"
@@ -78,7 +78,7 @@ def path(step: float, count: int) -> list[AgentMotion]:
 
 def joints(bodies: AgentBodies, state: BodyState, going: AgentMotion) -> np.ndarray:
     """Return joints in the world ``(N, J, 3)`` [m]."""
-    rig, made = bodies.gaits.walker.rig, poses_of(bodies, state, going)
+    rig, made = bodies.gaits.walker.rig, body_poses(bodies, state, going)
     places = np.repeat(rig.rest_translations[None], len(made.rotations), axis=0)
     places[:, 0] = made.roots
     local = forward_kinematics(rig, places, made.rotations).positions
@@ -102,7 +102,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
         np.array([0.0, 1.0, 2.2]),
     )
     some = select_rows(going, own)
-    state = bodies.first(some, np.array([0.2, 0.7]))
+    state = bodies.initial(some, np.array([0.2, 0.7]))
     rig = SimpleNamespace(rig=gaits.walker.rig)
     groups = [
         CastGroup(np.array([1]), other, rig),  # type: ignore[arg-type]
@@ -111,8 +111,8 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     frame = GroundFrame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
     casting = AgentCast(groups, np.array([1, 0, 2]))
     chances = np.array([0.2, 0.4, 0.7])
-    of_all = casting.first(going, chances)
-    made = poses_of(bodies, state, some)
+    of_all = casting.initial(going, chances)
+    made = body_poses(bodies, state, some)
     turn = so3.multiply(frame.rotation, rotations_about_y(going.headings[2]))
     found = casting.world(of_all, going, frame, bumpy, 2)
     wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
@@ -126,7 +126,7 @@ def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
     going = AgentMotion(
         np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0])
     )
-    state = bodies.first(going, np.array([0.25, 0.5]))
+    state = bodies.initial(going, np.array([0.25, 0.5]))
     assert state.phases.tolist() == [0.25, 0.5]
     assert (state.swings == -1).all()
     np.testing.assert_array_equal(state.aims, state.places)
@@ -153,22 +153,22 @@ def test_who_spins_takes_steps_that_turn_by_eight_tenths_at_most() -> None:
     for k, (pace, most) in enumerate(
         [(0.3, 0.8), (2.0, 0.8), (0.8 / 2, 0.25 * leg), (0.8 / 2, 0.3 * leg)]
     ):
-        step = pace * stands[k] / blend.free[k]
+        step = pace * stands[k] / blend.free_rate[k]
         over = max(step / most, 1.0)
-        assert blend.rate[k] == pytest.approx(blend.free[k] * over)
-    assert (blend.rate > blend.free).tolist() == [False, True, True, True]
+        assert blend.rate[k] == pytest.approx(blend.free_rate[k] * over)
+    assert (blend.rate > blend.free_rate).tolist() == [False, True, True, True]
 
 
 def toe_height(bodies: AgentBodies, k: int) -> float:
     """Return how high the joint of a toe is where its foot stands [m]."""
     walker = bodies.gaits.walker
-    return float(walker.ankle[k] + walker.ball[k, 1])
+    return float(walker.ankle_heights[k] + walker.ball_offsets[k, 1])
 
 
 def test_people_stand_on_the_ends_of_their_toes() -> None:
     """On the biped these are 2 cm below the joint."""
     bodies = AgentBodies(library("walk", "stand"), np.ones(1), level)
-    assert bodies.gaits.walker.ankle == pytest.approx(0.08)
+    assert bodies.gaits.walker.ankle_heights == pytest.approx(0.08)
     assert toe_height(bodies, 0) == pytest.approx(0.02)
 
 
@@ -177,10 +177,10 @@ def walked(
 ) -> tuple[list[BodyState], np.ndarray]:
     """Return states, and joints in the world ``(F, N, J, 3)``."""
     count = len(goings[0].points)
-    state = bodies.first(goings[0], np.linspace(0.1, 0.8, count))
+    state = bodies.initial(goings[0], np.linspace(0.1, 0.8, count))
     states, places = [], []
     for before, after in pairwise(goings):
-        state = bodies.next(state, before, after, step)
+        state = bodies.advance(state, before, after, step)
         states.append(state)
         places.append(joints(bodies, state, after))
     return states, np.array(places)
@@ -288,14 +288,16 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
     alone = AgentBodies(bodies.gaits, bodies.scales[[1]], level)
     goings = path(0.05, 3)[:120]
     row = np.array([1])
-    state = bodies.first(goings[0], np.array([0.1, 0.4, 0.7]))
+    state = bodies.initial(goings[0], np.array([0.1, 0.4, 0.7]))
     own = select_rows(state, row)
     for before, after in pairwise(goings):
-        state = bodies.next(state, before, after, 0.05)
-        own = alone.next(own, select_rows(before, row), select_rows(after, row), 0.05)
+        state = bodies.advance(state, before, after, 0.05)
+        own = alone.advance(
+            own, select_rows(before, row), select_rows(after, row), 0.05
+        )
     whole, single = (
-        poses_of(bodies, state, goings[-1]),
-        poses_of(alone, own, select_rows(goings[-1], row)),
+        body_poses(bodies, state, goings[-1]),
+        body_poses(alone, own, select_rows(goings[-1], row)),
     )
     np.testing.assert_array_equal(whole.rotations[1], single.rotations[0])
     np.testing.assert_array_equal(whole.roots[1], single.roots[0])
@@ -304,17 +306,17 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
 def test_who_is_hit_plays_the_reaction_once() -> None:
     bodies = AgentBodies(library("walk", "stand", "stumble"), np.ones(2), level)
     here = AgentMotion(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
-    state = bodies.first(here, np.zeros(2))
-    quiet = poses_of(bodies, state, here).rotations
-    state = bodies.next(state, here, here, 0.1, np.array([True, False]))
+    state = bodies.initial(here, np.zeros(2))
+    quiet = body_poses(bodies, state, here).rotations
+    state = bodies.advance(state, here, here, 0.1, np.array([True, False]))
     for _ in range(4):
-        state = bodies.next(state, here, here, 0.1)
-    hit = poses_of(bodies, state, here).rotations
+        state = bodies.advance(state, here, here, 0.1)
+    hit = body_poses(bodies, state, here).rotations
     off = np.degrees(2 * np.arccos(np.clip(np.abs((hit * quiet).sum(axis=-1)), 0, 1)))
     assert off[0].max() > 15
     assert off[1].max() < 5
     for _ in range(20):
-        state = bodies.next(state, here, here, 0.1)
+        state = bodies.advance(state, here, here, 0.1)
     assert (state.reacts == -1).all()
 
 
@@ -327,7 +329,7 @@ def test_what_a_library_lacks_is_named() -> None:
     with raises(
         OptionError, "SIM149", match="does not have two legs with thigh, shin and foot"
     ):
-        gaits_of(stick, [])
+        build_gaits(stick, [])
 
 
 def test_a_sole_is_turned_as_the_ground_is() -> None:
@@ -433,7 +435,7 @@ def test_feet_that_swing_go_around_those_that_stand(
     before = places.copy()
     bodies = AgentBodies(gaits, np.ones(1), level)
     state: Any = SimpleNamespace(swings=swings)
-    found = bodies._detour(state, going, places)
+    found = bodies._avoid_planted_feet(state, going, places)
     np.testing.assert_allclose(found[0, [k, 1 - k]], [around, 0.0], atol=1e-12)
     moved = before.copy()
     moved[0, k, :2] += side * around * x

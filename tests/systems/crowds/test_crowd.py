@@ -516,11 +516,11 @@ def test_who_is_knocked_down_falls_as_he_stood_and_was_about_to_walk() -> None:
         return "walked"
 
     own: Any = SimpleNamespace(
-        casting=SimpleNamespace(next=next_),
-        falling=SimpleNamespace(add_falls=lambda *given: given),
+        cast=SimpleNamespace(advance=next_),
+        fall_simulator=SimpleNamespace(add_falls=lambda *given: given),
         _world=lambda bodies, going, i: (bodies, going.points[i].tolist()),
     )
-    made: Any = crowds.Crowd._with_new_falls(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
+    made: Any = crowds.Crowd._add_falls(own, state, "falls", np.array([0, 2]), 0.5)  # type: ignore[arg-type]
     assert hits == [("stood", 0.5, [False] * 3)]
     falls, fell, now, soon, dt = made
     assert (falls, fell.tolist(), dt) == ("falls", [0, 2], 0.5)

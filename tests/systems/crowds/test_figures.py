@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies
-from animtool.systems.crowds.poses import poses_of
+from animtool.systems.crowds.poses import body_poses
 from animtool.systems.framework.run import SimulationRun
 
 BIPED = Path(__file__).parents[3] / "rigs/biped/biped.rig.yaml"
@@ -42,16 +42,16 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
     bodies = AgentBodies(gaits, np.array([1.0, 1.1, 0.9, 1.05, 0.97]), bumpy)
     ways = goings(42)
-    state = bodies.first(ways[0], np.array([0.1, 0.35, 0.5, 0.77, 0.9]))
+    state = bodies.initial(ways[0], np.array([0.1, 0.35, 0.5, 0.77, 0.9]))
     states, poses, feet = [], [], []
     for i, (before, after) in enumerate(pairwise(ways)):
         hit = np.array([i == 7, False, i == 5, False, False])
-        state = bodies.next(state, before, after, STEP, hit if i % 2 else None)
+        state = bodies.advance(state, before, after, STEP, hit if i % 2 else None)
         states.append(state)
         if i % 3 == 2:
             state.shoulders[:] = [0.0, 0.2, -0.4, 0.5, 0.0]
-            poses.append(poses_of(bodies, state, after))
-            feet.append(bodies.feet(state, after))
+            poses.append(body_poses(bodies, state, after))
+            feet.append(bodies.foot_poses(state, after))
             state.shoulders[:] = 0.0
     check_figures(__file__, "bodies", {"states": states, "feet": feet})
     check_figures(__file__, "poses", poses)

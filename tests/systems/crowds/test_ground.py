@@ -33,8 +33,8 @@ def test_the_ground_is_the_highest_of_what_is_there() -> None:
     assert_allclose(normals[[0, 1, 3]], [tilted] * 3, atol=1e-12)
     assert_allclose(normals[[4, 5, 6]], [up] * 3, atol=1e-12)
     assert_allclose(ground.bounds, [[0, 0], [4, 2]])
-    assert not ground.flat
-    assert Terrain().flat
+    assert not ground.is_plane
+    assert Terrain().is_plane
     heights, normals = Terrain()(np.array([[7.0, -3]]))
     assert (heights.tolist(), normals.tolist()) == ([0], [up])
 

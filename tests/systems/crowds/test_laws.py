@@ -14,7 +14,7 @@ from animtool.maths import so3
 from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.bodies import AgentBodies, _gait_weights
-from animtool.systems.crowds.footing import Footing, limited_landings
+from animtool.systems.crowds.footing import Footing, limit_landings
 from animtool.systems.crowds.gaits import (
     rotations_about_x,
     sample_rows,
@@ -22,8 +22,13 @@ from animtool.systems.crowds.gaits import (
     swing_progress,
 )
 from animtool.systems.crowds.ground import GroundFrame
-from animtool.systems.crowds.obstacles import _bounds_of_obstacles, is_blocked
-from animtool.systems.crowds.reach import LegReach, Stances, _rate_to_reach, step_rates
+from animtool.systems.crowds.obstacles import _obstacle_bounds, is_blocked
+from animtool.systems.crowds.reach import (
+    LegReach,
+    Stances,
+    _rate_for_margin,
+    step_rates,
+)
 from animtool.systems.crowds.routes import NavGrid
 from animtool.systems.crowds.shoulders import step_shoulders
 
@@ -59,7 +64,8 @@ def test_rows_between_rows_and_behind_the_last(columns: int) -> None:
 
 def test_a_foot_that_stands_turns_about_its_ball_or_its_heel() -> None:
     walker: Any = SimpleNamespace(
-        ankle=np.array([0.1, 0.12]), ball=np.array([[0.01, -0.08, 0.15]] * 2)
+        ankle_heights=np.array([0.1, 0.12]),
+        ball_offsets=np.array([[0.01, -0.08, 0.15]] * 2),
     )
     up, down = 0.3, -0.2
     found = standing_ankle(walker, 1, rotations_about_x(np.array([up, down, 0.0])))
@@ -93,9 +99,7 @@ def test_a_foot_lands_on_its_side_of_the_other_where_that_is_near(
     own = Footing(gaits, np.array([size]), level)
     places = np.zeros((1, 2, 3))
     places[0, 1 - k, :2] = 3.0, 4.0 - size * other
-    found = own.landing_at(
-        k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places
-    )
+    found = own.landing(k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places)
     ahead, yaw = steps[0, k, 1:]
     expected = [3 + size * ahead, 4 - size * x, np.pi / 2 + yaw]
     assert_allclose(found, [expected], atol=1e-12)
@@ -108,7 +112,7 @@ def test_where_a_foot_lands_follows_no_faster_than_it_can() -> None:
     swings = np.array([[0.5, 0], [0.5, 0], [0.5, 0], [0.0, 0]])
     new = np.array([False, True, False, False])
     scales = np.array([1.0, 1.0, 1.0, 2.0])
-    found = limited_landings(aims, lands, swings, new, scales, 0.02, 0)
+    found = limit_landings(aims, lands, swings, new, scales, 0.02, 0)
     assert_allclose(found[0], [0.06, 0.08, 0.0])
     assert_allclose(found[1], lands[1])
     assert_allclose(found[2], [0.03, 0.04, 0.24])
@@ -129,7 +133,9 @@ def test_gaits_are_blended_by_how_far_points_are_along_the_ways_between() -> Non
 
 def reach() -> LegReach:
     """Return that of legs of 1 m, whose ankles are 0.1 m high where feet stand."""
-    walker = SimpleNamespace(leg=1.0, ankle=np.array([0.1, 0.1]), ball=np.zeros((2, 3)))
+    walker = SimpleNamespace(
+        leg=1.0, ankle_heights=np.array([0.1, 0.1]), ball_offsets=np.zeros((2, 3))
+    )
     gaits: Any = SimpleNamespace(walker=walker)
     return LegReach(gaits, (), np.zeros((2, 3)))
 
@@ -138,12 +144,12 @@ def test_the_room_of_a_foot_is_what_its_leg_leaves() -> None:
     """Of hips that go down by 0.09 of a leg; in poses by 0.11 at most."""
     thighs = np.array([[0.0, 0.9, 0.0], [0.0, 1.0, 0.0], [0.0, 1.2, 0.0]])
     feet = np.array([[0.3, 0.0, 0.4, 0.5], [0.3, 0.0, -0.4, 0.0], [0.6, 0, 0, 0]])
-    room, ways = reach().margin(0, thighs, feet, np.zeros(3))
+    room, ways = reach().reach_margin(0, thighs, feet, np.zeros(3))
     low = np.array([0.8, 0.9, 1.1]) - 0.09
     far = np.sqrt(np.maximum(0.998**2 - low**2, 0))
     assert_allclose(room, far - [0.5, 0.5, 0.6])
     assert_allclose(ways, [[0.6, 0.8], [0.6, -0.8], [1, 0]])
-    lowered = reach().lowered(1, thighs, feet, np.zeros(3))
+    lowered = reach().hip_lowering(1, thighs, feet, np.zeros(3))
     need = 0.9 - np.sqrt(0.998**2 - 0.25)
     assert_allclose(lowered, [0.0, need, 0.11])
     assert 0 < need < 0.11
@@ -152,7 +158,7 @@ def test_the_room_of_a_foot_is_what_its_leg_leaves() -> None:
 def test_a_leg_steps_before_its_room_ends() -> None:
     """Rooms of 0.5 and -0.1 m, at 1 m/s; turning over a foot; in the air too soon."""
     assert_allclose(
-        _rate_to_reach(np.array([0.5, 0.01, 0.5]), 0.05, np.array([1.0, 1.0, -1.0])),
+        _rate_for_margin(np.array([0.5, 0.01, 0.5]), 0.05, np.array([1.0, 1.0, -1.0])),
         [2, 20, 0],
     )
     one = reach()
@@ -187,21 +193,21 @@ def test_what_is_near_obstacles_is_looked_at() -> None:
     ball = Collider(Sphere(0.5, (0.0, 1.0, 0.0)), Poses.fixed((1.0, 5.0, -1.0)))
     floor = Collider(Plane(), Poses.fixed((0.0, 0.0, 0.0)))
     low, high = np.full(2, -20.0), np.full(2, 20.0)
-    first, last = _bounds_of_obstacles([box, ball, floor], frame, low, high, 0.25)
+    first, last = _obstacle_bounds([box, ball, floor], frame, low, high, 0.25)
     # The ball is 3 m against z of the world, which is along x of the ground.
     assert_allclose(first, [-1.25, -0.75])
     assert_allclose(last, [3.75, 0.75])
-    cut = _bounds_of_obstacles(
+    cut = _obstacle_bounds(
         [box], frame, np.array([-1.0, -9]), np.array([9.0, 0.1]), 0.25
     )
     assert_allclose(cut, [[-1.0, -0.75], [1.25, 0.1]])
     for normal in ((1.0, 0.0, 0.0), (0.5, 0.9, 0.0)):
         wall = Collider(Plane(normal), Poses.fixed((0.0, 0.0, 0.0), TURNED))
         assert_array_equal(
-            _bounds_of_obstacles([wall], frame, low, high, 0.25), [low, high]
+            _obstacle_bounds([wall], frame, low, high, 0.25), [low, high]
         )
     slope = Collider(Plane((0.2, 0.9, 0.0)), Poses.fixed((0.0, 0.0, 0.0)))
-    first, last = _bounds_of_obstacles([slope], frame, low, high, 0.0)
+    first, last = _obstacle_bounds([slope], frame, low, high, 0.0)
     assert not (first < last).any()
 
 
@@ -226,12 +232,12 @@ def test_a_step_leaves_the_state_before_as_it_was() -> None:
     bodies = AgentBodies(library("walk", "stand"), np.ones(2), level)
     x = np.zeros((2, 2))
     before = AgentMotion(x, x, np.array([0.0, 1.0]))
-    state = bodies.first(before, np.array([0.1, 0.6]))
+    state = bodies.initial(before, np.array([0.1, 0.6]))
     for k in range(12):
         v = np.tile([0.0, 1.0], (2, 1))
         after = AgentMotion(before.points + 0.1 * v, v, before.headings)
         kept = {name: getattr(state, name).copy() for name in type(state).__slots__}
-        made = bodies.next(state, before, after, 0.1, np.array([k == 3, False]))
+        made = bodies.advance(state, before, after, 0.1, np.array([k == 3, False]))
         for name, values in kept.items():
             assert_array_equal(getattr(state, name), values)
         assert not np.shares_memory(made.aims, state.aims)

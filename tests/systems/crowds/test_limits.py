@@ -10,7 +10,7 @@ from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-from animtool.systems.crowds.limits import clamped_to_limits, with_widened_limits
+from animtool.systems.crowds.limits import clamp_to_limits, widen_limits
 
 # At rest turned about y, and a pin about z.
 REST = tuple(so3.exp(np.array([0.0, 0.7, 0.0])).tolist())
@@ -41,7 +41,7 @@ def same(one: FloatArray, other: FloatArray) -> None:
 
 def test_what_joints_can_have_stays() -> None:
     pose = turned([0.0, 0.0, 1.2], [0.0, 0.2, 0.0])
-    same(clamped_to_limits(rig(), pose), pose)
+    same(clamp_to_limits(rig(), pose), pose)
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_what_joints_can_have_stays() -> None:
 )
 def test_a_pin_ends_at_its_limits(knee: float, shown: float) -> None:
     """The nearer one; beyond half a turn too."""
-    found = clamped_to_limits(rig(), turned([0.0, 0.0, knee], [0.0, 0.0, 0.0]))
+    found = clamp_to_limits(rig(), turned([0.0, 0.0, knee], [0.0, 0.0, 0.0]))
     same(found, turned([0.0, 0.0, shown], [0.0, 0.0, 0.0]))
 
 
@@ -60,7 +60,7 @@ def test_a_pin_turns_about_its_axis_alone() -> None:
     across, along = (so3.exp(np.array(v)) for v in ([0.6, 0.0, 0.0], [0.0, 0.0, 1.0]))
     pose[1] = so3.multiply(pose[1], so3.multiply(across, along))
     for own in (rig(), rig(knee=None)):
-        same(clamped_to_limits(own, pose), turned([0.0, 0.0, 1.0], [0.0, 0.0, 0.0]))
+        same(clamp_to_limits(own, pose), turned([0.0, 0.0, 1.0], [0.0, 0.0, 0.0]))
 
 
 def test_a_ball_ends_at_its_cone_and_its_twist() -> None:
@@ -71,8 +71,8 @@ def test_a_ball_ends_at_its_cone_and_its_twist() -> None:
         ([2.0, 0.0, 0.0], [0.8, 0.0, 0.0]),
     ):
         pose = turned([0.0, 0.0, 1.0], ankle)
-        same(clamped_to_limits(rig(), pose), turned([0.0, 0.0, 1.0], shown))
-        same(clamped_to_limits(rig(ankle=None), pose), pose)
+        same(clamp_to_limits(rig(), pose), turned([0.0, 0.0, 1.0], shown))
+        same(clamp_to_limits(rig(ankle=None), pose), pose)
 
 
 def test_limits_open_to_a_pose_and_no_farther() -> None:
@@ -80,8 +80,8 @@ def test_limits_open_to_a_pose_and_no_farther() -> None:
     twist, swing = so3.exp(np.array([0, 0.5, 0])), so3.exp(np.array([0, 0, 0.8]))
     pose = turned([0.0, 0.0, -0.2], [0.0, 0.0, 0.0])
     pose[2] = so3.multiply(pose[2], so3.multiply(swing, twist))
-    own = with_widened_limits(rig(), pose)
-    same(clamped_to_limits(own, pose), pose)
+    own = widen_limits(rig(), pose)
+    same(clamp_to_limits(own, pose), pose)
     knee, ankle = own.joints[1].limits, own.joints[2].limits
     assert isinstance(knee, RangeLimit)
     assert isinstance(ankle, BallLimit)
@@ -89,9 +89,9 @@ def test_limits_open_to_a_pose_and_no_farther() -> None:
     assert_allclose(ankle.twist, [-0.3, 0.5])
     assert_allclose(ankle.swing, [0.8, 1.6])
     bent = turned([0.0, 0.0, 1.2], [0.0, 0.2, 0.0])
-    assert [joint.limits for joint in with_widened_limits(rig(), bent).joints[1:]] == [
+    assert [joint.limits for joint in widen_limits(rig(), bent).joints[1:]] == [
         KNEE,
         ANKLE,
     ]
     free = rig(None, BallLimit())
-    assert with_widened_limits(free, pose).joints == free.joints
+    assert widen_limits(free, pose).joints == free.joints

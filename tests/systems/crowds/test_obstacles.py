@@ -27,7 +27,7 @@ def shut(*opens: list[float]) -> Obstacles:
         Terrain(),
         Colliders([]),
         [door],
-        ends=np.array([[[0.0, 0], [3, 4]]]),
+        door_ends=np.array([[[0.0, 0], [3, 4]]]),
     )
 
 

@@ -15,16 +15,16 @@ from animtool.systems.crowds.poses import (
     MAX_TILT,
     PHASE_COUNT,
     _ankle_targets,
-    _clearance_deficit,
     _hip_lowering,
+    _missing_clearance,
     _swing_poses,
     _tilt_rotations,
-    idle_rows,
+    idle_frames,
 )
 
 # Who stands on ankles 0.1 m high, with balls 0.15 m ahead.
 WALKER: Any = SimpleNamespace(
-    ankle=np.array([0.1, 0.1]), ball=np.tile([0.0, -0.1, 0.15], (2, 1))
+    ankle_heights=np.array([0.1, 0.1]), ball_offsets=np.tile([0.0, -0.1, 0.15], (2, 1))
 )
 
 
@@ -46,7 +46,7 @@ def test_a_foot_is_as_high_as_it_is_far_from_where_it_stands(
 ) -> None:
     """By twice how far its place is and it is from that, and by 2 cm at most."""
     lifts = np.array([[0.0, 0.1 + high, ahead]])
-    found = _clearance_deficit(WALKER, 0, so3.IDENTITY[None], lifts, np.array([away]))
+    found = _missing_clearance(WALKER, 0, so3.IDENTITY[None], lifts, np.array([away]))
     assert_allclose(found, [lack], atol=1e-12)
 
 
@@ -55,7 +55,7 @@ def test_the_ball_counts_where_the_heel_is_up() -> None:
     turn = so3.from_axis_angle(np.array([1.0, 0.0, 0.0]), np.array([np.pi / 2]))
     for ahead, high, lack in ((0.25, 0.0, 0.0), (0.254, 0.003, 0.005)):
         lifts = np.array([[0.0, 0.15 + high, ahead]])
-        found = _clearance_deficit(WALKER, 1, turn, lifts, np.zeros(1))
+        found = _missing_clearance(WALKER, 1, turn, lifts, np.zeros(1))
         assert_allclose(found, [lack], atol=1e-12)
 
 
@@ -75,9 +75,9 @@ def test_who_stands_goes_there_and_back_again() -> None:
     """A clip of 2 s and five rows."""
     idle: Any = SimpleNamespace(rotations=np.zeros((5, 1, 4)), period=2.0)
     clocks = np.array([0.0, 0.5, 2.0, 2.5, 3.5, 4.0, 9.0])
-    assert_allclose(idle_rows(idle, clocks), [0, 1, 4, 3, 1, 0, 2])
+    assert_allclose(idle_frames(idle, clocks), [0, 1, 4, 3, 1, 0, 2])
     idle.rotations = idle.rotations[:1]
-    assert_allclose(idle_rows(idle, clocks), 0)
+    assert_allclose(idle_frames(idle, clocks), 0)
 
 
 def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
@@ -99,7 +99,7 @@ def swinging(swings: list[float], still: list[float]) -> tuple[Any, Any, Any]:
         weights=np.ones((count, 1)),
         stride=np.ones(count),
         stance_fractions=np.full((count, 2), 0.5),
-        free=np.ones(count),
+        free_rate=np.ones(count),
     )
     return SimpleNamespace(walker=WALKER, moving=(gait,)), state, blend
 

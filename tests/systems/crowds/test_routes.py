@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.systems.crowds.routes import FlowField, NavGrid, route_to
+from animtool.systems.crowds.routes import FlowField, NavGrid, flow_field
 
 LOW = np.array([10.0, -4.0])
 
@@ -23,7 +23,7 @@ def test_nodes_are_numbered_along_z_and_then_x() -> None:
         [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]],
     )
     assert_allclose(
-        own.positions_of(np.array([0, 3, 4, 11])),
+        own.node_positions(np.array([0, 3, 4, 11])),
         [[10, -4], [10, -2.5], [10.5, -4], [11, -2.5]],
     )
     assert_allclose(own.high, [11, -2.5])
@@ -67,7 +67,7 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     """A wall between two rows with a gap at its end; a part that is shut off."""
     own = grid(".....#.", "####.#.", ".....#.")
     goal = np.array([10.0, -4.0])
-    route = route_to(own, goal)
+    route = flow_field(own, goal)
     assert_allclose(route.goals[own.components[0, 0]], goal)
     shut = own.components[0, 6]
     assert shut != own.components[0, 0]
@@ -77,7 +77,9 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     assert 8 * 0.5 < route.distances[2, 0] < 10 * 0.5 + 1e-9
     assert_allclose(route.gradient[0, 2], [0, -1], atol=1e-9)
     assert_allclose(route.gradient[2, 1], [0, 1], atol=1e-9)
-    assert_allclose(route.goal(np.array([[11.0, -3.9], [11, -1]])), [goal, [10, -1]])
+    assert_allclose(
+        route.path_ends(np.array([[11.0, -3.9], [11, -1]])), [goal, [10, -1]]
+    )
     # Straight ahead what is seen, and along the wall what is not.
     points = np.array([[10.0, -3.0], [11.0, -4.0]])
     found = route.directions(points, np.array([goal, goal]))

@@ -52,14 +52,14 @@ def progress(stages: list[int], **keys: Any) -> Progress:
 def test_who_comes_to_a_goal_stops_within_half_a_second() -> None:
     """0.2 m from it at 0.4 m/s; from 0.6 m on as fast as each likes."""
     x = np.array([[9.8, 0.0], [9.4, 0.0], [10.0, 4.0], [10.0, 0.0]])
-    found = steering(4).preferred(3.0, 0.0, progress([0] * 4), x)
+    found = steering(4).preferred_velocities(3.0, 0.0, progress([0] * 4), x)
     assert_allclose(found, [[0.4, 0], [1.2, 0], [0, -1.2], [0, 0]], atol=1e-12)
 
 
 def test_they_set_out_so_long_after_the_beginning_whenever_that_is() -> None:
     own = steering(3, delays=np.array([0.0, 2.0, 2.5]))
     for t, goes in ((10.0, [1, 0, 0]), (12.0, [1, 1, 0]), (12.5, [1, 1, 1])):
-        found = own.preferred(t, 10.0, progress([0] * 3), np.zeros((3, 2)))
+        found = own.preferred_velocities(t, 10.0, progress([0] * 3), np.zeros((3, 2)))
         assert_allclose(found[:, 0], 1.2 * np.array(goes))
 
 
@@ -101,9 +101,7 @@ def test_places_in_a_queue_are_given_from_its_end_the_nearest_first() -> None:
     own = steering(5)
     tickets = np.array([4, 7, NO_TICKET, NO_TICKET, NO_TICKET])
     x = np.array([[0, 5], [0, 5.8], [0.3, 6.6], [0.1, 6.6], [0, 9.0]])
-    found = own._with_new_tickets(
-        tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x
-    )
+    found = own._assign_tickets(tickets, np.ones(5, np.int64), np.ones(5, np.bool_), x)
     assert found.tolist() == [4, 7, 9, 8, NO_TICKET]
     at, queued = own.targets(progress([1] * 5, tickets=found), np.ones(5, np.int64), x)
     assert queued.tolist() == [True] * 4 + [False]
