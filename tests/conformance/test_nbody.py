@@ -57,7 +57,7 @@ def test_a_tree_is_as_near_as_the_data_ask(disc: Disc) -> None:
         found = made.initial().pulls.accelerations
         errors = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.sqrt((errors**2).mean()) < accuracy
-        if made.tree:
+        if made.uses_tree:
             told = made.diagnostics(made.initial(), 0.0).values["force_error"]
             assert 0 < told < 3 * accuracy
 

@@ -152,7 +152,7 @@ class Crowd:
             tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
-        headings = self._turn_headings(state.headings, preferred, velocities, dt)
+        headings = self._rotate_headings(state.headings, preferred, velocities, dt)
         bodies = state.bodies
         falls = state.falls
         if self.cast is not None and bodies is not None:
@@ -230,7 +230,7 @@ class Crowd:
         assert bodies is not None
         return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
 
-    def _turn_headings(
+    def _rotate_headings(
         self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
     ) -> FloatArray:
         """Return headings ``(N,)`` [rad], rotated towards the direction of motion."""

@@ -22,11 +22,11 @@ from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, check_species
-from animtool.systems.flocks.rules import FlockRule, rule_accelerations, rules_of
+from animtool.systems.flocks.rules import FlockRule, build_rules, rule_accelerations
 from animtool.systems.flocks.spacing import START_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
-    avoidance,
+    avoidance_accelerations,
     clamp_speeds,
     goal_accelerations,
     limit_displacements,
@@ -49,12 +49,12 @@ class MemberHeadings:
     """Orientations of N members: z forward, y up."""
 
     rotations: FloatArray  # unit quaternions x, y, z, w (N, 4)
-    spins: FloatArray  # angular velocities, in the world (N, 3) [rad/s]
-    phases: FloatArray  # cycles of the shown animation so far (N,)
+    spins: FloatArray  # world angular velocities (N, 3) [rad/s]
+    phases: FloatArray  # animation cycles so far (N,)
 
 
-def first_heading(members: Members, v: FloatArray) -> MemberHeadings:
-    """Return initial orientations for velocities ``(N, 3)`` [m/s]."""
+def initial_headings(members: Members, v: FloatArray) -> MemberHeadings:
+    """Return the initial orientations of members with velocities ``(N, 3)`` [m/s]."""
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
@@ -66,40 +66,56 @@ def first_heading(members: Members, v: FloatArray) -> MemberHeadings:
     )
 
 
-def next_heading(
-    members: Members, heading: MemberHeadings, v0: FloatArray, v1: FloatArray, dt: float
+def advance_headings(
+    members: Members,
+    headings: MemberHeadings,
+    start_velocities: FloatArray,
+    end_velocities: FloatArray,
+    dt: float,
 ) -> MemberHeadings:
-    """Return orientations after a step [s]: ``v0`` and ``v1`` ``(N, 3)``.
+    """Return orientations after a step [s] with velocities ``(N, 3)`` at both ends.
 
-    Members bank like aircraft: their up vector follows the lift, which is perpendicular
-    to the velocity and compensates gravity and the turn.
+    Members bank like aircraft: their up vector follows the lift. It is perpendicular to
+    the velocity, and balances gravity and the centripetal acceleration.
     """
     banking_factors = members.per_individual(
         [entry.banking for entry in members.entries]
     )[:, None]
-    lift = banking_factors * (v1 - v0) / dt + GRAVITY * _UP
-    up = so3.rotate(heading.rotations, _UP)
+    lift = banking_factors * (end_velocities - start_velocities) / dt + GRAVITY * _UP
+    up = so3.rotate(headings.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
-    directions = v1 / np.maximum(np.linalg.norm(v1, axis=1), _TINY_LENGTH)[:, None]
+    directions = (
+        end_velocities
+        / np.maximum(np.linalg.norm(end_velocities, axis=1), _TINY_LENGTH)[:, None]
+    )
     lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     length = np.linalg.norm(lift, axis=1)[:, None]
     banked_up = up + (lift / np.maximum(length, _TINY_LENGTH) - up) * -np.expm1(
         -dt / BANKING_TIME
     )
     look_rotations = _look_rotations(
-        heading.rotations, v1, np.where(length > _TINY_LENGTH, banked_up, up)
+        headings.rotations,
+        end_velocities,
+        np.where(length > _TINY_LENGTH, banked_up, up),
     )
-    rotations = so3.align_signs(look_rotations[None], heading.rotations)[0]
-    step_rotation = so3.multiply(rotations, so3.conjugate(heading.rotations))
+    rotations = so3.align_signs(look_rotations[None], headings.rotations)[0]
+    step_rotation = so3.multiply(rotations, so3.conjugate(headings.rotations))
     spins = so3.log(step_rotation) / dt
-    beats = members.per_individual(
+    cycles_per_metre = members.per_individual(
         [entry.beat / entry.speed.cruise for entry in members.entries]
     )
-    speeds = (np.linalg.norm(v0, axis=1) + np.linalg.norm(v1, axis=1)) / 2
-    return MemberHeadings(rotations, spins, heading.phases + beats * speeds * dt)
+    speeds = (
+        np.linalg.norm(start_velocities, axis=1)
+        + np.linalg.norm(end_velocities, axis=1)
+    ) / 2
+    return MemberHeadings(
+        rotations, spins, headings.phases + cycles_per_metre * speeds * dt
+    )
 
 
-def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatArray:
+def _look_rotations(
+    previous_rotations: FloatArray, v: FloatArray, up: FloatArray
+) -> FloatArray:
     """Return rotations ``(N, 4)`` with z along velocities and y near an up vector.
 
     Members at rest keep their rotation.
@@ -109,7 +125,7 @@ def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatA
     left = so3.cross(np.broadcast_to(up, v.shape), forward)
     # In vertical flight, members keep their left axis.
     length = np.linalg.norm(left, axis=1)[:, None]
-    previous_left = so3.rotate(before, np.array([1.0, 0.0, 0.0]))
+    previous_left = so3.rotate(previous_rotations, np.array([1.0, 0.0, 0.0]))
     previous_left = (
         previous_left - (previous_left * forward).sum(axis=1)[:, None] * forward
     )
@@ -118,23 +134,26 @@ def _look_rotations(before: FloatArray, v: FloatArray, up: FloatArray) -> FloatA
     )
     left = left / np.maximum(np.linalg.norm(left, axis=1)[:, None], _TINY_LENGTH)
     axes = np.stack([left, so3.cross(forward, left), forward], axis=-1)
-    return np.where(speeds > _TINY_LENGTH, so3.from_matrix(axes), before)
+    return np.where(speeds > _TINY_LENGTH, so3.from_matrix(axes), previous_rotations)
 
 
-def mesh_indices(members: Members, meshes: IntArray, phases: FloatArray) -> IntArray:
-    """Return the mesh index of each member ``(N,)``, by its species and phase.
+def mesh_indices(
+    members: Members, mesh_ranges: IntArray, phases: FloatArray
+) -> IntArray:
+    """Return the mesh of each member, by its species and animation phase ``(N,)``.
 
-    ``meshes``: index of the first mesh and number of meshes of each species ``(S, 2)``.
+    ``mesh_ranges`` has the first mesh and the number of meshes of each species
+    ``(S, 2)``.
     """
-    first, counts = meshes[members.kinds].T
+    first_meshes, counts = mesh_ranges[members.kinds].T
     return np.asarray(
-        first + np.floor((phases % 1.0) * counts).astype(np.int64) % counts
+        first_meshes + np.floor((phases % 1.0) * counts).astype(np.int64) % counts
     )
 
 
 @dataclass(frozen=True, slots=True)
 class FlockState:
-    """Positions, velocities and orientations of members."""
+    """State of the members of a flock."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
     heading: MemberHeadings | None  # None if points are shown
@@ -142,7 +161,7 @@ class FlockState:
 
 @dataclass(frozen=True)
 class FlockForces(SecondOrder):
-    """N members as a second-order system."""
+    """Members of a flock as a second-order system."""
 
     members: Members
     domain: DomainModel | None
@@ -155,7 +174,7 @@ class FlockForces(SecondOrder):
 
     @property
     def state(self) -> FloatArray:
-        """The initial state."""
+        """Initial positions and velocities ``(2, N, 3)``."""
         return self.motion
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -164,7 +183,7 @@ class FlockForces(SecondOrder):
         accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
         if self.colliders.rigid:
-            accelerations += avoidance(members, self.colliders, t, x, v)
+            accelerations += avoidance_accelerations(members, self.colliders, t, x, v)
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:
             particles = members.particles
@@ -176,22 +195,28 @@ class FlockForces(SecondOrder):
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
         """Return the state after speed limits, spacing and collisions."""
-        x, v = after[0], after[1]
+        positions, velocities = after[0], after[1]
         if self.spacing is not None:
-            v = self._brake_velocities(h, before[1], x, v)
-            x, _ = self.spacing.separate(x)
-        v = clamp_speeds(self.members, v)
+            velocities = self._brake_velocities(h, before[1], positions, velocities)
+            positions, _ = self.spacing.separate(positions)
+        velocities = clamp_speeds(self.members, velocities)
         x = limit_displacements(self.members, before[0], x, h)
         if self.colliders.active:
             radii = self.members.radii
-            collision = collide(x, v, before, self.colliders, t - h, t, radii)
-            x, v = collision.points, collision.velocities
-        return after if x is after[0] and v is after[1] else np.stack([x, v])
+            collision = collide(
+                positions, velocities, before, self.colliders, t - h, t, radii
+            )
+            positions, velocities = collision.points, collision.velocities
+        return (
+            after
+            if positions is after[0] and velocities is after[1]
+            else np.stack([positions, velocities])
+        )
 
     def _brake_velocities(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
     ) -> FloatArray:
-        """Return velocities after braking for other members ``(N, 3)``."""
+        """Return velocities ``(N, 3)`` after braking for members ahead."""
         assert self.spacing is not None
         brakes = self.spacing.braking(x, v)
         accelerations = limit_steering(self.members, before, (v - before) / h + brakes)
@@ -200,7 +225,7 @@ class FlockForces(SecondOrder):
 
 
 def build(spec: FlocksModel, context: SimContext) -> Flock:
-    """Return the flock of a spec, with separated members outside of colliders.
+    """Build the flock of a spec, with members apart and outside of colliders.
 
     Raises:
         OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM060).
@@ -216,8 +241,8 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
             container=True,
         )
         colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
-    parts = context.parts["species"]
-    members = Members.of(spec, parts, context.begin)
+    species_data = context.parts["species"]
+    members = Members.of(spec, species_data, context.begin)
     spacing = Spacing.of(members, spec.domain)
     points, notices = members.clear_positions(colliders)
     if spacing is not None:
@@ -229,26 +254,32 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         spec.domain,
         colliders,
         context.parts.get("forces", ()),
-        rules_of(members),
+        build_rules(members),
         wrap_motion(np.stack([points, members.velocities]), spec.domain),
         spacing,
     )
     check_supported(Equations(system), integrator)
     notices += stability_notices(spec, integrator)
-    mesh_sources = [part.get("shows") for part in parts]
+    mesh_sources = [data.get("shows") for data in species_data]
     # Species that show the same meshes share them.
-    cycles = {show: show() for show in mesh_sources if show is not None}
+    meshes_by_source = {show: show() for show in mesh_sources if show is not None}
     mesh_ends = dict(
-        zip(cycles, np.cumsum([len(c) for c in cycles.values()]), strict=True)
+        zip(
+            meshes_by_source,
+            np.cumsum([len(c) for c in meshes_by_source.values()]),
+            strict=True,
+        )
     )
     return Flock(
         system,
         options,
         notices,
-        tuple(mesh for cycle in cycles.values() for mesh in cycle),
+        tuple(mesh for cycle in meshes_by_source.values() for mesh in cycle),
         np.array(
             [
-                (mesh_ends[s] - len(cycles[s]), len(cycles[s])) if s else (0, 0)
+                (mesh_ends[s] - len(meshes_by_source[s]), len(meshes_by_source[s]))
+                if s
+                else (0, 0)
                 for s in mesh_sources
             ]
         ),
@@ -280,26 +311,30 @@ def wrap_motion(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
         return motion
     size = np.array(domain.size)
     low = np.array(domain.at) - size / 2
-    wraps = np.floor((motion[0] - low) / size)
-    return np.stack([motion[0] - wraps * size, motion[1]]) if wraps.any() else motion
+    wrap_counts = np.floor((motion[0] - low) / size)
+    return (
+        np.stack([motion[0] - wrap_counts * size, motion[1]])
+        if wrap_counts.any()
+        else motion
+    )
 
 
 @dataclass(frozen=True, eq=False)
 class Flock:
-    """Simulation of a flock."""
+    """Simulates a flock."""
 
     system: FlockForces  # members and their forces at the start
     options: IntegrateOptions
     notices: Sequence[Fault]
-    meshes: tuple[MeshFrame, ...]  # of all species
-    mesh_indices: IntArray  # first mesh and number of meshes of each species (S, 2)
+    meshes: tuple[MeshFrame, ...]  # meshes of all species
+    mesh_ranges: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
         """Return the initial state."""
         motion = self.system.motion
         if not self.meshes:
             return FlockState(motion, None)
-        return FlockState(motion, first_heading(self.system.members, motion[1]))
+        return FlockState(motion, initial_headings(self.system.members, motion[1]))
 
     def step(self, state: FlockState, t: float, dt: float) -> FlockState:
         """Return the state after a step [s]."""
@@ -307,13 +342,13 @@ class Flock:
         motion = integrate_step(system, replace(self.options, step=dt), t, dt)
         heading = state.heading
         if heading is not None:
-            heading = next_heading(
+            heading = advance_headings(
                 self.system.members, heading, state.motion[1], motion[1], dt
             )
         return FlockState(wrap_motion(motion, system.domain), heading)
 
     def frame(self, state: FlockState, t: float) -> PointsFrame | TransformsFrame:  # noqa: ARG002
-        """Return points and meshes at a time."""
+        """Return members as points or meshes."""
         members, heading = self.system.members, state.heading
         points, velocities = state.motion
         ids = np.arange(len(members))
@@ -328,19 +363,19 @@ class Flock:
             heading.rotations,
             heading.spins,
             np.ones((len(members), 3)),
-            mesh_indices(members, self.mesh_indices, heading.phases),
+            mesh_indices(members, self.mesh_ranges, heading.phases),
             self.meshes,
             primvars,
         )
 
     def diagnostics(self, state: FlockState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return speeds, and the order parameter (alignment) of members."""
+        """Return the number, speed and alignment (order parameter) of members."""
         velocities = state.motion[1]
         speeds = np.linalg.norm(velocities, axis=1)
-        moving = speeds > 0
+        is_moving = speeds > 0
         values = {"members": float(len(speeds))}
-        if moving.any():
-            directions = velocities[moving] / speeds[moving, None]
+        if is_moving.any():
+            directions = velocities[is_moving] / speeds[is_moving, None]
             values["speed"] = float(speeds.mean())
             values["order"] = float(np.linalg.norm(directions.mean(axis=0)))
         return Diagnostics(values=values, notices=self.notices)

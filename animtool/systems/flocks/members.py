@@ -27,51 +27,51 @@ from animtool.systems.framework.matter import check_distinct
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.state import ParticleState
 
-# Passes that move members out of colliders at the start; then colliders overlap.
+# Most passes that move members out of colliders at the start.
 MAX_CLEARING_PASSES = 20
-# Clearance beyond the surface, over the radius [1].
+# Clearance from a surface, relative to the radius [1].
 CLEARANCE = 1e-6
-# Least displacement, over the radius, that is reported.
-REPORTED_MOVE = 4e-3
+# Smallest reported displacement, relative to the radius [1].
+MIN_REPORTED_MOVE = 4e-3
 
 
 @dataclass(frozen=True)
 class Members(Groups):
-    """N members of several species, and their start."""
+    """N members of several species, with their start."""
 
     noun: ClassVar[str] = "member"
-    parts: Sequence[Mapping[str, Any]]  # resolved keys of each species
+    species_data: Sequence[Mapping[str, Any]]  # resolved keys of each species
     begin: float  # start time [s]
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
 
     @staticmethod
     def of(
-        spec: FlocksModel, parts: Sequence[Mapping[str, Any]], begin: float
+        spec: FlocksModel, species_data: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
-        """Return the members of a spec; duplicate positions are refused."""
+        """Return the members of a spec; raise SIM060 for coincident positions."""
         motions, refusals = [], Refusals()
-        for species, part in zip(spec.species, parts, strict=True):
+        for species, data in zip(spec.species, species_data, strict=True):
             with refusals.collect():
-                motions.append(_start_motion(species, part, begin))
+                motions.append(_start_motion(species, data, begin))
         refusals.check()
         points, velocities = (
             np.concatenate(columns) for columns in zip(*motions, strict=True)
         )
         ends = np.cumsum([len(columns[0]) for columns in motions]).tolist()
-        members = Members(spec.species, ends, parts, begin, points, velocities)
+        members = Members(spec.species, ends, species_data, begin, points, velocities)
         members.check_distinct()
         return members
 
     @cached_property
     def particles(self) -> ParticleState:
-        """Return members as particles, for forces."""
+        """Members as particles, for force fields."""
         masses = self.per_individual([entry.mass for entry in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
     def check_distinct(self) -> None:
-        """Refuse two members at the same position (SIM060)."""
+        """Raise SIM060 if two members are at the same position."""
         hint = "use place: {sphere: {radius: 2}}, or another region with a size"
         check_distinct(
             self.points,
@@ -82,7 +82,7 @@ class Members(Groups):
         )
 
     def clear_positions(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
-        """Return start positions outside all colliders ``(N, 3)`` [m].
+        """Return start positions outside of all colliders ``(N, 3)`` [m].
 
         Members that start inside are moved out with a warning (SIM124).
         """
@@ -91,15 +91,15 @@ class Members(Groups):
             volumes = colliders.volumes.sample(points, self.begin)
             depths = self.radii - volumes.distances
             deepest = np.argmax(depths, axis=0)
-            every_member = np.arange(len(self))
-            depth = depths[deepest, every_member]
-            is_inside = depth > 0
+            members = np.arange(len(self))
+            max_depths = depths[deepest, members]
+            is_inside = max_depths > 0
             if not is_inside.any():
                 break
             is_moved |= is_inside
-            normal = volumes.normals[deepest, every_member]
+            normals = volumes.normals[deepest, members]
             points = points + (
-                normal * ((depth + CLEARANCE * self.radii) * is_inside)[:, None]
+                normals * ((max_depths + CLEARANCE * self.radii) * is_inside)[:, None]
             )
         else:
             if colliders.rigid:
@@ -115,25 +115,27 @@ class Members(Groups):
         return points, [warning("SIM124", message, hint)]
 
     def separation_notices(self, points: FloatArray, overlap: float) -> list[Fault]:
-        """Return warnings about members that were separated ``(N, 3)``.
+        """Return warnings about members that were moved apart, to ``(N, 3)``.
 
-        One warning names moved members with positions from a file, another reports the
-        remaining overlap [m] (SIM147).
+        One is about members with positions from a file that were moved, the other about
+        the remaining overlap [m] (SIM147).
         """
         displacements = np.linalg.norm(points - self.points, axis=1)
-        from_points = np.array([part.get("points") is not None for part in self.parts])
-        moved_far = (displacements > REPORTED_MOVE * self.radii) & from_points[
+        has_points = np.array(
+            [data.get("points") is not None for data in self.species_data]
+        )
+        is_moved = (displacements > MIN_REPORTED_MOVE * self.radii) & has_points[
             self.kinds
         ]
         faults = []
-        if moved_far.any():
-            message = f"{counted(int(moved_far.sum()), 'member')} would start closer "
+        if is_moved.any():
+            message = f"{counted(int(is_moved.sum()), 'member')} would start closer "
             message += "to each other than allowed, "
-            message += f"{self.label(int(np.argmax(moved_far)))} first: moved apart by "
+            message += f"{self.label(int(np.argmax(is_moved)))} first: moved apart by "
             message += f"up to {displacements.max():.3g} m"
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
-        if overlap > REPORTED_MOVE * float(self.radii.max()):
+        if overlap > MIN_REPORTED_MOVE * float(self.radii.max()):
             message = f"members start {overlap:.3g} m closer to each other than "
             message += "allowed: too many for their region"
             hint = "use a larger region, fewer members, or a smaller repulsion.least"
@@ -142,16 +144,16 @@ class Members(Groups):
 
 
 def _start_motion(
-    species: SpeciesModel, parts: Mapping[str, Any], begin: float
+    species: SpeciesModel, data: Mapping[str, Any], begin: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return start positions [m] and velocities [m/s] ``(N, 3)``."""
-    points, velocities = parts.get("points"), parts.get("velocities")
+    """Return start positions [m] and velocities [m/s] of a species ``(N, 3)``."""
+    points, velocities = data.get("points"), data.get("velocities")
     if points is None and velocities is not None:
         message = "velocities need points"
         refuse("SIM060", message, hint="points: birds.npz")
     emitter = Emitter(
-        place=parts["place"],
-        poses=parts["poses"],
+        place=data["place"],
+        poses=data["poses"],
         direction=species.direction or (0.0, 0.0, 1.0),
         spread=np.radians(species.spread),
         speed=species.speed.cruise,
@@ -171,11 +173,12 @@ def _start_motion(
 
 
 def check_species(spec: FlocksModel) -> None:
-    """Refuse invalid combinations of a species' keys (SIM060)."""
+    """Raise SIM060 for keys of species that contradict each other."""
     refuse_all("SIM060", _key_problems(spec))
 
 
 def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
+    """Yield conflicts between species, their speeds and the domain."""
     names = [species.name for species in spec.species]
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
@@ -191,9 +194,9 @@ def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
             message = f"the cruise of {species.name!r} is {speed.cruise:g} m/s, not "
             message += f"between {speed.least:g} and {max_speed(species):g}"
             yield message, where, None
-    is_shown = [species.shows is not None for species in spec.species]
-    if any(is_shown) and not all(is_shown):
-        name = names[is_shown.index(False)]
+    has_mesh = [species.shows is not None for species in spec.species]
+    if any(has_mesh) and not all(has_mesh):
+        name = names[has_mesh.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
         yield "some species show a mesh, but others show points", "species", hint
     if spec.domain is not None:
@@ -201,26 +204,25 @@ def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
-    smallest_side = min(domain.size)
+    """Yield species that are too large for the domain, or see too far."""
+    min_side = min(domain.size)
     for species in spec.species:
         radius, label = species.radius, "its radius"
         if domain.wrap:
             radius, label = interaction_radius(species), "what it sees"
-        if smallest_side < 2 * radius:
-            message = (
-                f"the domain is {smallest_side:g} m wide, but {species.name!r} needs "
-            )
+        if min_side < 2 * radius:
+            message = f"the domain is {min_side:g} m wide, but {species.name!r} needs "
             message += f"{2 * radius:g} m: twice {label}"
             yield message, "domain", "use a larger domain, or a smaller radius"
 
 
 def max_speed(species: SpeciesModel) -> float:
-    """Return the maximum speed of members [m/s]."""
+    """Return the maximum speed of the members of a species [m/s]."""
     speed = species.speed
     return 2 * speed.cruise if speed.most is None else speed.most
 
 
 def interaction_radius(species: SpeciesModel) -> float:
-    """Return the largest interaction distance of members [m]."""
+    """Return the largest distance at which members of a species interact [m]."""
     relations = [*species.flees, *species.chases]
     return max(species.vision.radius, *(relation.radius for relation in relations), 0.0)

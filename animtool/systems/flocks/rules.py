@@ -16,59 +16,60 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 Indices: TypeAlias = npt.NDArray[np.int32]
-# Neighbour pairs per member on average, and in total. Beyond both, thousands of members
-# see each other and a step takes minutes.
+# Largest number of neighbour pairs per member on average, and in total. Beyond both,
+# thousands of members see each other and a step takes minutes.
 MAX_PAIRS_PER_MEMBER, MAX_PAIRS = 20_000, 2_000_000_000
 _NO_INTERACTION = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
 class FlockRule:
-    """A rule of one species towards others: arguments of the kernel."""
+    """A rule of one species towards others, as kernel arguments."""
 
-    members: Indices | None  # (M,); None for all
-    others: Indices | None
-    radius: float  # [m]
-    cosine: float  # of half the angle of view
+    members: Indices | None  # members that follow the rule (M,); None for all
+    others: Indices | None  # members that they see; None for all
+    radius: float  # range of sight [m]
+    cosine: float  # cosine of half the angle of view
     nearest: int  # number of nearest neighbours; 0 for all
-    attraction: tuple[float, float]  # [1/s²] and [m]
-    alignment: tuple[float, float]  # [1/s] and [m]
-    repulsion: tuple[float, float]  # [m²/s²] and [m]
-    softening: float  # [m]
+    attraction: tuple[float, float]  # weight [1/s²] and range [m]
+    alignment: tuple[float, float]  # weight [1/s] and range [m]
+    repulsion: tuple[float, float]  # weight [m²/s²] and range [m]
+    softening: float  # softening length of the repulsion [m]
 
 
-def rules_of(members: Members) -> list[FlockRule]:
-    """Return the rules of all species, without those that have no effect."""
+def build_rules(members: Members) -> list[FlockRule]:
+    """Return the rules of all species that have an effect."""
     rules = []
     names = [species.name for species in members.entries]
-    for index, species in enumerate(members.entries):
-        subject_members = _members_of(members, [index])
-        flock_members = [index, *(names.index(name) for name in species.joins)]
+    for species_index, species in enumerate(members.entries):
+        subjects = _member_indices(members, [species_index])
+        mate_species = [species_index, *(names.index(name) for name in species.joins)]
         rules.append(
-            _flocking_rule(
-                species, subject_members, _members_of(members, sorted({*flock_members}))
+            _build_flocking_rule(
+                species, subjects, _member_indices(members, sorted({*mate_species}))
             )
         )
         for flee in species.flees:
-            targets = _members_of(members, [names.index(flee.species)])
-            push = (flee.weight, flee.radius)
+            targets = _member_indices(members, [names.index(flee.species)])
+            repulsion = (flee.weight, flee.radius)
             rules.append(
                 FlockRule(
-                    subject_members, targets, flee.radius, -1.0, 0,
-                    _NO_INTERACTION, _NO_INTERACTION, push, species.repulsion.softening,
+                    subjects, targets, flee.radius, -1.0, 0,
+                    _NO_INTERACTION, _NO_INTERACTION, repulsion,
+                    species.repulsion.softening,
                 )
             )  # fmt: skip
         for chase in species.chases:
-            targets = _members_of(members, [names.index(chase.species)])
-            pull = (chase.weight, chase.radius)
+            targets = _member_indices(members, [names.index(chase.species)])
+            attraction = (chase.weight, chase.radius)
             rules.append(
                 FlockRule(
-                    subject_members,
+                    subjects,
                     targets,
                     chase.radius,
                     -1.0,
                     1,
-                    pull,
+                    attraction,
                     _NO_INTERACTION,
                     _NO_INTERACTION,
                     0.0,
@@ -77,12 +78,13 @@ def rules_of(members: Members) -> list[FlockRule]:
     return [rule for rule in rules if _has_effect(rule)]
 
 
-def _flocking_rule(
+def _build_flocking_rule(
     species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
+    """Return the rule of a species towards its own kind and those it joins."""
     vision, repulsion = species.vision, species.repulsion
 
-    def within(radius: float | None) -> float:
+    def clamp_radius(radius: float | None) -> float:
         return vision.radius if radius is None else min(radius, vision.radius)
 
     return FlockRule(
@@ -91,33 +93,34 @@ def _flocking_rule(
         vision.radius,
         -1.0 if vision.angle == 360 else float(np.cos(np.radians(vision.angle / 2))),
         vision.nearest or 0,
-        (species.attraction.weight, within(species.attraction.radius)),
-        (species.alignment.weight, within(species.alignment.radius)),
-        (repulsion.weight, within(repulsion.radius)),
+        (species.attraction.weight, clamp_radius(species.attraction.radius)),
+        (species.alignment.weight, clamp_radius(species.alignment.radius)),
+        (repulsion.weight, clamp_radius(repulsion.radius)),
         repulsion.softening,
     )
 
 
 def _has_effect(rule: FlockRule) -> bool:
+    """Return whether a rule has members and a weight."""
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
-    sizes = [
+    counts = [
         len(indices) for indices in (rule.members, rule.others) if indices is not None
     ]
-    return any(weights) and 0 not in sizes
+    return any(weights) and 0 not in counts
 
 
-def _members_of(members: Members, species: Sequence[int]) -> Indices | None:
-    """Return the members of selected species ``(M,)``; None for all species."""
+def _member_indices(members: Members, species: Sequence[int]) -> Indices | None:
+    """Return the members of some species ``(M,)``; None for all species."""
     if len(species) == len(members.entries):
         return None
-    ranges = [
+    index_ranges = [
         np.arange(len(members))[members.rows_by_entry[number]] for number in species
     ]
-    return np.concatenate(ranges).astype(np.int32)
+    return np.concatenate(index_ranges).astype(np.int32)
 
 
 def periodic_box(domain: DomainModel | None) -> FloatArray:
-    """Return the origin and period of each axis ``(2, 3)`` [m]; 0 is not periodic."""
+    """Return the origin and period of each axis ``(2, 3)`` [m]; 0 if not periodic."""
     period = np.zeros((2, 3))
     if domain is not None and domain.wrap:
         period[1] = domain.size
@@ -126,19 +129,19 @@ def periodic_box(domain: DomainModel | None) -> FloatArray:
 
 
 def max_pairs(count: int) -> float:
-    """Return the maximum number of neighbour pairs for N members."""
+    """Return the largest allowed number of neighbour pairs of N members."""
     return float(max(MAX_PAIRS_PER_MEMBER * count, MAX_PAIRS))
 
 
 def rule_accelerations(
     rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return accelerations from members in sight ``(N, 3)`` [m/s²].
+    """Return accelerations towards and away from members in sight ``(N, 3)`` [m/s²].
 
-    ``x`` ``(N, 3)`` [m], ``v`` ``(N, 3)`` [m/s].
+    Positions [m] and velocities [m/s] are ``(N, 3)``.
     """
     period = periodic_box(domain)
-    total = np.zeros_like(x)
+    accelerations_sum = np.zeros_like(x)
     for rule in rules:
         count = len(x) if rule.members is None else len(rule.members)
         limit = max_pairs(count)
@@ -152,5 +155,7 @@ def rule_accelerations(
             message += "neighbours"
             hint = "reduce their range of sight, or strengthen the repulsion"
             raise ToleranceError(Fault("SIM107", message, hint=hint))
-        total[slice(None) if rule.members is None else rule.members] += accelerations
-    return total
+        accelerations_sum[slice(None) if rule.members is None else rule.members] += (
+            accelerations
+        )
+    return accelerations_sum

@@ -12,20 +12,22 @@ from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.rules import max_pairs, periodic_box
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
-# Members brake for others within this many minimum distances.
+# Distance at which members brake for others, in minimum distances [1].
 BRAKING_RANGE = 2.0
-# Least braking room, over the minimum distance.
-MIN_BRAKING_ROOM = 0.1
-# Separation passes in a step, and at the start; each moves by this fraction.
+# Smallest gap in the braking deceleration, relative to the minimum distance [1].
+MIN_BRAKING_GAP = 0.1
+# Separation passes in a step and at the start, and the fraction of the overlap that a
+# pass removes.
 STEP_PASSES, START_PASSES, RELAXATION = 24, 400, 0.6
-# Extra clearance, over the minimum distance.
+# Additional clearance, relative to the minimum distance [1].
 CLEARANCE = 1e-4
 
 
 def min_distance(species: SpeciesModel) -> float:
-    """Return the minimum distance of a species [m]; 0 for none.
+    """Return the minimum distance of members of a species [m]; 0 for none.
 
-    Default: twice the radius; members without an explicit radius or mesh are points.
+    The default is twice the radius; members without a specified radius or mesh are
+    points.
     """
     repulsion = species.repulsion
     if repulsion.least is not None:
@@ -36,7 +38,7 @@ def min_distance(species: SpeciesModel) -> float:
 
 @dataclass(frozen=True)
 class Spacing:
-    """Minimum distances of N members; pairs use the mean of both."""
+    """Minimum distances of N members; a pair has the mean of both."""
 
     distances: FloatArray  # minimum distances (N,) [m]; 0 for none
     period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
@@ -51,14 +53,14 @@ class Spacing:
         return Spacing(distances, periodic_box(domain)) if has_distances else None
 
     def braking(self, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return braking accelerations ahead of others ``(N, 3)`` [m/s²].
+        """Return the decelerations for members ahead ``(N, 3)`` [m/s²].
 
         Each of two approaching members contributes half of the deceleration: the
         squared closing speed over twice the remaining gap, weighted by proximity.
         """
         limit = max_pairs(len(x))
         accelerations, pairs = _kernels.flock_braking(
-            x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_ROOM, self.period, limit
+            x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_GAP, self.period, limit
         )
         self._check(len(x), pairs, limit)
         return np.asarray(accelerations)
@@ -66,7 +68,7 @@ class Spacing:
     def separate(
         self, x: FloatArray, passes: int = STEP_PASSES
     ) -> tuple[FloatArray, float]:
-        """Return separated positions ``(N, 3)`` [m], and the remaining overlap."""
+        """Return separated positions ``(N, 3)`` [m], and the remaining overlap [m]."""
         limit = max_pairs(len(x))
         separated, overlap, pairs = _kernels.flock_separate(
             x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit
@@ -76,6 +78,7 @@ class Spacing:
 
     @staticmethod
     def _check(count: int, pairs: float, limit: float) -> None:
+        """Raise SIM107 if too many members are neighbours."""
         if pairs > limit:
             message = f"{count} members are so close that each has thousands of "
             message += "neighbours"

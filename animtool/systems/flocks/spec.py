@@ -1,4 +1,4 @@
-"""Keys of flocks in scene files."""
+"""Scene keys of flocks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steering of single members: goals, paths, speed, avoidance and limits."""
+"""Steering of members: goals, paths, speeds, avoidance and limits."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.members import Members, max_speed
 from animtool.systems.flocks.spec import PathModel
 
-# Members processed together, so that their distances fit the cache.
+# Members in a block, so that their distances fit into the cache.
 BLOCK_SIZE = 4096
 ROUNDING = 1e-9  # of a sum of displacements, which is no excess of speed [1]
 _TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
@@ -18,37 +18,39 @@ _TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 def goal_accelerations(
     members: Members, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return accelerations by goals, paths and speeds ``(N, 3)`` [m/s²]."""
+    """Return accelerations towards goals, paths and cruise speeds ``(N, 3)`` [m/s²]."""
     accelerations = np.zeros_like(x)
-    for species, parts, members_rows in zip(
-        members.entries, members.parts, members.rows_by_entry, strict=True
+    for species, data, species_rows in zip(
+        members.entries, members.species_data, members.rows_by_entry, strict=True
     ):
-        positions, speed = x[members_rows], species.speed
+        positions, speed = x[species_rows], species.speed
         if speed.weight:
-            squares = (v[members_rows] * v[members_rows]).sum(axis=1)
+            squares = (v[species_rows] * v[species_rows]).sum(axis=1)
             speed_gain = speed.weight * (speed.cruise**2 - squares)
-            accelerations[members_rows] += speed_gain[:, None] * v[members_rows]
-        for goal, goal_parts in zip(species.goals, parts.get("goals", ()), strict=True):
-            offsets = goal_parts["poses"].at(t)[:3] - positions
-            pull = goal.weight * _excess_over_radius(offsets, goal.radius)
-            accelerations[members_rows] += (
-                pull if goal.limit is None else clamp_lengths(pull, goal.limit)
+            accelerations[species_rows] += speed_gain[:, None] * v[species_rows]
+        for goal, goal_data in zip(species.goals, data.get("goals", ()), strict=True):
+            offsets = goal_data["poses"].at(t)[:3] - positions
+            acceleration = goal.weight * _shorten_by_radius(offsets, goal.radius)
+            accelerations[species_rows] += (
+                acceleration
+                if goal.limit is None
+                else clamp_lengths(acceleration, goal.limit)
             )
         for path in species.paths:
-            for first in range(0, len(positions), BLOCK_SIZE):
+            for block_start in range(0, len(positions), BLOCK_SIZE):
                 rows = slice(
-                    members_rows.start + first,
-                    members_rows.start + min(first + BLOCK_SIZE, len(positions)),
+                    species_rows.start + block_start,
+                    species_rows.start + min(block_start + BLOCK_SIZE, len(positions)),
                 )
                 offsets = _path_targets(path, x[rows]) - x[rows]
-                accelerations[rows] += path.weight * _excess_over_radius(
+                accelerations[rows] += path.weight * _shorten_by_radius(
                     offsets, path.radius
                 )
     return accelerations
 
 
-def _excess_over_radius(vectors: FloatArray, radius: float) -> FloatArray:
-    """Return the part of vectors ``(N, 3)`` that exceeds a radius [m]."""
+def _shorten_by_radius(vectors: FloatArray, radius: float) -> FloatArray:
+    """Return vectors ``(N, 3)`` shortened by a radius [m]; shorter ones are 0."""
     if not radius:
         return vectors
     lengths = np.linalg.norm(vectors, axis=1)[:, None]
@@ -58,7 +60,7 @@ def _excess_over_radius(vectors: FloatArray, radius: float) -> FloatArray:
 
 
 def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
-    """Return the target points on a path ``(N, 3)`` [m]."""
+    """Return the points on a path that members aim at ``(N, 3)`` [m]."""
     points = np.array(path.points)
     if path.closed:
         points = np.concatenate([points, points[:1]])
@@ -67,74 +69,83 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
     fractions = ((x[:, None] - points[:-1]) * segments).sum(axis=2)
     fractions = np.clip(fractions / np.maximum(lengths**2, _TINY_LENGTH), 0.0, 1.0)
     offsets = points[:-1] + fractions[..., None] * segments - x[:, None]
-    nearest = np.argmin((offsets * offsets).sum(axis=2), axis=1)
+    nearest_segments = np.argmin((offsets * offsets).sum(axis=2), axis=1)
     arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
-    targets = (
-        arc_lengths[nearest] + fractions[np.arange(len(x)), nearest] * lengths[nearest]
+    target_lengths = (
+        arc_lengths[nearest_segments]
+        + fractions[np.arange(len(x)), nearest_segments] * lengths[nearest_segments]
     )
-    targets = targets + path.ahead
-    targets = (
-        targets % arc_lengths[-1]
+    target_lengths = target_lengths + path.ahead
+    target_lengths = (
+        target_lengths % arc_lengths[-1]
         if path.closed
-        else np.minimum(targets, arc_lengths[-1])
+        else np.minimum(target_lengths, arc_lengths[-1])
     )
     return np.stack(
-        [np.interp(targets, arc_lengths, column) for column in points.T], axis=1
+        [np.interp(target_lengths, arc_lengths, column) for column in points.T], axis=1
     )
 
 
-# Interval for measuring velocities of colliders [s]: frames are far longer.
+# Interval for measuring the velocities of colliders [s], much shorter than a frame.
 VELOCITY_INTERVAL = 2.0**-10
 
 
-def avoidance(
+def avoidance_accelerations(
     members: Members, colliders: Colliders, t: float, x: FloatArray, v: FloatArray
 ) -> FloatArray:
     """Return accelerations away from colliders ``(N, 3)`` [m/s²].
 
-    Surfaces repel nearby members, and stop approaching ones by a deceleration of the
-    squared relative speed over twice the distance.
+    Surfaces repel nearby members. Approaching ones are also decelerated by the squared
+    relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    reach = members.per_individual(
+    ranges = members.per_individual(
         [entry.avoidance.distance for entry in members.entries]
     )
-    push = members.per_individual([entry.avoidance.weight for entry in members.entries])
+    weights = members.per_individual(
+        [entry.avoidance.weight for entry in members.entries]
+    )
     samples = colliders.sample(x, t, t + VELOCITY_INTERVAL)
-    for distances, normals, speeds in zip(
+    for distances, normals, collider_velocities in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
     ):
-        gap = np.maximum(distances - members.radii, 0.0)
-        proximity = np.maximum(1 - gap / reach, 0.0)
-        rows = proximity > 0
-        if not rows.any():
+        gaps = np.maximum(distances - members.radii, 0.0)
+        proximity = np.maximum(1 - gaps / ranges, 0.0)
+        is_near = proximity > 0
+        if not is_near.any():
             continue
-        normal_speeds = ((v - speeds)[rows] * normals[rows]).sum(axis=1)
-        braking_distance = 2 * np.maximum(gap[rows], members.radii[rows])
-        brake = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
-        magnitudes = proximity[rows] * (push[rows] * proximity[rows] + brake)
-        accelerations[rows] += magnitudes[:, None] * normals[rows]
+        normal_speeds = ((v - collider_velocities)[is_near] * normals[is_near]).sum(
+            axis=1
+        )
+        braking_distance = 2 * np.maximum(gaps[is_near], members.radii[is_near])
+        braking = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
+        magnitudes = proximity[is_near] * (
+            weights[is_near] * proximity[is_near] + braking
+        )
+        accelerations[is_near] += magnitudes[:, None] * normals[is_near]
     return accelerations
 
 
 def limit_steering(
     members: Members, v: FloatArray, requested: FloatArray
 ) -> FloatArray:
-    """Return accelerations within each species' limits ``(N, 3)`` [m/s²]."""
-    limits = requested
+    """Return accelerations within the limits of each species ``(N, 3)`` [m/s²]."""
+    limited = requested
     for species, rows in zip(members.entries, members.rows_by_entry, strict=True):
         if species.turning is not None:
-            limits = _limit_turning(limits, v, rows, float(np.radians(species.turning)))
+            limited = _limit_turning(
+                limited, v, rows, float(np.radians(species.turning))
+            )
         if species.acceleration is not None:
-            limits = limits.copy()
-            limits[rows] = clamp_lengths(limits[rows], species.acceleration)
-    return limits
+            limited = limited.copy()
+            limited[rows] = clamp_lengths(limited[rows], species.acceleration)
+    return limited
 
 
 def _limit_turning(
     requested: FloatArray, v: FloatArray, rows: slice, max_rate: float
 ) -> FloatArray:
-    """Return accelerations limited to a turning rate [rad/s]."""
+    """Return accelerations with a limited turn rate [rad/s]."""
     speeds = np.linalg.norm(v[rows], axis=1)[:, None]
     directions = v[rows] / np.maximum(speeds, _TINY_LENGTH)
     parallel = (requested[rows] * directions).sum(axis=1)[:, None] * directions
@@ -150,7 +161,7 @@ def _limit_turning(
 
 
 def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
-    """Return vectors ``(N, 3)`` clamped to a length."""
+    """Return vectors ``(N, 3)`` clamped to a maximum length."""
     lengths = np.linalg.norm(values, axis=1)[:, None]
     return np.asarray(
         values * np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
@@ -172,7 +183,7 @@ def limit_displacements(
 
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
-    """Return velocities clamped to each species' speeds ``(N, 3)`` [m/s]."""
+    """Return velocities clamped to the speeds of each species ``(N, 3)`` [m/s]."""
     min_speeds = members.per_individual(
         [entry.speed.least for entry in members.entries]
     )

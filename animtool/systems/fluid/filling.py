@@ -1,4 +1,4 @@
-"""Initial fluid, and inflow of emitters."""
+"""Initial fluid, and inflow from nozzles."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
 from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
-# Largest number of lattice points for each particle.
+# Largest number of lattice points per particle in a shape.
 MAX_REJECTED_POINTS = 8
-# Closer particles count as coincident, in spacings.
+# Smallest distance of particles at the start, in spacings.
 MIN_SPACING = 0.25
-# Least distance of entering particles from others, in spacings.
+# Smallest distance of entering particles from others, in spacings.
 MIN_INFLOW_DISTANCE = 0.6
-# Rounding tolerance of a radius, or of the time between layers.
+# Relative rounding tolerance of radii, and of the time between layers [1].
 ROUNDING = 1e-6
-# Radius of a drop, in spacings, above which the error of its tension is below 10 %.
+# Radius of drops whose surface tension has an error of 10 %, in spacings.
 RESOLVED_RADIUS = 5.0
 # Radius of the drops of a jet relative to that of the jet (Rayleigh 1879).
 JET_DROP_RATIO = 1.89
@@ -34,13 +34,16 @@ VELOCITY_INTERVAL = 1e-4
 
 
 def initial_fluid(
-    spec: FluidModel, parts: Sequence[Mapping[str, Any]], colliders: Colliders, t: float
+    spec: FluidModel,
+    fill_data: Sequence[Mapping[str, Any]],
+    colliders: Colliders,
+    t: float,
 ) -> FloatArray:
     """Return positions and velocities of the initial fluid ``(2, N, 3)``."""
     fills, refusals = [np.zeros((2, 0, 3))], Refusals()
-    for i, part in enumerate(parts):
+    for i, data in enumerate(fill_data):
         with refusals.collect():
-            fills.append(_fill_motion(spec, i, part, colliders, t))
+            fills.append(_fill_motion(spec, i, data, colliders, t))
     refusals.check()
     state = np.concatenate(fills, axis=1)
     _check_count(spec, state.shape[1], "fills")
@@ -48,19 +51,19 @@ def initial_fluid(
     return state
 
 
-def coarse_drops(
-    spec: FluidModel, parts: Sequence[Mapping[str, Any]]
+def coarse_drop_warnings(
+    spec: FluidModel, fill_data: Sequence[Mapping[str, Any]]
 ) -> Iterator[Fault]:
-    """Yield drops with too few particles for surface tension (SIM175)."""
+    """Yield a warning about drops with too few particles for tension (SIM175)."""
     if not spec.tension:
         return
     radii = [
         (
             _fill_label(spec, i),
-            float(np.diff(shape_bounds(part["shape"]), axis=0).min()) / 2,
+            float(np.diff(shape_bounds(data["shape"]), axis=0).min()) / 2,
         )
-        for i, part in enumerate(parts)
-        if isinstance(part.get("shape"), Sphere | Capsule)
+        for i, data in enumerate(fill_data)
+        if isinstance(data.get("shape"), Sphere | Capsule)
     ]
     nozzles = [
         emitter.radius for emitter in spec.emitters if emitter.radius is not None
@@ -81,15 +84,19 @@ def coarse_drops(
 
 
 def _fill_motion(
-    spec: FluidModel, i: int, part: Mapping[str, Any], colliders: Colliders, t: float
+    spec: FluidModel,
+    fill_index: int,
+    data: Mapping[str, Any],
+    colliders: Colliders,
+    t: float,
 ) -> FloatArray:
-    """Return positions and velocities of one fill ``(2, N, 3)``."""
-    name, fill = _fill_label(spec, i), spec.fills[i]
-    if part.get("points") is not None:
-        state = _points_of_file(fill, part, name)
+    """Return positions and velocities of a fill ``(2, N, 3)``."""
+    name, fill = _fill_label(spec, fill_index), spec.fills[fill_index]
+    if data.get("points") is not None:
+        state = _read_points(fill, data, name)
         _check_outside(state[0], colliders, t, name)
         return state
-    points = _lattice_points(spec, part["shape"], part["poses"], t)
+    points = _lattice_points(spec, data["shape"], data["poses"], t)
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
         points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
@@ -102,12 +109,13 @@ def _fill_motion(
 
 
 def _fill_label(spec: FluidModel, i: int) -> str:
+    """Return the name of a fill for messages."""
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
-def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> FloatArray:
-    """Return positions and velocities from arrays ``(2, N, 3)``."""
-    points, velocities = part["points"], part.get("velocities")
+def _read_points(fill: FillModel, data: Mapping[str, Any], name: str) -> FloatArray:
+    """Return positions and velocities from arrays of files ``(2, N, 3)``."""
+    points, velocities = data["points"], data.get("velocities")
     if velocities is None:
         velocities = np.broadcast_to(np.array(fill.velocity), (len(points), 3))
     for label, array in (("points", points), ("velocities", velocities)):
@@ -115,9 +123,9 @@ def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> Floa
         if array.shape != shape:
             message = f"{label} of {name} have shape {array.shape}, not {shape}"
             refuse("SIM064", message, "fills")
-        invalid = ~np.isfinite(array).all(axis=1)
-        if invalid.any():
-            i = int(np.argmax(invalid))
+        is_invalid = ~np.isfinite(array).all(axis=1)
+        if is_invalid.any():
+            i = int(np.argmax(is_invalid))
             refuse("SIM064", f"{label} of {name}: row {i} is not finite", "fills")
     return np.stack([points, velocities])
 
@@ -125,21 +133,23 @@ def _points_of_file(fill: FillModel, part: Mapping[str, Any], name: str) -> Floa
 def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
-    """Refuse points inside colliders, or outside a container."""
+    """Raise SIM064 if points start inside colliders, or outside a container."""
     if not colliders.rigid or not len(points):
         return
     gaps = colliders.volumes.sample(points, t).distances
     is_inside = gaps < 0
     if not is_inside.any():
         return
-    c, i = (int(k) for k in np.argwhere(is_inside)[0])
+    collider_index, particle = (int(k) for k in np.argwhere(is_inside)[0])
     bodies = [shape for system in colliders.bodies for shape in system.colliders]
-    collider = [*colliders, *bodies][c]
-    collider_name = repr(collider.name) if collider.name else f"colliders[{c}]"
-    relation = "outside the container" if collider.container else "inside"
-    message = (
-        f"particle {i} of {name} starts {-gaps[c, i]:g} m {relation} {collider_name}"
+    collider = [*colliders, *bodies][collider_index]
+    collider_name = (
+        repr(collider.name) if collider.name else f"colliders[{collider_index}]"
     )
+    relation = "outside the container" if collider.container else "inside"
+    depth = -gaps[collider_index, particle]
+    message = f"particle {particle} of {name} starts {depth:g} m {relation} "
+    message += collider_name
     other_count = int(is_inside.any(axis=0).sum()) - 1
     message += (
         f", and {counted(other_count, 'other')} start in colliders too"
@@ -150,7 +160,7 @@ def _check_outside(
 
 
 def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
-    """Refuse particles closer than pressure can separate."""
+    """Raise SIM064 if particles are closer than pressure can separate."""
     from scipy.spatial import cKDTree
 
     if len(points) < 2:
@@ -175,6 +185,7 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
 
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
+    """Raise SIM064 if the number of particles exceeds the limit."""
     if count > spec.max_particles:
         message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
         message += f"m, but the limit is {spec.max_particles:,}"
@@ -188,29 +199,29 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
 def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
     """Return lattice points inside a shape ``(N, 3)`` [m]."""
     low, high = shape_bounds(shape)
-    sizes = np.maximum(np.round((high - low) / spec.spacing), 1.0)
-    _check_count(spec, float(np.prod(sizes)) / MAX_REJECTED_POINTS, "fills")
+    counts = np.maximum(np.round((high - low) / spec.spacing), 1.0)
+    _check_count(spec, float(np.prod(counts)) / MAX_REJECTED_POINTS, "fills")
     axes = [
         (np.arange(int(n)) + 0.5 - n / 2) * spec.spacing + (a + b) / 2
-        for n, a, b in zip(sizes, low, high, strict=True)
+        for n, a, b in zip(counts, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    inside = Colliders([Collider(shape).volume()]).sample(grid, 0.0).distances[0] < 0
+    is_inside = Colliders([Collider(shape).volume()]).sample(grid, 0.0).distances[0] < 0
     pose = poses.at(t)
-    return so3.rotate(pose[3:], grid[inside]) + pose[:3]
+    return so3.rotate(pose[3:], grid[is_inside]) + pose[:3]
 
 
 @dataclass(frozen=True, slots=True)
 class Inflow:
-    """Fluid that enters within a step."""
+    """Fluid that enters in a step."""
 
-    state: FloatArray  # positions and velocities at its end (2, N, 3)
+    state: FloatArray  # positions and velocities at the end of the step (2, N, 3)
     births: FloatArray  # birth times (N,) [s]
-    missed: int  # number of particles above the limit
+    skipped_count: int  # number of particles above the limit
 
 
 class Nozzle:
-    """An emitter that releases lattice layers one after another."""
+    """An emitter that releases fluid in lattice layers."""
 
     def __init__(
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
@@ -218,13 +229,13 @@ class Nozzle:
         self._poses, self._speed = poses, emitter.speed
         self._period = spec.spacing / emitter.speed  # time between layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
-        self._spans = [(max(a, begin), b) for a, b in opens]
+        self._intervals = [(max(a, begin), b) for a, b in opens]
         self._layer_points = self._layer_positions(spec, emitter)
 
     def _layer_positions(
         self, spec: FluidModel, emitter: FluidEmitterModel
     ) -> FloatArray:
-        """Return the positions in a layer ``(M, 3)`` [m]."""
+        """Return the lattice points of a layer ``(M, 3)`` [m]."""
         radius = emitter.radius
         width, depth = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (width, depth)]
@@ -237,78 +248,84 @@ class Nozzle:
             return grid
         return np.asarray(grid[np.linalg.norm(grid, axis=1) < radius])
 
-    def _layer_count(self, span: Sequence[float], t: float) -> int:
-        """Return the number of layers released before a time."""
-        duration = min(t, span[1]) - span[0]
+    def _layer_count(self, interval: Sequence[float], t: float) -> int:
+        """Return the number of layers released in an interval before a time."""
+        duration = min(t, interval[1]) - interval[0]
         return max(math.ceil(duration / self._period - ROUNDING), 0)
 
     def inflow(
         self, start: float, end: float, gravity: FloatArray, capacity: int
     ) -> Inflow:
-        """Return fluid released between two times [s], under gravity ``(3,)``."""
+        """Return the fluid released between two times [s], under gravity ``(3,)``."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
-        size, missed = len(self._layer_points), 0
-        for span in self._spans:
+        layer_size, skipped_count = len(self._layer_points), 0
+        for interval in self._intervals:
             first_layer, last_layer = (
-                self._layer_count(span, start),
-                self._layer_count(span, end),
+                self._layer_count(interval, start),
+                self._layer_count(interval, end),
             )
-            count = min(last_layer - first_layer, capacity // size)
-            missed += (last_layer - first_layer - count) * size
-            capacity -= count * size
+            count = min(last_layer - first_layer, capacity // layer_size)
+            skipped_count += (last_layer - first_layer - count) * layer_size
+            capacity -= count * layer_size
             if count <= 0:
                 continue
             layers = first_layer + np.arange(count)
-            times: FloatArray = span[0] + np.float64(self._period) * layers
+            times: FloatArray = interval[0] + np.float64(self._period) * layers
             states.append(self._released_layers(times, end, gravity))
-            births.append(np.repeat(times, size))
-        return Inflow(np.concatenate(states, axis=1), np.concatenate(births), missed)
+            births.append(np.repeat(times, layer_size))
+        return Inflow(
+            np.concatenate(states, axis=1), np.concatenate(births), skipped_count
+        )
 
     def _released_layers(
         self, times: FloatArray, end: float, gravity: FloatArray
     ) -> FloatArray:
-        """Return layers that were released at ``times``, at ``end`` ``(2, K M, 3)``."""
+        """Return layers released at some times, moved until ``end`` ``(2, K M, 3)``."""
         poses, earlier_poses = (
             self._poses.at_times(times),
             self._poses.at_times(times - VELOCITY_INTERVAL),
         )
-        size, emitter_velocity = (
+        layer_size, emitter_velocity = (
             len(self._layer_points),
             (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL,
         )
         rotations, emitter_velocity = (
-            np.repeat(poses[:, 3:], size, axis=0),
-            np.repeat(emitter_velocity, size, axis=0),
+            np.repeat(poses[:, 3:], layer_size, axis=0),
+            np.repeat(emitter_velocity, layer_size, axis=0),
         )
-        positions = np.tile(self._layer_points, (len(times), 1))
-        outflow = np.broadcast_to([0.0, self._speed, 0.0], positions.shape)
-        x = so3.rotate(rotations, positions) + np.repeat(poses[:, :3], size, axis=0)
-        v = so3.rotate(rotations, outflow) + emitter_velocity
-        elapsed = np.repeat(end - times, size)[:, None]
+        layer_points = np.tile(self._layer_points, (len(times), 1))
+        outflow_velocities = np.broadcast_to(
+            [0.0, self._speed, 0.0], layer_points.shape
+        )
+        x = so3.rotate(rotations, layer_points) + np.repeat(
+            poses[:, :3], layer_size, axis=0
+        )
+        v = so3.rotate(rotations, outflow_velocities) + emitter_velocity
+        elapsed = np.repeat(end - times, layer_size)[:, None]
         return np.stack(
             [x + elapsed * (v + elapsed / 2 * gravity), v + elapsed * gravity]
         )
 
 
-def has_room(
+def is_clear(
     points: FloatArray,
-    others: FloatArray,
+    particles: FloatArray,
     colliders: Colliders,
     t: float,
     spacing: float,
 ) -> Any:
-    """Return a mask of points ``(M, 3)`` that are far enough from others ``(N, 3)``."""
+    """Return which points ``(M, 3)`` are far enough from particles and colliders."""
     from scipy.spatial import cKDTree
 
-    mask = np.ones(len(points), bool)
+    is_free = np.ones(len(points), bool)
     if not len(points):
-        return mask
+        return is_free
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
-    neighbours = others[((others >= low) & (others <= high)).all(axis=1)]
+    neighbours = particles[((particles >= low) & (particles <= high)).all(axis=1)]
     if len(neighbours):
         gaps, _ = cKDTree(neighbours).query(points)
-        mask = gaps >= MIN_INFLOW_DISTANCE * spacing
+        is_free = gaps >= MIN_INFLOW_DISTANCE * spacing
     if colliders.rigid:
         gaps = colliders.volumes.sample(points, t).distances
-        mask = mask & (gaps >= 0).all(axis=0)
-    return mask
+        is_free = is_free & (gaps >= 0).all(axis=0)
+    return is_free

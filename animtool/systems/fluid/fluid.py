@@ -22,7 +22,12 @@ from animtool.sim.colliders.bodies import (
     pushable_rows,
 )
 from animtool.sim.system import Energy
-from animtool.systems.fluid.filling import Nozzle, coarse_drops, has_room, initial_fluid
+from animtool.systems.fluid.filling import (
+    Nozzle,
+    coarse_drop_warnings,
+    initial_fluid,
+    is_clear,
+)
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
 from animtool.systems.framework.colours import Colouring, Quantities
@@ -36,13 +41,13 @@ from animtool.systems.framework.simulation import (
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
 
-# Mean compression above which a fluid has collapsed, and its ratio to the limit.
+# Mean compression above which a fluid has collapsed [1], and its ratio to the limit.
 COLLAPSE_COMPRESSION, COLLAPSE_RATIO = 0.1, 5
-# Largest energy gain without a source, relative to the exchanged energy.
+# Largest energy gain without a source, relative to the exchanged energy [1].
 MAX_ENERGY_GROWTH = 0.05
-# Substeps are doubled as long as compression falls to less than this fraction.
+# Substeps are doubled while that reduces compression to less than this fraction.
 DOUBLING_GAIN = 0.8
-# If a step must be this many times shorter, its length is not the cause.
+# Steps that would have to be more times shorter fail for another reason.
 MAX_SHORTENING = 1000
 # Divisors of the step to try for a hint, and the number of trial steps of each.
 STEP_DIVISORS, TRIAL_STEPS = (2.0, 4.0, 8.0, 16.0), 4
@@ -52,35 +57,35 @@ _NO_PARTICLES = np.zeros((2, 0, 3))
 
 @dataclass(frozen=True, slots=True)
 class FluidState:
-    """N particles at the end of a step."""
+    """State of N fluid particles at the end of a step."""
 
     ids: IntArray = field(metadata=growing())  # ascending (N,)
     motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
     births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
-    pressures: FloatArray = field(metadata=growing())  # means over the step (N,) [Pa]
-    made: int = 0  # number born so far
-    held: int = 0  # number held back so far, for lack of room
+    pressures: FloatArray = field(metadata=growing())  # means over a step (N,) [Pa]
+    made: int = 0  # number of particles born so far
+    held: int = 0  # number of particles not emitted so far, for lack of room
     sound: float = 0.0  # speed of sound [m/s]
     energy: float = 0.0  # upper bound of kinetic and potential energy [J]
     compression: float = 0.0  # mean compression [1]
     densest: float = 0.0  # largest compression so far [1]
-    parts: int = 0  # substeps of the last step
+    parts: int = 0  # number of substeps of the last step
 
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
-    """Return the fluid of a spec, with its initial particles.
+    """Build the fluid of a spec, with its initial particles.
 
     Raises:
         OptionError: The spec is invalid (SIM064).
     """
-    parts, colliders, begin = context.parts, context.colliders, context.begin
-    start = initial_fluid(spec, parts.get("fills", ()), colliders, begin)
-    emitters = zip(spec.emitters, parts.get("emitters", ()), strict=True)
+    data, colliders, begin = context.parts, context.colliders, context.begin
+    initial_motion = initial_fluid(spec, data.get("fills", ()), colliders, begin)
+    emitters = zip(spec.emitters, data.get("emitters", ()), strict=True)
     nozzles = [
         Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
     ]
     notices = colliders.notices()
-    notices += coarse_drops(spec, parts.get("fills", ()))
+    notices += coarse_drop_warnings(spec, data.get("fills", ()))
     if spec.surface is not None:
         from animtool.systems.fluid.surface import check_surface
 
@@ -89,16 +94,16 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         spec,
         begin,
         colliders,
-        parts.get("forces", ()),
-        start,
+        data.get("forces", ()),
+        initial_motion,
         nozzles,
-        [Colliders([drain.volume()]) for drain in parts.get("drains", ())],
+        [Colliders([drain.volume()]) for drain in data.get("drains", ())],
         notices,
     )
 
 
 class Fluid:
-    """Simulation of an incompressible fluid of particles."""
+    """Simulates an incompressible fluid of particles."""
 
     def __init__(
         self,
@@ -106,36 +111,38 @@ class Fluid:
         begin: float,
         colliders: Colliders,
         forces: Sequence[Force],
-        start: FloatArray,
+        initial_motion: FloatArray,
         nozzles: Sequence[Nozzle],
         drains: Sequence[Colliders],
         notices: list[Fault],
     ) -> None:
-        """``start``: positions and velocities at ``begin`` [s] ``(2, N, 3)``."""
-        self._spec, self._begin, self._start = spec, begin, start
+        """Start at a time [s] with positions and velocities ``(2, N, 3)``."""
+        self._spec, self._begin, self._initial_motion = spec, begin, initial_motion
         self._colliders, self._forces = colliders, forces
         self._nozzles, self._drains, self._notices = nozzles, drains, notices
         self._mass = spec.density * spec.spacing**3
         self._substeps = Substeps(spec)
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
-        # No energy can enter: the initial energy is an upper bound.
-        static = not colliders.bodies and not colliders.sheets
-        self._conserves_energy = static and all(
+        # Without moving colliders the initial energy is an upper bound.
+        is_static = not colliders.bodies and not colliders.sheets
+        self._conserves_energy = is_static and all(
             len(c.poses.sample_times) == 1 for c in colliders
         )
 
     def initial(self) -> FluidState:
         """Return the initial state."""
-        count = self._start.shape[1]
+        count = self._initial_motion.shape[1]
         state = FluidState(
             np.arange(count, dtype=np.int64),
-            self._start,
+            self._initial_motion,
             np.full(count, self._begin),
             np.zeros(count),
             made=count,
         )
         accelerations = self._accelerations(state, self._begin)
-        sound = self._substeps.first_sound(self._start[0], accelerations)
+        sound = self._substeps.initial_sound_speed(
+            self._initial_motion[0], accelerations
+        )
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def incompatibility(self, state: FluidState, t: float) -> str:
@@ -153,13 +160,13 @@ class Fluid:
             Wrenches.none(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
-            state, wrenches = self._after_pressure(state, t, dt, accelerations, notices)
-        state = self._without_drained(state, end)
-        state = self._with_inflow(state, t, end, accelerations, notices)
+            state, wrenches = self._solve_pressure(state, t, dt, accelerations, notices)
+        state = self._remove_drained(state, end)
+        state = self._add_inflow(state, t, end, accelerations, notices)
         return Stepped(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
-        """Return the fluid as particles, for forces."""
+        """Return the fluid as particles, for force fields."""
         radius, points = self._spec.spacing / 2, state.motion[0]
         return ParticleState.lasting(
             state.ids, self._mass, radius, state.births, points
@@ -175,20 +182,20 @@ class Fluid:
         return accelerations
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:
-        """Return total and kinetic energy [J], and whether potentials are known."""
+        """Return total and kinetic energy [J], and if all forces have a potential."""
         kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
-        particles, total, known = self._particles(state), kinetic, True
+        particles, total, has_all_potentials = self._particles(state), kinetic, True
         for force in self._forces:
             potentials = force.potential(state.motion[0], particles)
-            known &= potentials is not None
+            has_all_potentials &= potentials is not None
             total += 0.0 if potentials is None else float(potentials.sum())
         if self._spec.tension:
             points = np.ascontiguousarray(state.motion[0])
             area = _kernels.fluid_area(points, self._spec.spacing)
             total += self._spec.tension * area
-        return total, kinetic, known
+        return total, kinetic, has_all_potentials
 
-    def _after_pressure(
+    def _solve_pressure(
         self,
         state: FluidState,
         t: float,
@@ -196,36 +203,38 @@ class Fluid:
         accelerations: FloatArray,
         notices: list[Fault] | None = None,
     ) -> tuple[FluidState, Sequence[Wrenches]]:
-        """Return the state after a step, in as many substeps as compression requires.
+        """Return the state after a step, in the substeps that compression requires.
 
-        Without a list of notices it is a trial, which suggests no shorter step.
+        Without a list of notices it is a trial, which does not suggest a shorter step.
         """
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
-        max_pull = float(np.linalg.norm(accelerations, axis=1).max())
-        max_speed = float(speeds.max()) + max_pull * dt
-        sound = self._substeps.sound(state.sound, state.pressures, speeds, max_pull, dt)
-        needed_substeps = self._substeps.parts(dt, max_speed, sound)
+        max_acceleration = float(np.linalg.norm(accelerations, axis=1).max())
+        max_speed = float(speeds.max()) + max_acceleration * dt
+        sound_speed = self._substeps.step_sound_speed(
+            state.sound, state.pressures, speeds, max_acceleration, dt
+        )
+        needed_substeps = self._substeps.substep_count(dt, max_speed, sound_speed)
         if needed_substeps > self._substeps.max_substeps:
             max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
             message = (
                 f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step of "
             )
             message += f"{dt:g} s needs more than {max_substeps} substeps"
-            self._stop_too_long(
+            self._stop_for_long_step(
                 state, t, dt, message, needed_substeps / max_substeps, notices
             )
         substeps, max_compression = int(needed_substeps), self._spec.compression
-        result = self._run_kernel(state, t, dt, accelerations, sound, substeps)
+        result = self._run_kernel(state, t, dt, accelerations, sound_speed, substeps)
         while (
             result.compression > max_compression
             and 2 * substeps <= self._substeps.max_substeps
         ):
             finer_result = self._run_kernel(
-                state, t, dt, accelerations, 2 * sound, 2 * substeps
+                state, t, dt, accelerations, 2 * sound_speed, 2 * substeps
             )
             if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound, substeps = finer_result, 2 * sound, 2 * substeps
+            result, sound_speed, substeps = finer_result, 2 * sound_speed, 2 * substeps
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
@@ -241,20 +250,20 @@ class Fluid:
             notices.append(
                 warning("SIM137", message, "give it more room: it is compressed")
             )
-        after = replace(
+        end_state = replace(
             state,
             motion=result.motion,
             pressures=result.pressures,
-            sound=sound,
+            sound=sound_speed,
             compression=compression,
             densest=max(state.densest, compression),
             parts=substeps,
         )
-        if self._gains_energy(after):
-            message = f"its energy changed to {self._energy(after)[0]:.3g} J, from "
+        if self._has_energy_gain(end_state):
+            message = f"its energy changed to {self._energy(end_state)[0]:.3g} J, from "
             message += f"{state.energy:.3g} J"
-            self._stop_too_long(state, t, dt, message, 1.0, notices)
-        return after, result.wrenches
+            self._stop_for_long_step(state, t, dt, message, 1.0, notices)
+        return end_state, result.wrenches
 
     def _run_kernel(
         self,
@@ -262,26 +271,26 @@ class Fluid:
         t: float,
         dt: float,
         accelerations: FloatArray,
-        sound: float,
+        sound_speed: float,
         substeps: int,
     ) -> PressureResult:
         """Return the state after substeps; sheets collide a few times in between."""
         colliders, motion = self._colliders, state.motion
-        collision_steps = self._substeps.collision_substeps(colliders, substeps, dt)
+        collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
         substep, pressures, compression = (
-            dt / collision_steps,
+            dt / collision_substeps,
             np.zeros(len(state.ids)),
             0.0,
         )
         wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
-        for k in range(collision_steps):
+        for k in range(collision_substeps):
             t0 = t + k * substep
-            before = motion
-            solid = self._solid_colliders(t0)
+            start_motion = motion
+            solid_colliders = self._solid_colliders(t0)
             motion, step_pressures, body_impulses, step_compression = (
                 _kernels.fluid_steps(
-                    solid.arrays(t0, t0 + substep),
-                    body_owners(colliders.bodies, len(solid)),
+                    solid_colliders.arrays(t0, t0 + substep),
+                    body_owners(colliders.bodies, len(solid_colliders)),
                     pushable_rows(colliders.bodies, t0, t0 + substep),
                     motion,
                     accelerations,
@@ -289,18 +298,20 @@ class Fluid:
                     self._spec.density,
                     self._spec.viscosity,
                     self._spec.tension,
-                    sound,
+                    sound_speed,
                     substep,
-                    -(-substeps // collision_steps),
+                    -(-substeps // collision_substeps),
                 )
             )
-            pressures += step_pressures / collision_steps
+            pressures += step_pressures / collision_substeps
             compression = max(compression, step_compression)
             if colliders.sheets:
                 sheets = Colliders((), colliders.sheets)
                 radius = self._spec.spacing / 2
                 x, v = motion
-                collision = collide(x, v, before, sheets, t0, t0 + substep, radius)
+                collision = collide(
+                    x, v, start_motion, sheets, t0, t0 + substep, radius
+                )
                 motion = np.stack([collision.points, collision.velocities])
             wrenches = [
                 Wrenches.sum([earlier.after(substep), Wrenches(*system)])
@@ -311,7 +322,7 @@ class Fluid:
         return PressureResult(motion, pressures, compression, wrenches)
 
     def _solid_colliders(self, t: float) -> Colliders:
-        """Return the colliders of the pressure solve: rigid and closed surfaces."""
+        """Return the colliders of the pressure solve: rigid ones, closed surfaces."""
         colliders = self._colliders
         skins = [
             sheet.collider(sheet.motion.points(t), sheet.motion.triangles(t))
@@ -324,10 +335,10 @@ class Fluid:
             else colliders
         )
 
-    def _gains_energy(self, state: FluidState) -> bool:
+    def _has_energy_gain(self, state: FluidState) -> bool:
         """Return whether energy grew without a source."""
-        total, kinetic, known = self._energy(state)
-        if not known or not self._conserves_energy:
+        total, kinetic, has_all_potentials = self._energy(state)
+        if not has_all_potentials or not self._conserves_energy:
             return False
         gain = total - state.energy
         # Potential energy is exchanged as well.
@@ -337,19 +348,19 @@ class Fluid:
         )
         return gain > MAX_ENERGY_GROWTH * exchanged_energy
 
-    def _stop_too_long(
+    def _stop_for_long_step(
         self,
         state: FluidState,
         t: float,
         dt: float,
         message: str,
-        shorter: float,
+        min_ratio: float,
         notices: list[Fault] | None,
     ) -> None:
-        """Stop because a step is too long; suggest one, except in trials."""
+        """Stop because the step is too long; suggest a shorter one."""
         step = None
-        if notices is not None and shorter < MAX_SHORTENING:
-            step = self._working_step(state, t, dt, shorter)
+        if notices is not None and min_ratio < MAX_SHORTENING:
+            step = self._find_stable_step(state, t, dt, min_ratio)
         hint = (
             REMEDY_HINT
             if step is None
@@ -357,24 +368,26 @@ class Fluid:
         )
         self._stop("SIM102", t + dt, message, hint)
 
-    def _working_step(
-        self, state: FluidState, t: float, dt: float, ratio: float
+    def _find_stable_step(
+        self, state: FluidState, t: float, dt: float, min_ratio: float
     ) -> float | None:
-        """Return a shorter step that works from a state; None if none does.
+        """Return a shorter step that works from a state [s]; None if none does.
 
-        It is at least ``ratio`` times shorter, with a margin.
+        It is more than ``min_ratio`` times shorter.
         """
         steps = (
-            floor_to_two_digits(dt / (ratio * divisor)) for divisor in STEP_DIVISORS
+            floor_to_two_digits(dt / (min_ratio * divisor)) for divisor in STEP_DIVISORS
         )
-        return next((step for step in steps if self._succeeds(state, t, step)), None)
+        return next(
+            (step for step in steps if self._is_stable_step(state, t, step)), None
+        )
 
-    def _succeeds(self, state: FluidState, t: float, step: float) -> bool:
-        """Return whether the first steps of a length [s] from a state succeed."""
+    def _is_stable_step(self, state: FluidState, t: float, step: float) -> bool:
+        """Return whether the first steps of a length [s] succeed."""
         try:
             for k in range(TRIAL_STEPS):
                 time = t + k * step
-                state, _ = self._after_pressure(
+                state, _ = self._solve_pressure(
                     state, time, step, self._accelerations(state, time)
                 )
         except StoppedError:
@@ -382,29 +395,31 @@ class Fluid:
         return True
 
     def _stop(self, code: str, t: float, reason: str, hint: str) -> None:
+        """Stop with a fault code and a reason."""
         verb = "blew up" if code == "SIM102" else "collapsed"
         message = f"{self._spec.name} {verb} at {t:g} s: {reason}"
         raise StoppedError([Fault(code, message, hint=hint)])
 
-    def _without_drained(self, state: FluidState, t: float) -> FluidState:
+    def _remove_drained(self, state: FluidState, t: float) -> FluidState:
         """Return a state without the particles in drains."""
         is_kept = np.ones(len(state.ids), bool)
         for drain in self._drains:
             is_kept &= drain.sample(state.motion[0], t).distances[0] >= 0
         return state if is_kept.all() else self._select(state, is_kept)
 
-    def _select(self, state: FluidState, mask: BoolArray) -> FluidState:
+    def _select(self, state: FluidState, is_selected: BoolArray) -> FluidState:
+        """Return a state with some of its particles."""
         remaining = replace(
             state,
-            ids=state.ids[mask],
-            motion=np.ascontiguousarray(state.motion[:, mask]),
-            births=state.births[mask],
-            pressures=state.pressures[mask],
+            ids=state.ids[is_selected],
+            motion=np.ascontiguousarray(state.motion[:, is_selected]),
+            births=state.births[is_selected],
+            pressures=state.pressures[is_selected],
         )
         removed_energy = self._energy(state)[0] - self._energy(remaining)[0]
         return replace(remaining, energy=state.energy - removed_energy)
 
-    def _with_inflow(
+    def _add_inflow(
         self,
         state: FluidState,
         t: float,
@@ -412,12 +427,14 @@ class Fluid:
         accelerations: FloatArray,
         notices: list[Fault],
     ) -> FluidState:
-        """Return a state with the inflow of a step, at its end."""
+        """Return a state with the inflow of a step, at the end of the step."""
         for nozzle in self._nozzles:
             capacity = max(self._spec.max_particles - len(state.ids), 0)
-            mean = accelerations.mean(axis=0) if len(accelerations) else np.zeros(3)
-            inflow = nozzle.inflow(t, end, mean, capacity)
-            if inflow.missed:
+            mean_acceleration = (
+                accelerations.mean(axis=0) if len(accelerations) else np.zeros(3)
+            )
+            inflow = nozzle.inflow(t, end, mean_acceleration, capacity)
+            if inflow.skipped_count:
                 limit = self._spec.max_particles
                 message = f"the limit of {limit:,} particles is reached at {end:g} s "
                 hint = "raise max_particles, open a drain, or close an emitter"
@@ -425,8 +442,8 @@ class Fluid:
                     warning("SIM121", f"{message}and stops the emitters", hint)
                 )
             points, spacing = state.motion[0], self._spec.spacing
-            is_free = has_room(inflow.state[0], points, self._colliders, end, spacing)
-            blocked_count = int((~is_free).sum())
+            has_room = is_clear(inflow.state[0], points, self._colliders, end, spacing)
+            blocked_count = int((~has_room).sum())
             if blocked_count:
                 message = (
                     f"{counted(blocked_count, 'particle')} could not be emitted until "
@@ -434,23 +451,26 @@ class Fluid:
                 message += f"{end:g} s: fluid or a collider blocks the nozzle"
                 hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
-            count = int(is_free.sum())
-            result = replace(
+            count = int(has_room.sum())
+            next_state = replace(
                 state,
                 ids=np.concatenate([state.ids, state.made + np.arange(count)]),
-                motion=np.concatenate([state.motion, inflow.state[:, is_free]], axis=1),
-                births=np.concatenate([state.births, inflow.births[is_free]]),
+                motion=np.concatenate(
+                    [state.motion, inflow.state[:, has_room]], axis=1
+                ),
+                births=np.concatenate([state.births, inflow.births[has_room]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
-                held=state.held + inflow.missed + blocked_count,
+                held=state.held + inflow.skipped_count + blocked_count,
             )
             energy_gain = (
-                self._energy(result)[0] - self._energy(state)[0] if count else 0.0
+                self._energy(next_state)[0] - self._energy(state)[0] if count else 0.0
             )
-            state = replace(result, energy=state.energy + energy_gain)
+            state = replace(next_state, energy=state.energy + energy_gain)
         return state
 
     def _quantities(self, state: FluidState, t: float) -> Quantities:
+        """Return the quantities that particles can be coloured by."""
         points = np.ascontiguousarray(state.motion[0])
         return {
             "age": lambda: t - state.births,
@@ -469,15 +489,15 @@ class Fluid:
         if self._colouring is not None:
             primvars["displayColor"] = self._colouring.colours(quantities)
         if spec.surface is not None:
-            from animtool.systems.fluid.surface import surface_of
+            from animtool.systems.fluid.surface import build_surface
 
-            return surface_of(spec, points, velocities, primvars)
+            return build_surface(spec, points, velocities, primvars)
         radii = np.full(len(points), spec.spacing / 2)
         return PointsFrame(state.ids, points, velocities, radii, primvars)
 
     def diagnostics(self, state: FluidState, t: float) -> Diagnostics:  # noqa: ARG002
-        """Return particle count, density, speed and depth."""
-        total, kinetic, known = self._energy(state)
+        """Return the number, compression, pressure and speed of particles."""
+        total, kinetic, has_all_potentials = self._energy(state)
         speeds = np.linalg.norm(state.motion[1], axis=1)
         values: Mapping[str, float] = {
             "particles": float(len(state.ids)),
@@ -494,7 +514,7 @@ class Fluid:
         empty_warning = warning("SIM188", message, hint)
         energy = (
             Energy(kinetic, total - kinetic)
-            if known and self._conserves_energy
+            if has_all_potentials and self._conserves_energy
             else None
         )
         return Diagnostics(energy, values, self._notices, [empty_warning])
@@ -502,7 +522,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True)
 class PressureResult:
-    """The result of a pressure step."""
+    """Result of a pressure solve."""
 
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]

@@ -150,7 +150,7 @@ class FluidModel(ForcedSpec):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Component counts by kind."""
+        """Numbers of entries by kind, and the limit of particles."""
         return {
             "fills": len(self.fills),
             "emitters": len(self.emitters),
@@ -159,35 +159,37 @@ class FluidModel(ForcedSpec):
         }
 
     def problems(self) -> Iterator[Problem]:
-        """Yield which keys make no sense together (SIM064)."""
+        """Yield conflicts between keys (SIM064)."""
         box = "shape: {box: {size: [1, 1, 1]}}"
         if not self.fills and not self.emitters:
-            why = "it has neither a fill nor an emitter"
-            yield why, "fills", f"fills: [{{{box}}}]"
+            message = "it has neither a fill nor an emitter"
+            yield message, "fills", f"fills: [{{{box}}}]"
         for fill in self.fills:
             kind = next(iter(fill.shape)) if fill.shape else ""
             if (fill.shape is None) is (fill.points is None):
                 yield "a fill has either a shape or points", "fills", box
             elif fill.velocities is not None and fill.points is None:
                 yield "velocities need points", "fills", None
-            elif kind in ENDLESS:
+            elif kind in INFINITE_SHAPES:
                 yield f"a {kind} has no volume to fill", "fills", box
         for emitter in self.emitters:
             if (emitter.radius is None) is (emitter.size is None):
-                why = "a nozzle is round or rectangular: write either radius or size"
-                yield why, "emitters", None
+                message = (
+                    "a nozzle is round or rectangular: write either radius or size"
+                )
+                yield message, "emitters", None
             for begin, end in emitter.opens:
                 if not begin <= end:
-                    why = f"it closes at {end:g} s, before {begin:g} s"
-                    yield why, "emitters", None
+                    message = f"it closes at {end:g} s, before {begin:g} s"
+                    yield message, "emitters", None
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return which keys make no sense together, colours without a range too."""
+        """Return faults of keys, and of colours without a range."""
         faults = list(super().faults(parts))
         if self.colour is not None and self.colour.range is None:
-            why, hint = "colours need a range", "range: [0, 4]"
-            faults.append(Fault(self.code, why, where="colour", hint=hint))
+            message, hint = "colours need a range", "range: [0, 4]"
+            faults.append(Fault(self.code, message, where="colour", hint=hint))
         return faults
 
 
-ENDLESS = ("plane", "height_field")
+INFINITE_SHAPES = ("plane", "height_field")

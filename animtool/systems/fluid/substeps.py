@@ -10,35 +10,36 @@ from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Colliders
 from animtool.systems.fluid.spec import FluidModel
 
-# One pressure iteration per substep acts like sound that travels one spacing per
-# substep; compression is pressure over its squared speed. The mean compression is less
-# than half the maximum, which leaves a margin.
+# One pressure iteration per substep acts like sound that travels one spacing in it.
+# Compression is pressure over density and the squared speed of sound. Its mean is less
+# than half its maximum, which leaves a margin.
 COMPRESSION_MARGIN = 1.1
 # Largest motion in a substep, in spacings.
 MAX_SUBSTEP_TRAVEL = 0.25
-# Largest substep over squared spacing / viscosity: diffusion is unstable above 0.23.
+# Largest substep relative to squared spacing over viscosity; above 0.23 diffusion is
+# unstable.
 MAX_DIFFUSION = 0.1
-# Largest substep over the period of the shortest ripples.
+# Largest substep relative to the period of the shortest ripples, over 2 π.
 MAX_RIPPLE_PHASE = 0.4
 # Time constants of the speed of sound, falling and rising [s]: sudden changes release
 # elastic energy.
 SOUND_FALL_TIME, SOUND_RISE_TIME = 1.0, 0.05
-# The speed of sound stays within this factor of the needed one: stiffness that varies
-# with pressure would pump the fluid.
+# Largest ratio between the speed of sound and the required one. A stiffness that
+# follows the pressure would add energy.
 SOUND_TOLERANCE = 1.2
-# Quantile of speed and pressure that substeps must resolve.
+# Fraction of the fastest, and of the most compressed, particles that is ignored.
 IGNORED_QUANTILE = 0.005
 # Motion of sheets between collisions, in spacings, and largest number of collisions.
 SHEET_TRAVEL, MAX_SHEET_COLLISIONS = 0.5, 32
 MAX_SUBSTEPS = 4096
-# Hydrostatic layers whose pressure is always assumed.
+# Depth whose hydrostatic pressure is always assumed, in spacings.
 MIN_LAYERS = 2.0
 # Radius of the smallest drop whose pressure is always assumed, in spacings.
 MIN_DROP_RADIUS = 5.0
 
 
 class Substeps:
-    """Substeps from speed, pressure and the fluid's properties."""
+    """Computes the speed of sound and the number of substeps of a fluid."""
 
     def __init__(self, spec: FluidModel) -> None:
         self.max_substeps = MAX_SUBSTEPS  # largest number of substeps
@@ -48,19 +49,21 @@ class Substeps:
             2 * spec.tension / (spec.density * MIN_DROP_RADIUS * spec.spacing)
         )
 
-    def first_sound(self, points: FloatArray, accelerations: FloatArray) -> float:
+    def initial_sound_speed(
+        self, points: FloatArray, accelerations: FloatArray
+    ) -> float:
         """Return the initial speed of sound [m/s]."""
         if not len(points):
             return 0.0
         potentials = points @ accelerations.mean(axis=0)
         head = max(float(potentials.max() - potentials.min()), self._drop_pressure)
-        return self._sound(head) if math.isfinite(head) else 0.0
+        return self._sound_speed(head) if math.isfinite(head) else 0.0
 
-    def _sound(self, head: float) -> float:
+    def _sound_speed(self, head: float) -> float:
         """Return the speed of sound [m/s] for a pressure over density [m²/s²]."""
         return math.sqrt(head * COMPRESSION_MARGIN / self._spec.compression)
 
-    def sound(
+    def step_sound_speed(
         self,
         previous: float,
         pressures: FloatArray,
@@ -70,47 +73,58 @@ class Substeps:
     ) -> float:
         """Return the speed of sound for a step [m/s].
 
-        ``previous``: speed of sound of the last step [m/s]. ``pressures`` ``(N,)``
-        [Pa]; ``speeds``: approach speeds of particles ``(N,)`` [m/s]; ``acceleration``:
-        the largest external one [m/s²].
+        Args:
+            previous: Speed of sound of the last step [m/s]; 0 without one.
+            pressures: Pressures of particles ``(N,)`` [Pa].
+            speeds: Largest approach speeds of particles ``(N,)`` [m/s].
+            acceleration: Largest external acceleration [m/s²].
+            dt: Step [s].
         """
         index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
         pressure, speed = (np.partition(a, index)[index] for a in (pressures, speeds))
-        head, max_speed = (
+        pressure_head, max_speed = (
             float(pressure) / self._spec.density,
             float(speed) + acceleration * dt,
         )
-        layers = MIN_LAYERS * self._spec.spacing * acceleration
-        head = max(head, layers, self._drop_pressure) + max_speed**2 / 2
-        required = self._sound(head)
+        layer_head = MIN_LAYERS * self._spec.spacing * acceleration
+        pressure_head = (
+            max(pressure_head, layer_head, self._drop_pressure) + max_speed**2 / 2
+        )
+        required_speed = self._sound_speed(pressure_head)
         if (
             previous
-            and required / SOUND_TOLERANCE <= previous <= required * SOUND_TOLERANCE
+            and required_speed / SOUND_TOLERANCE
+            <= previous
+            <= required_speed * SOUND_TOLERANCE
         ):
             return previous
-        lowest, highest = (
+        min_speed, max_allowed = (
             previous * math.exp(-dt / SOUND_FALL_TIME),
             previous * math.exp(dt / SOUND_RISE_TIME),
         )
-        sound = max(lowest, min(required, highest) if previous else required)
+        sound = max(
+            min_speed, min(required_speed, max_allowed) if previous else required_speed
+        )
         # Without pressure, one substep is as stiff as possible.
         return sound or self._spec.spacing / dt
 
-    def parts(self, dt: float, fastest: float, sound: float) -> float:
-        """Return the number of substeps; infinite if it overflows."""
+    def substep_count(self, dt: float, max_speed: float, sound: float) -> float:
+        """Return the number of substeps of a step; infinite if it overflows."""
         spec = self._spec
-        rates = [sound / spec.spacing, fastest / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
+        rates = [sound / spec.spacing, max_speed / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))
         if spec.tension:
-            ripple = 2 * math.pi * spec.tension / (spec.density * spec.spacing**3)
-            rates.append(math.sqrt(ripple) / MAX_RIPPLE_PHASE)
+            squared_frequency = (
+                2 * math.pi * spec.tension / (spec.density * spec.spacing**3)
+            )
+            rates.append(math.sqrt(squared_frequency) / MAX_RIPPLE_PHASE)
         count = dt * max(rates)
         return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
-    def collision_substeps(self, colliders: Colliders, parts: int, dt: float) -> int:
+    def collision_substeps(self, colliders: Colliders, substeps: int, dt: float) -> int:
         """Return the number of collisions with sheets in a step."""
         if not colliders.sheets:
             return 1
         travel = dt * max(colliders.surfaces.fastest, 1.0)
         count = math.ceil(travel / (SHEET_TRAVEL * self._spec.spacing))
-        return max(1, min(count, parts, MAX_SHEET_COLLISIONS))
+        return max(1, min(count, substeps, MAX_SHEET_COLLISIONS))

@@ -23,22 +23,22 @@ KERNEL_INTEGRAL = 2 * np.pi / 21
 
 
 def check_surface() -> None:
-    """Raise if the packages that surfaces need are missing."""
+    """Raise SIM065 if scikit-image is not installed."""
     if find_spec("skimage") is None:
         message = "the surface of a fluid needs scikit-image, which is not installed"
         hint = "pip install 'animtool[surface]'"
         raise OptionError(Fault("SIM065", message, where="surface", hint=hint))
 
 
-def surface_of(
+def build_surface(
     spec: FluidModel,
     points: FloatArray,
     velocities: FloatArray,
     primvars: Mapping[str, Any],
 ) -> MeshFrame:
-    """Return the surface of particles ``(N, 3)``; its faces change by frame.
+    """Return the surface mesh of particles ``(N, 3)``; its faces change by frame.
 
-    Velocities and primvars are those of the nearest particle.
+    Each vertex has the velocity and primvars of the nearest particle.
     """
     assert spec.surface is not None
     if not len(points):
@@ -50,15 +50,19 @@ def surface_of(
 
     cell = spec.surface.cell or DEFAULT_CELL * spec.spacing
     radius = (1 + spec.surface.smoothing) * spec.spacing
-    low = points.min(axis=0) - radius - 2 * cell
-    sizes = np.ceil((points.max(axis=0) + radius + 2 * cell - low) / cell) + 1
-    if np.prod(sizes) > spec.surface.max_cells:
-        message = f"its surface needs {np.prod(sizes):,.0f} cells of {cell:g} m, but "
+    grid_origin = points.min(axis=0) - radius - 2 * cell
+    node_counts = (
+        np.ceil((points.max(axis=0) + radius + 2 * cell - grid_origin) / cell) + 1
+    )
+    if np.prod(node_counts) > spec.surface.max_cells:
+        message = (
+            f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, but "
+        )
         message += f"{spec.surface.max_cells:,} are allowed: it is spread far"
         hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
-    shape = tuple(int(size) for size in sizes)
-    values = density_field(points, low, shape, cell, radius, spec.spacing)
+    shape = tuple(int(size) for size in node_counts)
+    values = density_field(points, grid_origin, shape, cell, radius, spec.spacing)
     if not values.max() > ISO_LEVEL:
         vertex_primvars = {name: array[:0] for name, array in primvars.items()}
         return _surface_mesh(
@@ -66,7 +70,7 @@ def surface_of(
         )
     vertices, faces, _, _ = marching_cubes(values, ISO_LEVEL)
     # Winding so that the field decreases outwards.
-    vertices, faces = vertices.astype(np.float64) * cell + low, faces[:, ::-1]
+    vertices, faces = vertices.astype(np.float64) * cell + grid_origin, faces[:, ::-1]
     _, nearest = cKDTree(points).query(vertices)
     vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
     return _surface_mesh(
@@ -77,6 +81,7 @@ def surface_of(
 def _surface_mesh(
     points: FloatArray, velocities: FloatArray, faces: Any, primvars: dict[str, Any]
 ) -> MeshFrame:
+    """Return a surface as a frame."""
     counts = np.full(len(faces), 3, np.int64)
     return MeshFrame(
         points, velocities, counts, faces.reshape(-1), True, primvars, tears=True
@@ -85,27 +90,31 @@ def _surface_mesh(
 
 def density_field(
     points: FloatArray,
-    low: FloatArray,
+    grid_origin: FloatArray,
     shape: tuple[int, ...],
     cell: float,
     radius: float,
     spacing: float,
 ) -> FloatArray:
-    """Return the fluid fraction around grid nodes.
+    """Return the fluid fraction at the nodes of a grid.
 
-    Sums of H. Wendland's C2 function over particles ``(N, 3)``; 1 within.
+    It is the sum of H. Wendland's C2 function over particles ``(N, 3)``; 1 in fluid.
     """
-    nodes = np.floor((points - low) / cell).astype(np.int64)
+    nodes = np.floor((points - grid_origin) / cell).astype(np.int64)
     cell_range = int(np.ceil(radius / cell))
     values = np.zeros(int(np.prod(shape)))
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-cell_range, cell_range + 2), repeat=3):
         corner = nodes + offset
-        q = np.linalg.norm(corner * cell + low - points, axis=1) / radius
-        is_near = q < 1
+        relative_distances = (
+            np.linalg.norm(corner * cell + grid_origin - points, axis=1) / radius
+        )
+        is_near = relative_distances < 1
         if is_near.any():
-            q = q[is_near]
-            weights = scale * (1 - q) ** 4 * (4 * q + 1)
+            relative_distances = relative_distances[is_near]
+            weights = (
+                scale * (1 - relative_distances) ** 4 * (4 * relative_distances + 1)
+            )
             values += np.bincount(corner[is_near] @ strides, weights, len(values))
     return values.reshape(shape)

@@ -29,15 +29,15 @@ from animtool.systems.particles.emitter import uniforms
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS = 1.66053906717
-# Pair energy over the well depth above which atoms overlap at the start.
+# Pair energy, relative to the well depth, above which atoms overlap at the start.
 OVERLAP_ENERGY = 1000.0
-# Steps over 1/ω of the stiffest crystal: refused above, and recommended.
+# Largest and recommended step, relative to 1/ω of the stiffest crystal.
 MAX_STEP, RECOMMENDED_STEP = 1.0, 0.1
-# Seed offset of the thermostat.
+# Offset of the seed for the thermostat.
 _THERMOSTAT_SEED = 2000
-# Largest motion of an atom in a step, over the box.
+# Largest motion of an atom in a step, relative to the box.
 MAX_STEP_TRAVEL = 0.25
-# Largest average neighbour count: no matter is denser.
+# Largest mean number of neighbours; no real matter is denser.
 MAX_NEIGHBOURS = 5000
 
 
@@ -46,23 +46,23 @@ class AtomForces:
     """Forces, energies and virial of N atoms."""
 
     forces: FloatArray  # (N, 3) [kJ/(mol nm)]
-    energies: FloatArray  # half of the energies of an atom's pairs (N,) [kJ/mol]
+    energies: FloatArray  # half the energy of each atom's pairs (N,) [kJ/mol]
     virial: float  # sum of forces times distances [kJ/mol]
 
 
 class Interactions:
-    """Pair forces of atoms; the last neighbour list is cached."""
+    """Computes pair forces of atoms, with a cached neighbour list."""
 
     def __init__(self, spec: MoleculesModel, atoms: Atoms, box: PeriodicBox) -> None:
         self._atoms, self._box = atoms, box
         self._pair_coefficients = pair_coefficients(spec)
-        self._cutoff = min(spec.reach, box.size.min() / 2)
+        self._cutoff = min(spec.cutoff_distance, box.size.min() / 2)
         self._switch_distance = min(
             0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
         )
         self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
-        charged = bool(atoms.charges.any())
-        self._charges = atoms.charges * np.sqrt(COULOMB) if charged else None
+        has_charges = bool(atoms.charges.any())
+        self._charges = atoms.charges * np.sqrt(COULOMB) if has_charges else None
         self._damping = spec.damping
         self._neighbour_list: tuple[FloatArray, Any] | None = None
 
@@ -72,8 +72,8 @@ class Interactions:
 
         if self._charges is None:
             return 0.0
-        screened = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
-        per_charge = screened + self._damping / np.sqrt(np.pi)
+        screened_potential = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
+        per_charge = screened_potential + self._damping / np.sqrt(np.pi)
         return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
@@ -104,22 +104,22 @@ class Interactions:
 
 @dataclass(frozen=True, slots=True)
 class MoleculeState:
-    """Positions and velocities of atoms, and the forces there."""
+    """State of atoms, with the forces on them."""
 
     motion: FloatArray  # positions [nm], then velocities [nm/ps] (2, N, 3)
-    reference: FloatArray  # positions of the neighbour list (N, 3) [nm]
-    acting: AtomForces
-    heat: float  # from the thermostat so far [kJ/mol]
-    steps: int
+    reference: FloatArray  # positions at which the neighbour list was built (N, 3) [nm]
+    acting: AtomForces  # forces at these positions
+    heat: float  # energy from the thermostat so far [kJ/mol]
+    steps: int  # number of steps so far
 
 
-# Forces, and the positions of the neighbour list.
+# Forces, and the positions at which the neighbour list was built.
 ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 
 
 @np.errstate(all="ignore")
 def build(spec: MoleculesModel, context: SimContext) -> Molecules:
-    """Return the atoms of a spec in their box.
+    """Build the atoms of a spec in their box.
 
     Raises:
         OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM071).
@@ -132,7 +132,7 @@ def build(spec: MoleculesModel, context: SimContext) -> Molecules:
 
 
 class Molecules(Interacting[MoleculeState, ListedForces]):
-    """Simulation of atoms in a periodic box.
+    """Simulates atoms in a periodic box.
 
     Attributes:
         atoms: Atoms of all species.
@@ -155,10 +155,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self.written_bodies = np.arange(len(self.species))
         self._periodic_box, self.box = periodic_box, periodic_box.size
         self._interactions = Interactions(spec, self.atoms, periodic_box)
-        self._freedom = max(3 * len(self.bodies.masses) - 3, 1)
+        self._degrees_of_freedom = max(3 * len(self.bodies.masses) - 3, 1)
         rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
         # The fastest crystal vibration of all species [rad/ps].
-        self._stiffest = math.sqrt(8 * max(rates))
+        self._max_frequency = math.sqrt(8 * max(rates))
 
     def begin(self) -> None:
         """Check the initial state, and set colour ranges from it."""
@@ -171,11 +171,11 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         super().begin()
 
     def _check_numbers(self, start: MoleculeState) -> None:
-        """Refuse a step that is too long, and overflowing numbers (SIM071)."""
+        """Raise SIM071 if the step is too long, or numbers overflow in the scene."""
         spec, step = self._spec, self._spec.step * self._spec.pace
-        if step * self._stiffest > MAX_STEP:
+        if step * self._max_frequency > MAX_STEP:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
-            message += f"{2 * math.pi / self._stiffest:.3g} ps"
+            message += f"{2 * math.pi / self._max_frequency:.3g} ps"
             hint = f"use step: {self._suggested_step(start):.2g}, or a smaller pace"
             refuse(spec.code, message, "step", hint)
         if not np.isfinite(self._to_scene(start.motion)).all():
@@ -183,10 +183,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             refuse(spec.code, message, "scale")
 
     def _check_distinct(self, start: MoleculeState) -> None:
-        """Refuse overlapping atoms at the start (SIM071)."""
-        depth = max(*(first.epsilon for first in self._spec.species), 1e-3)
+        """Raise SIM071 if atoms overlap at the start."""
+        well_depth = max(*(species.epsilon for species in self._spec.species), 1e-3)
         energies = start.acting.energies
-        if (energies < OVERLAP_ENERGY * depth).all():  # NaN is not
+        if (energies < OVERLAP_ENERGY * well_depth).all():  # NaN is not
             return
         from scipy.spatial import cKDTree
 
@@ -194,8 +194,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         x = start.motion[0] % size
         distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        first, second = sorted(neighbours[i].tolist())
-        message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
+        species, second = sorted(neighbours[i].tolist())
+        message = f"atoms {species} and {second} start {distances[i, 1]:.3g} nm apart"
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
@@ -207,28 +207,30 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
     def _state_sums(self, state: MoleculeState) -> ListedForces:
         return state.acting, state.reference
 
-    def compute_sums(self, x: FloatArray, before: ListedForces) -> ListedForces:
-        """Return forces on atoms ``(N, 3)`` [nm], and the list used."""
-        reference = self._interactions.reference(x, before[1])
-        return self._interactions.acting(x, reference), reference
+    def compute_sums(self, x: FloatArray, last_sums: ListedForces) -> ListedForces:
+        """Return forces on atoms ``(N, 3)`` [nm], and the positions of their list."""
+        list_positions = self._interactions.reference(x, last_sums[1])
+        return self._interactions.acting(x, list_positions), list_positions
 
     def _forces(self, sums: ListedForces) -> FloatArray:
         return sums[0].forces
 
     def external_effect(
-        self, one: TrapModel, at: FloatArray, x: FloatArray
+        self, trap: TrapModel, position: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` of traps."""
+        """Return forces ``(N, 3)`` [kJ/(mol nm)] and energies ``(N,)`` of a trap."""
         size = self._periodic_box.size
-        offsets = self._periodic_box.to_local(at) - x
+        offsets = self._periodic_box.to_local(position) - x
         offsets -= size * np.round(offsets / size)
-        proximity = np.maximum(1 - (offsets * offsets).sum(axis=1) / one.radius**2, 0.0)
-        force = (one.stiffness * proximity**2)[:, None] * offsets
-        return force, -(one.stiffness * one.radius**2 / 6 * proximity**3)
+        proximity = np.maximum(
+            1 - (offsets * offsets).sum(axis=1) / trap.radius**2, 0.0
+        )
+        force = (trap.stiffness * proximity**2)[:, None] * offsets
+        return force, -(trap.stiffness * trap.radius**2 / 6 * proximity**3)
 
     @np.errstate(all="ignore")
     def step(self, state: MoleculeState, t: float, dt: float) -> MoleculeState:
-        """Return the state after a step [s], or a part of one."""
+        """Return the state after a full or partial step [s]."""
         spec, system = self._spec, self._system(state)
         try:
             motion = self._integrate(system, t, dt, dt)
@@ -237,32 +239,38 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             faults = [replace(fault, hint=hint) for fault in error.faults]
             raise StoppedError(faults, error.stats) from None
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        i = int(np.argmax(distances))
-        if not distances[i] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
-            self._stop(state, t + dt, f"atom {i} moves {distances[i]:.3g} nm in a step")
-        (forces, reference), heat = system.sums_at(motion[0]), state.heat
+        fastest = int(np.argmax(distances))
+        if not distances[fastest] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
+            self._stop(
+                state,
+                t + dt,
+                f"atom {fastest} moves {distances[fastest]:.3g} nm in a step",
+            )
+        (forces, list_positions), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic_energy(motion)
-            factor = bath_factor(
+            factor = thermostat_factor(
                 spec.thermostat,
                 spec.seed,
                 state.steps,
                 t + dt,
                 dt * spec.pace,
                 kinetic,
-                self._freedom,
+                self._degrees_of_freedom,
             )
             motion = np.stack([motion[0], factor * motion[1]])
             heat += (factor**2 - 1) * kinetic
-        after = MoleculeState(motion, reference, forces, heat, state.steps + 1)
-        self._check_energy(after, t + dt)
-        return after
+        next_state = MoleculeState(
+            motion, list_positions, forces, heat, state.steps + 1
+        )
+        self._check_energy(next_state, t + dt)
+        return next_state
 
     def _bath_energy(self, state: MoleculeState) -> float:
         return state.heat
 
     def _suggested_step(self, state: MoleculeState, t: float = 0.0) -> float:  # noqa: ARG002
-        return RECOMMENDED_STEP / max(self._stiffest * self._time_scale, 1e-300)
+        return RECOMMENDED_STEP / max(self._max_frequency * self._time_scale, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
         internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
@@ -293,7 +301,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         pressure = (2 * energy.kinetic + state.acting.virial) / (3 * volume)
         values = {
             "atoms": float(len(self.bodies.masses)),
-            "temperature": 2 * energy.kinetic / (self._freedom * BOLTZMANN),
+            "temperature": 2 * energy.kinetic / (self._degrees_of_freedom * BOLTZMANN),
             "pressure": pressure * MEGAPASCALS,
             "kinetic_energy": energy.kinetic,
             "potential_energy": energy.potential,
@@ -303,16 +311,16 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return values
 
 
-def bath_factor(
+def thermostat_factor(
     model: ThermostatModel,
     seed: int,
     step: int,
     t: float,
     dt: float,
     kinetic: float,
-    freedom: int,
+    degrees_of_freedom: int,
 ) -> float:
-    """Return the velocity factor of a thermostat step.
+    """Return the factor on velocities in a thermostat step.
 
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.
@@ -324,11 +332,11 @@ def bath_factor(
         t: Time at the end of the step [s].
         dt: Length of the step [ps].
         kinetic: Kinetic energy [kJ/mol].
-        freedom: Degrees of freedom.
+        degrees_of_freedom: Number of degrees of freedom.
     """
     from scipy.special import gammaincinv
 
-    if not kinetic > 0 or freedom < 1:
+    if not kinetic > 0 or degrees_of_freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
     target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
@@ -340,14 +348,18 @@ def bath_factor(
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.
     squares = (
-        2 * float(gammaincinv((freedom - 1) / 2, random_rest)) if freedom > 1 else 0.0
+        2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
+        if degrees_of_freedom > 1
+        else 0.0
     )
     decay = float(np.exp(-dt / model.relaxation))
-    exchange = target / kinetic * (1 - decay)
-    square = (
+    exchanged_fraction = target / kinetic * (1 - decay)
+    squared_factor = (
         decay
-        + exchange * (normal**2 + squares)
-        + 2 * normal * np.sqrt(decay * exchange)
+        + exchanged_fraction * (normal**2 + squares)
+        + 2 * normal * np.sqrt(decay * exchanged_fraction)
     )
-    factor = float(np.sqrt(max(square, 0.0)))
-    return -factor if normal * np.sqrt(exchange) + np.sqrt(decay) < 0 else factor
+    factor = float(np.sqrt(max(squared_factor, 0.0)))
+    return (
+        -factor if normal * np.sqrt(exchanged_fraction) + np.sqrt(decay) < 0 else factor
+    )

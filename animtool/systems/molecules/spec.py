@@ -154,22 +154,22 @@ class MoleculesModel(PlacementModel, SystemSpec):
     )
 
     @property
-    def reach(self) -> float:
-        """The cut-off [nm]."""
-        return self.cutoff or 2.5 * max(one.sigma for one in self.species)
+    def cutoff_distance(self) -> float:
+        """Cut-off distance of interactions [nm]."""
+        return self.cutoff or 2.5 * max(species.sigma for species in self.species)
 
     def problems(self) -> Iterator[Problem]:
-        """Yield invalid combinations of keys."""
-        least, reach = min(self.box), self.reach
-        if least < 2 * reach:
-            message = f"the box is {least:g} nm wide, but twice the cut-off is "
-            hint = f"use cutoff: {least / 2:.3g}, or a larger box"
+        """Yield conflicts between box, cut-off, lattice and thermostat."""
+        min_side, reach = min(self.box), self.cutoff_distance
+        if min_side < 2 * reach:
+            message = f"the box is {min_side:g} nm wide, but twice the cut-off is "
+            hint = f"use cutoff: {min_side / 2:.3g}, or a larger box"
             yield f"{message}{2 * reach:g} nm", "box", hint
         if self.switch is not None and self.switch > reach:
             message = f"the switch starts at {self.switch:g} nm, beyond the cut-off of "
             yield f"{message}{reach:g} nm", "switch", None
         sides = zip(self.block or (), self.box, strict=False)
-        if any(side > most for side, most in sides):
+        if any(side > box_side for side, box_side in sides):
             yield "the block is larger than the box", "block", None
         rows = self.thermostat.temperatures if self.thermostat else []
         times = [t for t, _ in rows]

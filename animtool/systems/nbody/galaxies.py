@@ -31,18 +31,18 @@ from animtool.systems.nbody.spec import (
 )
 from animtool.systems.particles.emitter import uniforms
 
-# Radii at which profiles are tabulated.
+# Number of radii at which profiles are tabulated.
 RADIUS_COUNT = 4096
-# Largest speed over the escape velocity.
+# Largest speed relative to the escape velocity.
 MAX_SPEED_RATIO = 0.95
 # Toomre's constant for stars.
 TOOMRE_CONSTANT = 3.36
-# Largest radial dispersion over the circular velocity.
+# Largest radial dispersion relative to the circular velocity.
 MAX_DISPERSION_RATIO = 0.7
 
 
 class MassProfile:
-    """Mass profile of a galaxy, at radii ``(R,)`` [m]."""
+    """Circular and escape velocities of a galaxy at radii ``(R,)`` [m]."""
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
@@ -52,33 +52,34 @@ class MassProfile:
             max(1e-4 * min_radius, 1e-250), 4 * max_radius, RADIUS_COUNT
         )
         mass_inside = np.full(RADIUS_COUNT, galaxy.nucleus)
-        for part in (galaxy.bulge, galaxy.halo):
-            if part is not None:
-                mass_inside = mass_inside + enclosed(part, self.r)
+        for spheroid in (galaxy.bulge, galaxy.halo):
+            if spheroid is not None:
+                mass_inside = mass_inside + enclosed_mass(spheroid, self.r)
         total_mass = mass_inside
         # Softened bodies attract as Plummer spheres.
         softening_factor = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
         speeds = constant * mass_inside / self.r * softening_factor
         if galaxy.disc is not None:
-            total_mass = mass_inside + enclosed(galaxy.disc, self.r)
+            total_mass = mass_inside + enclosed_mass(galaxy.disc, self.r)
             speeds = (
-                speeds + constant * disc_speeds(galaxy.disc, self.r) * softening_factor
+                speeds
+                + constant * squared_disc_speeds(galaxy.disc, self.r) * softening_factor
             )
-        self.circular = np.sqrt(speeds)  # [m/s]
-        self.acceleration = (
+        self.circular_velocities = np.sqrt(speeds)  # [m/s]
+        self.accelerations = (
             constant * total_mass / self.r**2 * softening_factor
         )  # [m/s²]
         outer_potential = constant * total_mass[-1] / self.r[-1]
         # Escape velocities [m/s].
-        self.escape = np.sqrt(
-            2 * (_integral_to_end(self.acceleration, self.r) + outer_potential)
+        self.escape_velocities = np.sqrt(
+            2 * (_integral_to_end(self.accelerations, self.r) + outer_potential)
         )
 
-    def dispersion(self, part: SpheroidModel) -> FloatArray:
+    def velocity_dispersion(self, spheroid: SpheroidModel) -> FloatArray:
         """Return the velocity dispersion of a spheroid ``(R,)`` [m/s]."""
-        density = np.gradient(enclosed(part, self.r), self.r) / self.r**2
+        density = np.gradient(enclosed_mass(spheroid, self.r), self.r) / self.r**2
         density = np.maximum(density, 0.0)
-        pressure = _integral_to_end(density * self.acceleration, self.r)
+        pressure = _integral_to_end(density * self.accelerations, self.r)
         min_density = density.max() * 1e-12
         squares = pressure / np.maximum(density, min_density)
         return np.sqrt(np.where(density > min_density, squares, 0.0))
@@ -90,7 +91,7 @@ def _integral_to_end(values: FloatArray, r: FloatArray) -> FloatArray:
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
 
-# Fraction of an infinite profile's mass within radii, in scale radii.
+# Mass fraction of an infinite profile within radii, in scale radii.
 _MASS_FRACTIONS: dict[str, Callable[[Any], Any]] = {
     "exponential": lambda x: 1 - (1 + x) * np.exp(-x),
     "hernquist": lambda x: (x / (1 + x)) ** 2,
@@ -98,46 +99,48 @@ _MASS_FRACTIONS: dict[str, Callable[[Any], Any]] = {
 }
 
 
-def enclosed(part: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
-    """Return the mass of a spheroid or a disc within radii [kg]."""
-    mass_fraction = _MASS_FRACTIONS[getattr(part, "profile", "exponential")]
-    scaled_radii = np.minimum(r / part.radius, part.cutoff)
+def enclosed_mass(component: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
+    """Return the mass of a spheroid or disc within radii [kg]."""
+    mass_fraction = _MASS_FRACTIONS[getattr(component, "profile", "exponential")]
+    scaled_radii = np.minimum(r / component.radius, component.cutoff)
     return np.asarray(
-        part.mass * mass_fraction(scaled_radii) / mass_fraction(part.cutoff)
+        component.mass * mass_fraction(scaled_radii) / mass_fraction(component.cutoff)
     )
 
 
-def disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
-    """Return squared circular velocities in a disc, over the constant [kg/m]."""
+def squared_disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:
+    """Return squared circular velocities of a disc over G [kg/m]."""
     from scipy.special import i0e, i1e, k0e, k1e
 
     y = np.minimum(r / (2 * disc.radius), 300.0)
     bessel = i0e(y) * k0e(y) - i1e(y) * k1e(y)
-    surface = disc_surface(disc, 0.0)
-    return np.asarray(4 * np.pi * surface * disc.radius * y**2 * bessel)
+    central_density = surface_density(disc, 0.0)
+    return np.asarray(4 * np.pi * central_density * disc.radius * y**2 * bessel)
 
 
-def disc_surface(disc: DiscModel, r: FloatArray | float) -> FloatArray:
-    """Return surface densities of a disc [kg/m²]."""
+def surface_density(disc: DiscModel, r: FloatArray | float) -> FloatArray:
+    """Return surface densities of a disc at radii [kg/m²]."""
     enclosed_fraction = _MASS_FRACTIONS["exponential"](disc.cutoff)
-    central = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_fraction)
-    return np.asarray(central * np.exp(-r / disc.radius))
+    central_density = disc.mass / (2 * np.pi * disc.radius**2 * enclosed_fraction)
+    return np.asarray(central_density * np.exp(-r / disc.radius))
 
 
 def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
-    """Return the bodies of each galaxy of a spec, at its start."""
+    """Return the bodies of each galaxy of a spec, in its start position."""
     constant, softening = spec.gravity_constant, spec.softening
     galaxies = [build_galaxy(galaxy, constant, softening) for galaxy in spec.galaxies]
     starts = [
         (np.array(galaxy.at), np.array(galaxy.velocity)) for galaxy in spec.galaxies
     ]
     if spec.encounter is not None:
-        starts = orbit_starts(
+        starts = orbit_motions(
             spec.encounter, [g.masses.sum() for g in galaxies], constant
         )
     result = []
-    for galaxy, bodies, (at, v) in zip(spec.galaxies, galaxies, starts, strict=True):
-        frame = matter.UnitFrame(at, unit_quaternion(galaxy.rotate))
+    for galaxy, bodies, (position, v) in zip(
+        spec.galaxies, galaxies, starts, strict=True
+    ):
+        frame = matter.UnitFrame(position, unit_quaternion(galaxy.rotate))
         velocities = frame.velocities_to_scene(bodies.velocities) + v
         result.append(
             PointMasses(frame.to_scene(bodies.points), velocities, bodies.masses)
@@ -146,20 +149,20 @@ def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> PointMasses:
-    """Return a galaxy's bodies about its centre, the halo last."""
+    """Return the bodies of a galaxy about its centre, those of the halo last."""
     profile = MassProfile(galaxy, constant, softening)
-    parts = []
+    components = []
     if galaxy.nucleus:
-        zero = np.zeros((1, 3))
-        parts.append(PointMasses(zero, zero, np.array([galaxy.nucleus])))
+        origin = np.zeros((1, 3))
+        components.append(PointMasses(origin, origin, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
-        parts.append(_build_disc(galaxy.disc, profile, galaxy.seed))
-    for number, part in enumerate((galaxy.bulge, galaxy.halo)):
-        if part is not None:
-            parts.append(
-                _build_spheroid(part, profile, galaxy.seed + 1000 * (number + 1))
+        components.append(_build_disc(galaxy.disc, profile, galaxy.seed))
+    for number, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
+        if spheroid is not None:
+            components.append(
+                _build_spheroid(spheroid, profile, galaxy.seed + 1000 * (number + 1))
             )
-    bodies = PointMasses.concatenate(parts)
+    bodies = PointMasses.concatenate(components)
     # Its centre of mass is at the position and velocity of the file.
     weights = bodies.masses / bodies.masses.sum()
     x, v = (values + -weights @ values for values in (bodies.points, bodies.velocities))
@@ -167,27 +170,31 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
 
 
 def _build_spheroid(
-    part: SpheroidModel, profile: MassProfile, seed: int
+    spheroid: SpheroidModel, profile: MassProfile, seed: int
 ) -> PointMasses:
-    u = uniforms(seed, np.arange(part.count), 6)
-    r = np.interp(u[:, 0] * part.mass, enclosed(part, profile.r), profile.r)
-    sigma = np.interp(r, profile.r, profile.dispersion(part))
-    max_speeds = MAX_SPEED_RATIO * np.interp(r, profile.r, profile.escape)
+    """Return the bodies of a spheroid about its centre."""
+    u = uniforms(seed, np.arange(spheroid.count), 6)
+    r = np.interp(
+        u[:, 0] * spheroid.mass, enclosed_mass(spheroid, profile.r), profile.r
+    )
+    sigma = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
+    max_speeds = MAX_SPEED_RATIO * np.interp(r, profile.r, profile.escape_velocities)
     velocities = sigma[:, None] * matter.normal_samples(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(max_speeds / np.maximum(speeds, 1e-300), 1.0)[:, None]
-    masses = np.full(part.count, part.mass / part.count)
+    masses = np.full(spheroid.count, spheroid.mass / spheroid.count)
     return PointMasses(
         r[:, None] * matter.random_directions(u[:, 1:3]), velocities, masses
     )
 
 
 def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
+    """Return the bodies of a disc about its centre."""
     u = uniforms(seed, np.arange(disc.count), 6)
-    r = np.interp(u[:, 0] * disc.mass, enclosed(disc, profile.r), profile.r)
+    r = np.interp(u[:, 0] * disc.mass, enclosed_mass(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
-    height = disc.thickness * disc.radius
-    heights = height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
+    scale_height = disc.thickness * disc.radius
+    heights = scale_height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
     tables = disc_velocities(disc, profile)
     radial, azimuthal, vertical, mean = (
         np.interp(r, profile.r, table) for table in tables
@@ -212,37 +219,46 @@ def disc_velocities(
     disc: DiscModel, profile: MassProfile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return radial, azimuthal and vertical dispersions, and mean rotation ``(R,)``."""
-    r, circular = profile.r, profile.circular
+    r, circular = profile.r, profile.circular_velocities
     angular_velocity = circular / r
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
-    epicycle = np.sqrt(np.maximum(squares, 1e-300))
-    surface = disc_surface(disc, r)
-    radial = disc.stability * TOOMRE_CONSTANT * profile.constant * surface / epicycle
+    epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
+    surface_densities = surface_density(disc, r)
+    radial = (
+        disc.stability
+        * TOOMRE_CONSTANT
+        * profile.constant
+        * surface_densities
+        / epicyclic_frequency
+    )
     radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
-    ratio = epicycle / np.maximum(2 * angular_velocity, 1e-300)
-    drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
-    mean = np.sqrt(np.maximum(circular**2 + drift, 0.0))
+    ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
+    squared_drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
+    mean = np.sqrt(np.maximum(circular**2 + squared_drift, 0.0))
     height = disc.thickness * disc.radius
-    vertical = np.sqrt(np.pi * profile.constant * surface * height)
+    vertical = np.sqrt(np.pi * profile.constant * surface_densities * height)
     return radial, radial * ratio, vertical if disc.stability else 0 * vertical, mean
 
 
-def orbit_starts(
+def orbit_motions(
     orbit: EncounterModel, masses: Sequence[float], constant: float
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return start positions and velocities of two galaxies on an orbit."""
-    total = sum(masses)
+    total_mass = sum(masses)
     e, r = orbit.eccentricity, orbit.separation
-    width = orbit.pericentre * (1 + e)
-    cosine = np.clip((width / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
+    semi_latus_rectum = orbit.pericentre * (1 + e)
+    cosine = np.clip((semi_latus_rectum / r - 1) / e, -1.0, 1.0) if e > 0 else 1.0
     # Before the pericentre: the true anomaly is negative.
     anomaly = -np.arccos(cosine)
-    speed = np.sqrt(constant * total / width)
+    speed = np.sqrt(constant * total_mass / semi_latus_rectum)
     separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
-    tilt = unit_quaternion(orbit.rotate)
-    separation, velocity = so3.rotate(tilt, separation), so3.rotate(tilt, velocity)
-    fractions = -masses[1] / total, masses[0] / total
+    orbit_rotation = unit_quaternion(orbit.rotate)
+    separation, velocity = (
+        so3.rotate(orbit_rotation, separation),
+        so3.rotate(orbit_rotation, velocity),
+    )
+    fractions = -masses[1] / total_mass, masses[0] / total_mass
     return [
         (np.array(orbit.at) + fraction * separation, fraction * velocity)
         for fraction in fractions

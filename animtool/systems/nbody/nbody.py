@@ -21,19 +21,19 @@ from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.nbody.galaxies import build_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
-# Number of bodies above which a tree is faster than direct sums, at an accuracy;
-# visited cells grow with the accuracy to about this power.
-CROSSOVER, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
+# Number of bodies above which a tree is faster than direct sums, the accuracy at which
+# that holds, and the power of the accuracy that the number grows with.
+TREE_MIN_BODIES, CROSSOVER_ACCURACY, CROSSOVER_POWER = 1000, 2e-4, 0.4
 # Tree forces are float32: no finer accuracy is possible.
 MIN_TREE_ACCURACY = 1e-6
-# Sampled bodies for the error of tree forces.
+# Number of bodies that are sampled for the error of tree forces.
 ERROR_SAMPLES = 16
-# Largest orbital phase of a close pair in a step [rad]: softened, with bounded forces,
-# and unsoftened, where energies grow a hundredfold in an encounter.
+# Largest orbital phase of a close pair in a step [rad], with softening, and without,
+# where energies grow a hundredfold in an encounter.
 MAX_PHASE, MAX_UNSOFTENED_PHASE = 0.15, 0.03
-# Factor by which the orbital rate may grow within a step, as it is checked before.
+# Allowed growth of the orbital rate in a step, as it is checked at the start of it.
 RATE_TOLERANCE = 1.5
-# Recommended step over the free-fall time to the centre.
+# Recommended step relative to the free-fall time to the centre.
 RECOMMENDED_STEP = 0.1
 
 
@@ -49,77 +49,83 @@ class MutualGravity:
 
 @dataclass(frozen=True, slots=True)
 class NbodyState:
-    """Positions and velocities of bodies, and their accelerations."""
+    """State of bodies, with their accelerations."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    pulls: MutualGravity
-    encounters: int  # number of divided steps so far
-    divided: int  # largest number of substeps
+    pulls: MutualGravity  # accelerations at these positions
+    encounters: int  # number of steps with substeps so far
+    divided: int  # largest number of substeps so far
 
 
-class TooCloseError(Exception):
-    """Two bodies came too close for a step, at a time [s] and positions."""
+class CloseEncounterError(Exception):
+    """Raised if two bodies come too close for a step; has time, positions, rates."""
 
 
 def _check_closest_pair(
     limit: float, t: float, x: FloatArray, pulls: MutualGravity
 ) -> None:
-    """Raise `TooCloseError` if a pair orbits faster than a limit [1/s²]."""
+    """Raise `CloseEncounterError` if a pair orbits faster than a limit [1/s²]."""
     if len(x) and pulls.rates.max() > limit:
-        raise TooCloseError(t, x, pulls.rates)
+        raise CloseEncounterError(t, x, pulls.rates)
 
 
 @np.errstate(all="ignore")
 def build(spec: NbodyModel, context: SimContext) -> Nbody:
-    """Return the bodies of a spec: from files and of generated galaxies.
+    """Build the bodies of a spec, from files and of generated galaxies.
 
     Raises:
         OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM070).
     """
-    parts, refusals = [], Refusals()
-    for body, part in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
+    body_sets, refusals = [], Refusals()
+    for body, data in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
         with refusals.collect():
-            parts.append(PointMasses.read(part, body.mass, "body", spec.code, "bodies"))
+            body_sets.append(
+                PointMasses.read(data, body.mass, "body", spec.code, "bodies")
+            )
     refusals.check()
-    nbody = Nbody(spec, context, [*parts, *build_galaxies(spec)])
+    nbody = Nbody(spec, context, [*body_sets, *build_galaxies(spec)])
     _check_start(spec, nbody.bodies)
     nbody.begin()
     return nbody
 
 
 def _check_start(spec: NbodyModel, bodies: PointMasses) -> None:
+    """Raise SIM070 if bodies coincide, or numbers are not finite."""
     key, hint = "bodies", "move one of them"
-    whys = "their attraction is infinite", "they cannot be told apart"
-    pair, reason = "bodies {} and {}".format, whys[spec.softening > 0]
-    check_distinct(bodies.points, pair, spec.code, key, hint, reason)
+    reasons = "their attraction is infinite", "they cannot be told apart"
+    pair_names, reason = "bodies {} and {}".format, reasons[spec.softening > 0]
+    check_distinct(bodies.points, pair_names, spec.code, key, hint, reason)
     if not np.isfinite([bodies.points, bodies.velocities]).all():
         message = "galaxies are so small, large or heavy that numbers overflow"
         refuse(spec.code, message, "bodies")
 
 
 class Nbody(Interacting[NbodyState, MutualGravity]):
-    """Simulation of gravitating bodies.
+    """Simulates bodies that attract each other.
 
     Attributes:
-        tree: Whether a tree is used: faster than a direct sum, and accurate enough.
+        uses_tree: Whether a tree is used; it is then faster than a direct sum, and
+            accurate enough.
     """
 
     def __init__(
-        self, spec: NbodyModel, context: SimContext, parts: Sequence[PointMasses]
+        self, spec: NbodyModel, context: SimContext, body_sets: Sequence[PointMasses]
     ) -> None:
-        """``parts``: bodies of each entry, those of galaxies last."""
+        """Start with the bodies of each entry, those of galaxies last."""
         super().__init__(spec, context, "attractors")
-        self._fixed = self._integrator.control is StepControl.FIXED
-        self._phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
-        self.bodies = PointMasses.concatenate(parts)
-        counts = [len(part.masses) for part in parts]
-        self.has_many_species = len(parts) > 1
-        self.species = np.repeat(np.arange(len(parts)), counts)
+        self._has_fixed_steps = self._integrator.control is StepControl.FIXED
+        self._max_phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
+        self.bodies = PointMasses.concatenate(body_sets)
+        counts = [len(entry.masses) for entry in body_sets]
+        self.has_many_species = len(body_sets) > 1
+        self.species = np.repeat(np.arange(len(body_sets)), counts)
         radii = [body.radius for body in spec.bodies] + [
             galaxy.radius for galaxy in spec.galaxies
         ]
         self.radii = np.repeat(radii, counts)
-        dark_counts = [0] * len(spec.bodies) + [part.dark for part in spec.galaxies]
+        dark_counts = [0] * len(spec.bodies) + [
+            entry.hidden_count for entry in spec.galaxies
+        ]
         is_visible = [
             np.arange(count) < count - dark
             for count, dark in zip(counts, dark_counts, strict=True)
@@ -127,9 +133,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         self.written_bodies = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
         is_large = (
-            len(self.bodies.masses) > CROSSOVER * accuracy_factor**CROSSOVER_POWER
+            len(self.bodies.masses) > TREE_MIN_BODIES * accuracy_factor**CROSSOVER_POWER
         )
-        self.tree = spec.accuracy >= MIN_TREE_ACCURACY and is_large
+        self.uses_tree = spec.accuracy >= MIN_TREE_ACCURACY and is_large
 
     def _start(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
@@ -140,10 +146,10 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def compute_sums(
         self,
         x: FloatArray,
-        before: MutualGravity | None = None,  # noqa: ARG002
+        last_sums: MutualGravity | None = None,  # noqa: ARG002
     ) -> MutualGravity:
         """Return mutual accelerations of bodies at points ``(N, 3)`` [m]."""
-        spec, accuracy = self._spec, self._spec.accuracy if self.tree else 0.0
+        spec, accuracy = self._spec, self._spec.accuracy if self.uses_tree else 0.0
         law = spec.gravity_constant, spec.softening, accuracy
         return MutualGravity(*_kernels.gravity(x, self.bodies.masses, *law))
 
@@ -151,27 +157,27 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return sums.accelerations
 
     def external_effect(
-        self, one: AttractorModel, at: FloatArray, x: FloatArray
+        self, attractor: AttractorModel, position: FloatArray, x: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return accelerations ``(N, 3)`` [m/s²] and potentials ``(N,)`` [J/kg]."""
-        offsets = at - x
-        distances = np.sqrt((offsets * offsets).sum(axis=1) + one.softening**2)
+        offsets = position - x
+        distances = np.sqrt((offsets * offsets).sum(axis=1) + attractor.softening**2)
         distances = np.maximum(distances, 1e-300)
-        potentials = self._spec.gravity_constant * one.mass / distances
+        potentials = self._spec.gravity_constant * attractor.mass / distances
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
     def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
-        """Return the closest pair, for messages."""
+        """Return the pair with the fastest orbit, for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
-        """Return mass [kg] and distance of the fastest pair."""
+        """Return the mass [kg] of the pair with the fastest orbit, and its distance."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
         cubes = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
-        rates_of_pairs = (masses + masses[i]) / cubes
-        rates_of_pairs[i] = -1.0
-        j = int(np.argmax(rates_of_pairs))
+        pair_rates = (masses + masses[i]) / cubes
+        pair_rates[i] = -1.0
+        j = int(np.argmax(pair_rates))
         names = f"bodies {min(i, j)} and {max(i, j)}"
         return masses[i] + masses[j], f"{names} are {math.sqrt(squares[j]):.3g} m apart"
 
@@ -179,48 +185,48 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
         """Return the state after a step [s].
 
-        A step is divided if two bodies come so close that it could not resolve them.
+        It takes substeps if two bodies come too close for one step.
         """
         substeps = self._substeps_for(state.pulls.rates, dt)
-        closest = TooCloseError(t, state.motion[0], state.pulls.rates)
+        encounter = CloseEncounterError(t, state.motion[0], state.pulls.rates)
         while substeps <= self._spec.substeps:
             limit, step = math.inf, dt
-            if self._fixed:
+            if self._has_fixed_steps:
                 limit, step = (
-                    (RATE_TOLERANCE * self._phase * substeps / dt) ** 2,
+                    (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2,
                     dt / substeps,
                 )
             system = self._system(state, partial(_check_closest_pair, limit))
             try:
                 motion = self._integrate(system, t, dt, step)
-            except TooCloseError as error:
-                substeps, closest = 2 * substeps, error
+            except CloseEncounterError as error:
+                substeps, encounter = 2 * substeps, error
                 continue
             encounters, max_substeps = (
                 state.encounters + (substeps > 1),
                 max(state.divided, substeps),
             )
-            after = NbodyState(
+            next_state = NbodyState(
                 motion, system.sums_at(motion[0]), encounters, max_substeps
             )
-            self._check_energy(after, t + dt)
-            return after
-        raise self._encounter_error(dt, *closest.args)
+            self._check_energy(next_state, t + dt)
+            return next_state
+        raise self._encounter_error(dt, *encounter.args)
 
     def _substeps_for(self, rates: FloatArray, dt: float) -> int:
         """Return the substeps that resolve the closest pair, a power of two."""
-        if not self._fixed or not len(rates):
+        if not self._has_fixed_steps or not len(rates):
             return 1
         # A state from a file may hold any rates.
-        phase = dt * math.sqrt(max(float(rates.max()), 0.0)) / self._phase
-        if not phase < self._spec.substeps:
+        phase_ratio = dt * math.sqrt(max(float(rates.max()), 0.0)) / self._max_phase
+        if not phase_ratio < self._spec.substeps:
             return 2 * int(self._spec.substeps)
-        return 1 << max(math.ceil(math.log2(phase)), 0) if phase > 1 else 1
+        return 1 << max(math.ceil(math.log2(phase_ratio)), 0) if phase_ratio > 1 else 1
 
     def _encounter_error(
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
-        """Return why the finest substeps [s] do not resolve a pair."""
+        """Return an error if the finest substeps do not resolve a pair."""
         (mass, pair), substeps = self._fastest_pair(x, rates), self._spec.substeps
         message = f"{pair} at {t:.6g} s, too close for steps of {dt / substeps:.3g} s"
         max_rate = (MAX_PHASE * substeps / dt) ** 2
@@ -228,8 +234,8 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         hint = f"use softening: {1.05 * softening:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
 
-    def _exchanged_energy(self, state: NbodyState, now: Energy) -> float:  # noqa: ARG002
-        return now.kinetic
+    def _exchanged_energy(self, state: NbodyState, energy: Energy) -> float:  # noqa: ARG002
+        return energy.kinetic
 
     def _suggested_step(self, state: NbodyState, t: float) -> float:
         x, masses = state.motion[0], self.bodies.masses
@@ -249,7 +255,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return 0.5 * float(masses @ state.pulls.potentials) + external
 
     def _momenta(self, state: NbodyState) -> FloatArray:
-        """Return linear and angular momentum ``(2, 3)``."""
+        """Return total linear and angular momentum ``(2, 3)``."""
         x, v = state.motion
         momenta = self.bodies.masses[:, None] * v
         return np.stack([momenta.sum(axis=0), np.cross(x, momenta).sum(axis=0)])
@@ -268,37 +274,42 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         }
 
     def _report_values(self, state: NbodyState, t: float) -> Mapping[str, float]:
-        """Return drifts of conserved quantities, and the closest approach."""
+        """Return drifts of conserved quantities, substeps, and the force error."""
         x, v = state.motion
         values = {"bodies": float(len(x)), "encounters": float(state.encounters)}
         values["substeps"] = float(state.divided)
         if not self.external_forces:
             values["energy_drift"] = self._energy_drift(state, self._energy(state, t))
-            sizes = self.bodies.masses * np.linalg.norm(v, axis=1)
-            scales = np.array([sizes.sum(), sizes @ np.linalg.norm(x, axis=1)])
+            momentum_magnitudes = self.bodies.masses * np.linalg.norm(v, axis=1)
+            scales = np.array(
+                [
+                    momentum_magnitudes.sum(),
+                    momentum_magnitudes @ np.linalg.norm(x, axis=1),
+                ]
+            )
             momentum_change = self._momenta(state) - self._momenta(self.initial())
             drifts = np.linalg.norm(momentum_change, axis=1) / np.maximum(
                 scales, 1e-300
             )
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
-        if self.tree:
+        if self.uses_tree:
             values["force_error"] = self._force_error(x, state.pulls)
         return values
 
     def _force_error(self, x: FloatArray, pulls: MutualGravity) -> float:
-        """Return the relative force error of the tree, on sampled bodies [1]."""
+        """Return the relative force error of the tree, from sampled bodies [1]."""
         rows = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
         exact = np.array([self._direct_sum(x, x[i]) for i in rows])
         errors = np.linalg.norm(pulls.accelerations[rows] - exact, axis=1)
-        sizes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
-        return float(np.sqrt(((errors / sizes) ** 2).mean()))
+        magnitudes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
+        return float(np.sqrt(((errors / magnitudes) ** 2).mean()))
 
-    def _direct_sum(self, x: FloatArray, at: FloatArray) -> FloatArray:
-        """Return the acceleration at a point by direct summation ``(3,)``."""
-        offsets = x - at
+    def _direct_sum(self, x: FloatArray, position: FloatArray) -> FloatArray:
+        """Return the acceleration at a position by direct summation ``(3,)``."""
+        offsets = x - position
         squares = (offsets * offsets).sum(axis=1)
         squared_distances = np.where(
             squares > 0, squares + self._spec.softening**2, np.inf
         )
-        pull = self.bodies.masses / (squared_distances * np.sqrt(squared_distances))
-        return np.asarray(self._spec.gravity_constant * pull @ offsets)
+        weights = self.bodies.masses / (squared_distances * np.sqrt(squared_distances))
+        return np.asarray(self._spec.gravity_constant * weights @ offsets)

@@ -110,12 +110,16 @@ class GalaxyModel(PlacementModel):
 
     @property
     def parts(self) -> list[DiscModel | SpheroidModel]:
-        """Its components, the halo last."""
-        return [one for one in (self.disc, self.bulge, self.halo) if one is not None]
+        """Components of the galaxy, the halo last."""
+        return [
+            component
+            for component in (self.disc, self.bulge, self.halo)
+            if component is not None
+        ]
 
     @property
-    def dark(self) -> int:
-        """The number of its last bodies that are not written."""
+    def hidden_count(self) -> int:
+        """Number of bodies at the end that are not written."""
         return self.halo.count if self.halo and not self.shows_halo else 0
 
 
@@ -202,7 +206,7 @@ class NbodyModel(SystemSpec):
     )
 
     def problems(self) -> Iterator[Problem]:
-        """Yield invalid combinations of keys."""
+        """Yield conflicts between galaxies and their orbit."""
         if not self.bodies and not self.galaxies:
             hint = "galaxies: [{name: disc, disc: {count: 5000, mass: 1, radius: 1}}]"
             yield "it has no bodies", None, hint

@@ -22,14 +22,14 @@ _HASH_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _HASH_FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
 _HASH_FACTOR_2 = np.uint64(0x94D049BB133111EB)
 
-# Shorter directions have a length of 0 in float64.
+# Squares of shorter directions are 0 in float64.
 MIN_AXIS_LENGTH = 1e-150
 
 
 def hash64(
     values: np.ndarray[tuple[int, ...], np.dtype[np.uint64]],
 ) -> np.ndarray[tuple[int, ...], np.dtype[np.uint64]]:
-    """Return a 64-bit hash of all arguments."""
+    """Return a 64-bit hash of each value (splitmix64)."""
     z = values + _HASH_INCREMENT
     z = (z ^ (z >> np.uint64(30))) * _HASH_FACTOR_1
     z = (z ^ (z >> np.uint64(27))) * _HASH_FACTOR_2
@@ -37,7 +37,7 @@ def hash64(
 
 
 def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
-    """Return random numbers in [0, 1) for each key ``(N, count)``.
+    """Return random numbers in [0, 1) that depend on a seed and keys ``(N, count)``.
 
     >>> bool((uniforms(1, np.arange(9), 2)[7] == uniforms(1, np.array([7]), 2)).all())
     True
@@ -49,9 +49,9 @@ def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
     return np.asarray((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53)
 
 
-# Key space of bursts, distinct from that of the steady rate.
+# First random key of bursts; keys below it are those of the rate.
 _BURST_KEYS = 1 << 40
-# Key space of one burst.
+# Largest number of particles of a burst.
 MAX_BURST = 10**12
 _RANDOM_COUNT = 8
 # Interval for measuring the motion of an emitter [s].
@@ -62,11 +62,11 @@ MIN_DIRECTION_LENGTH = 1e-150
 
 @dataclass(frozen=True, slots=True)
 class Births:
-    """The next N particles of an emitter."""
+    """New particles of an emitter, in order of birth."""
 
     times: FloatArray  # birth times ``(N,)`` [s]
     keys: IntArray  # random keys ``(N,)``
-    missed: int  # number without room
+    skipped_count: int  # number of births beyond the capacity
 
 
 @inherits_docs
@@ -90,43 +90,48 @@ class Emitter(Emission, Checked):
     def births(
         self, begin: float, start_time: float | None, end_time: float, capacity: int
     ) -> Births:
-        """Return the particles born after one time, up to another.
+        """Return the particles that are born in a time interval.
 
         Args:
             begin: Time at which the simulation and the emission begin [s].
-            start_time: Births after this time [s]; None: from the beginning, inclusive.
+            start_time: Births after this time [s]; None is all from the start.
             end_time: Births up to this time, inclusive [s].
-            capacity: Largest number of births; the first ones are kept.
+            capacity: Largest number of births; later ones are skipped.
         """
-        start = max(self.start, begin)
-        first = 0 if start_time is None else self._emitted_count(start, start_time)
-        last = self._emitted_count(start, end_time)
-        emitted, kept = last - first, min(last - first, capacity)
-        indices = np.arange(first, first + kept, dtype=np.int64)
-        times = [start + (indices + 0.5) / self.rate] if len(indices) else []
+        first_time = max(self.start, begin)
+        first_index = (
+            0 if start_time is None else self._emitted_count(first_time, start_time)
+        )
+        end_index = self._emitted_count(first_time, end_time)
+        emitted_count, kept_count = (
+            end_index - first_index,
+            min(end_index - first_index, capacity),
+        )
+        indices = np.arange(first_index, first_index + kept_count, dtype=np.int64)
+        times = [first_time + (indices + 0.5) / self.rate] if len(indices) else []
         keys = [indices] if len(indices) else []
         for i, (burst_time, count) in enumerate(self.bursts):
             has_started = (
                 begin <= burst_time if start_time is None else start_time < burst_time
             )
             if has_started and burst_time <= end_time:
-                emitted, burst_count = emitted + count, min(count, capacity)
+                emitted_count, burst_count = emitted_count + count, min(count, capacity)
                 times.append(np.full(burst_count, float(burst_time)))
                 keys.append(
                     _BURST_KEYS * (i + 1) + np.arange(burst_count, dtype=np.int64)
                 )
-                kept += burst_count
+                kept_count += burst_count
         if not times:
-            return Births(np.zeros(0), np.zeros(0, np.int64), emitted)
+            return Births(np.zeros(0), np.zeros(0, np.int64), emitted_count)
         all_times, all_keys = np.concatenate(times), np.concatenate(keys)
         order = np.argsort(all_times, kind="stable")
         sorted_times = np.clip(all_times[order], begin, end_time)
-        return Births(sorted_times, all_keys[order], emitted - kept)
+        return Births(sorted_times, all_keys[order], emitted_count - kept_count)
 
     def _emitted_count(self, start: float, t: float) -> int:
-        """Return the number emitted by the rate up to a time."""
-        span = min(t, self.end) - start
-        return max(math.floor(span * self.rate + 0.5), 0) if span > 0 else 0
+        """Return the number of particles that the rate emits until a time."""
+        duration = min(t, self.end) - start
+        return max(math.floor(duration * self.rate + 0.5), 0) if duration > 0 else 0
 
     def sample_births(
         self, births: Births
@@ -144,14 +149,14 @@ class Emitter(Emission, Checked):
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return N positions and velocities ``(N, 3)``, born at a time [s]."""
+        """Return positions and velocities of particles born at once ``(N, 3)``."""
         burst = replace(self, rate=0.0, bursts=[(t, count)])
         return burst.sample_births(burst.births(t, None, t, count))[:2]
 
     def _directions(
         self, randoms: FloatArray, outwards: FloatArray | None
     ) -> FloatArray:
-        """Return directions in a cone, uniform by solid angle ``(N, 3)``."""
+        """Return random directions in the cone of the emitter ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
         if not MIN_AXIS_LENGTH < np.linalg.norm(axis) < 1 / MIN_AXIS_LENGTH:
             # Its square overflows or underflows.
@@ -163,33 +168,38 @@ class Emitter(Emission, Checked):
         height = 1 - randoms[:, :1] * (1 - math.cos(self.spread))
         radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * randoms[:, 1:]
-        smallest = np.argmin(np.abs(axes), axis=1)
-        side = np.cross(axes, np.eye(3)[smallest])
-        side /= np.linalg.norm(side, axis=1)[:, None]
-        second_side = np.cross(axes, side)
-        radial = side * np.cos(angle) + second_side * np.sin(angle)
+        smallest_axes = np.argmin(np.abs(axes), axis=1)
+        first_tangent = np.cross(axes, np.eye(3)[smallest_axes])
+        first_tangent /= np.linalg.norm(first_tangent, axis=1)[:, None]
+        second_tangent = np.cross(axes, first_tangent)
+        radial = first_tangent * np.cos(angle) + second_tangent * np.sin(angle)
         return np.asarray(axes * height + radial * radius, np.float64)
 
     def _in_world(
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
+        """Return positions and velocities in the world, with inherited velocity."""
         if len(self.poses.sample_times) == 1:
-            row = self.poses.rows[0]
+            pose = self.poses.rows[0]
             return (
-                so3.rotate(row[3:], points) + row[:3],
-                so3.rotate(row[3:], velocities),
+                so3.rotate(pose[3:], points) + pose[:3],
+                so3.rotate(pose[3:], velocities),
             )
         poses, earlier_poses = (
             self.poses.at_times(times),
             self.poses.at_times(times - _VELOCITY_INTERVAL),
         )
         positions = so3.rotate(poses[:, 3:], points) + poses[:, :3]
-        earlier = so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]
-        emitter_velocity = (positions - earlier) * (self.inherit / _VELOCITY_INTERVAL)
+        earlier_positions = (
+            so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]
+        )
+        emitter_velocity = (positions - earlier_positions) * (
+            self.inherit / _VELOCITY_INTERVAL
+        )
         return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return invalid options by name, each with a message."""
         problems = [("place", message) for message in self.place.faults()]
         problems += [("poses", message) for message in self.poses.faults()]
         problems += super().problems()

@@ -17,7 +17,7 @@ PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _RangeChecked:
-    """A shape with ranges declared by its fields."""
+    """Checks a shape by the ranges that its fields declare."""
 
     __slots__ = ()
 
@@ -28,16 +28,16 @@ class _RangeChecked:
 
 @dataclass(frozen=True, slots=True)
 class Point(_RangeChecked):
-    """The origin of the emitter's frame."""
+    """Emits from the origin of the emitter's frame."""
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
-        """Return points for random numbers in [0, 1) ``(N, 3)``."""
+        """Return points from random numbers in [0, 1) ``(N, 3)``."""
         return np.zeros((len(uniforms), 3)), None
 
 
 @dataclass(frozen=True, slots=True)
 class Disc(_RangeChecked):
-    """A disc perpendicular to y.
+    """Emits from a disc perpendicular to y.
 
     Attributes:
         radius: [m].
@@ -48,7 +48,7 @@ class Disc(_RangeChecked):
     ]
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
-        """Return points, uniform by area."""
+        """Return random points, uniform by area."""
         radius = self.radius * np.sqrt(uniforms[:, 0])
         angle = 2 * np.pi * uniforms[:, 1]
         heights = np.zeros(len(uniforms))
@@ -59,7 +59,7 @@ class Disc(_RangeChecked):
 
 @dataclass(frozen=True, slots=True)
 class SphereShape(_RangeChecked):
-    """A sphere.
+    """Emits from a sphere.
 
     Attributes:
         radius: [m].
@@ -72,7 +72,7 @@ class SphereShape(_RangeChecked):
     hollow: bool = False
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
-        """Return points, uniform by volume or by area."""
+        """Return random points, uniform by volume or by area."""
         height = 2 * uniforms[:, 0] - 1
         radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * uniforms[:, 1]
@@ -86,7 +86,7 @@ class SphereShape(_RangeChecked):
 
 @dataclass(frozen=True, slots=True)
 class BoxShape(_RangeChecked):
-    """A box centred at the origin.
+    """Emits from a box centred at the origin.
 
     Attributes:
         size: Full edge lengths [m]; 0 is flat.
@@ -98,13 +98,13 @@ class BoxShape(_RangeChecked):
     ]
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
-        """Return points, uniform by volume."""
+        """Return random points, uniform by volume."""
         return (uniforms - 0.5) * np.asarray(self.size, np.float64), None
 
 
 @dataclass(frozen=True, slots=True)
 class MeshSurface:
-    """The surface of a mesh; particles leave along its normals.
+    """Emits from the surface of a mesh, along its normals.
 
     Attributes:
         mesh: Its triangles.
@@ -113,7 +113,7 @@ class MeshSurface:
     mesh: Mesh
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
-        """Return points, uniform by area."""
+        """Return random points, uniform by area, and outward normals."""
         points, corners = self.mesh.weld()
         a, b, c = points[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
@@ -125,10 +125,10 @@ class MeshSurface:
         faces = np.minimum(faces, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
         u, v = uniforms[:, 1], uniforms[:, 2]
-        outside = u + v > 1
+        is_outside = u + v > 1
         u, v = (
-            np.where(outside, 1 - u, u)[:, None],
-            np.where(outside, 1 - v, v)[:, None],
+            np.where(is_outside, 1 - u, u)[:, None],
+            np.where(is_outside, 1 - v, v)[:, None],
         )
         points = a[faces] + u * (b - a)[faces] + v * (c - a)[faces]
         return points, normals[faces] / areas[faces, None]

@@ -1,4 +1,4 @@
-"""Living particles as systems to integrate, and checks for divergence."""
+"""Particles as systems for integrators, and checks for divergence."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
 
 
-class _MovingParticles:
-    """Shared parts of particles under forces and in a velocity field."""
+class _ParticleSystem:
+    """Base of particles moved by forces, or by a velocity field."""
 
     def __init__(
         self,
@@ -38,8 +38,8 @@ class _MovingParticles:
         return self._state
 
 
-class ParticleForces(_MovingParticles, SecondOrder):
-    """Particles moved by forces."""
+class ParticleForces(_ParticleSystem, SecondOrder):
+    """Particles that are moved by forces."""
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
         """Return accelerations ``(N, 3)`` [m/s²]."""
@@ -50,18 +50,18 @@ class ParticleForces(_MovingParticles, SecondOrder):
     ) -> FloatArray:
         """Return the state after collisions."""
         x, v = after
-        collided = collide(
+        collision = collide(
             x, v, before, self._colliders, t - h, t, self.particles.radii
         )
-        self.contacts = collided.contacts
-        if not collided.contacts.any.any():
+        self.contacts = collision.contacts
+        if not collision.contacts.any.any():
             return after
-        return self._exchange_momentum(t, h, after, collided)
+        return self._exchange_momentum(t, h, after, collision)
 
     def _exchange_momentum(
         self, t: float, h: float, without_contacts: FloatArray, collision: Collided
     ) -> FloatArray:
-        """Return the state after momentum exchange with movable bodies."""
+        """Return the state after contacts exchanged momentum with bodies."""
         state, first_body = (
             np.stack([collision.points, collision.velocities]),
             len(self._colliders),
@@ -84,10 +84,12 @@ class ParticleForces(_MovingParticles, SecondOrder):
         """Return the energy of a state; None if a force has no potential."""
         # Energies of resumed states may overflow.
         with np.errstate(over="ignore", invalid="ignore"):
-            sums, known = particle_energies(self.setup, self.particles, state)
-            if not known:
+            energies, has_all_potentials = particle_energies(
+                self.setup, self.particles, state
+            )
+            if not has_all_potentials:
                 return None
-            kinetic, potential = sums.sum(axis=1).tolist()
+            kinetic, potential = energies.sum(axis=1).tolist()
             supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
         return Energy(kinetic, potential, supply)
 
@@ -95,23 +97,25 @@ class ParticleForces(_MovingParticles, SecondOrder):
         """Return the fastest modes of the forces ``(M, 2)``."""
         if not len(self.particles):
             return None
-        # Not as a float: resumed states may hold a mass of 0.
+        # A numpy number: division by a mass of 0 in a resumed state must not raise.
         forces, mass = self.setup.forces, self.particles.masses.min()
         stiffness = sum(force.stiffness() for force in forces) / mass
         damping = (
             sum(force.damping(state[1], self.particles) for force in forces) / mass
         )
-        turning = max((force.turning(self.particles) for force in forces), default=0.0)
-        rows = [(turning, 0.0)] if turning > 0 else []
+        rotation_rate = max(
+            (force.turning(self.particles) for force in forces), default=0.0
+        )
+        modes = [(rotation_rate, 0.0)] if rotation_rate > 0 else []
         if stiffness > 0:
             omega = math.sqrt(stiffness)
-            rows.append((omega, damping / (2 * omega)))
+            modes.append((omega, damping / (2 * omega)))
         elif damping > 0:
-            rows.append((damping, 1.0))
-        return np.array(rows) if rows else None
+            modes.append((damping, 1.0))
+        return np.array(modes) if modes else None
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return the particle with the largest acceleration."""
+        """Return which particle has the largest acceleration."""
         magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
             f"particle {int(self.particles.ids[np.argmax(magnitudes)])} has the "
@@ -119,8 +123,8 @@ class ParticleForces(_MovingParticles, SecondOrder):
         )
 
 
-class ParticleFlow(_MovingParticles, FirstOrder):
-    """Particles moved by a velocity field; the state is their positions."""
+class ParticleFlow(_ParticleSystem, FirstOrder):
+    """Particles that a velocity field moves; the state is their positions."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
         """Return velocities ``(N, 3)`` [m/s]."""
@@ -152,16 +156,20 @@ def particle_system(
 def particle_energies(
     setup: Particles, particles: ParticleState, state: FloatArray
 ) -> tuple[FloatArray, bool]:
-    """Return kinetic and potential energies ``(2, N)`` [J], and whether all are known.
+    """Return kinetic and potential energies ``(2, N)`` [J].
 
-    Forces without a potential are left out.
+    Also returns whether all forces have a potential; others are left out.
     """
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
-    known = [values for values in potentials if values is not None]
-    potential = np.sum(known, axis=0) if known else np.zeros(len(particles))
-    return np.stack([kinetic, potential]), len(known) == len(potentials)
+    known_potentials = [values for values in potentials if values is not None]
+    potential = (
+        np.sum(known_potentials, axis=0)
+        if known_potentials
+        else np.zeros(len(particles))
+    )
+    return np.stack([kinetic, potential]), len(known_potentials) == len(potentials)
 
 
 def force_accelerations(
@@ -171,7 +179,10 @@ def force_accelerations(
     x: FloatArray,
     v: FloatArray,
 ) -> FloatArray:
-    """Return accelerations of all forces ``(N, 3)`` [m/s²]; one time per particle."""
+    """Return the accelerations of all forces ``(N, 3)`` [m/s²].
+
+    The time is one for all particles, or one per particle ``(N,)`` [s].
+    """
     total = np.zeros_like(x)
     for force in setup.forces:
         total += force.force(t, x, v, particles)
@@ -186,15 +197,18 @@ def advance_births(
     t0: float,
     t1: float,
 ) -> FloatArray:
-    """Return particles at the end of the step they are born in.
+    """Return newborn particles at the end of the step in which they are born.
 
     Each starts at its birth time, so that streams have no clumps. Births are always
     integrated by the classical Runge-Kutta method, and do not act on other particles
     before the next step.
 
-    ``born`` ``(2, N, 3)``, ``t0`` [s], ``t1`` [s].
+    ``birth_states`` are positions and velocities at birth ``(2, N, 3)``. The step is
+    from ``t0`` to ``t1`` [s].
     """
-    end_states = _rk4_births(setup, particles, birth_states, t1 - particles.births)
+    end_states = _integrate_births(
+        setup, particles, birth_states, t1 - particles.births
+    )
     if not colliders.active:
         return end_states
     collision = collide(
@@ -210,16 +224,17 @@ def advance_births(
     return np.stack([collision.points, collision.velocities])
 
 
-def _rk4_births(
+def _integrate_births(
     setup: Particles,
     particles: ParticleState,
     birth_states: FloatArray,
-    spans: FloatArray,
+    durations: FloatArray,
 ) -> FloatArray:
-    h = spans[:, None]
+    """Return particles after their first partial step, by a Runge-Kutta step."""
+    h = durations[:, None]
 
     def rate(fraction: float, state: FloatArray) -> FloatArray:
-        times = particles.births + fraction * spans
+        times = particles.births + fraction * durations
         if setup.velocity is not None:
             speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
@@ -235,25 +250,25 @@ def _rk4_births(
 
 
 class DivergenceCheck:
-    """Checks particles for non-finite values, and energy out of bounds.
+    """Detects particles with non-finite states or too much energy.
 
-    The energy of a particle is relative to that when it was first observed, so that
-    births and removals are no gains, and a slow blow-up accumulates over many steps.
+    The energy of a particle is relative to that when it was first observed. Births and
+    removals are thus no gains, and a slow divergence accumulates over many steps.
     Moving colliders may add the kinetic energy of particles at their speed. If a force
-    has no potential, energies are only checked when steps are known to be too long, and
-    not at all with pair forces.
+    has no potential, energies are only checked if steps are too long for it, and never
+    with pair forces.
     """
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
         self._particles = ParticleState.none()
         self._ids: IntArray = np.zeros(0, np.int64)
-        # Kinetic and potential energy of each when first observed.
+        # Kinetic and potential energy of each particle when first observed ``(2, N)``.
         self._first_energies: FloatArray = np.zeros((2, 0))
-        self.too_long = False
+        self.has_long_steps = False
 
-    def watch(self, particles: ParticleState, state: FloatArray) -> None:
-        """Replace the watched particles, in a state ``(2, N, 3)``."""
+    def set_particles(self, particles: ParticleState, state: FloatArray) -> None:
+        """Set the particles to check, in a state ``(2, N, 3)``."""
         if particles is self._particles or self._setup.velocity is not None:
             return
         rows = np.searchsorted(self._ids, particles.ids)
@@ -261,24 +276,24 @@ class DivergenceCheck:
         is_known = np.zeros(len(particles), bool)
         if len(self._ids):
             is_known = self._ids[rows] == particles.ids
-        energies_ = np.zeros((2, len(particles)))
-        energies_[:, is_known] = self._first_energies[:, rows[is_known]]
+        first_energies = np.zeros((2, len(particles)))
+        first_energies[:, is_known] = self._first_energies[:, rows[is_known]]
         is_new = ~is_known
-        energies_[:, is_new] = particle_energies(
+        first_energies[:, is_new] = particle_energies(
             self._setup, particles.select(is_new), state[:, is_new]
         )[0]
         self._particles, self._ids, self._first_energies = (
             particles,
             particles.ids,
-            energies_,
+            first_energies,
         )
 
-    def restart(self, mask: BoolArray, state: FloatArray) -> None:
-        """Reset the reference energies of particles that colliders moved."""
-        if self._setup.velocity is None and mask.any():
-            particles = self._particles.select(mask)
-            self._first_energies[:, mask] = particle_energies(
-                self._setup, particles, state[:, mask]
+    def reset_energies(self, is_moved: BoolArray, state: FloatArray) -> None:
+        """Reset the first energies of particles that colliders moved."""
+        if self._setup.velocity is None and is_moved.any():
+            particles = self._particles.select(is_moved)
+            self._first_energies[:, is_moved] = particle_energies(
+                self._setup, particles, state[:, is_moved]
             )[0]
 
     def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
@@ -287,9 +302,11 @@ class DivergenceCheck:
             return "its state is not finite"
         if self._setup.velocity is not None:
             return ""
-        current_energies, known = particle_energies(self._setup, self._particles, state)
-        pairs = any(force.pairs for force in self._setup.forces)
-        if not known and (pairs or not self.too_long):
+        current_energies, has_all_potentials = particle_energies(
+            self._setup, self._particles, state
+        )
+        has_pair_forces = any(force.pairs for force in self._setup.forces)
+        if not has_all_potentials and (has_pair_forces or not self.has_long_steps):
             return ""
         kinetic, potential = self._first_energies.sum(axis=1).tolist()
         current_kinetic, current_potential = current_energies.sum(axis=1).tolist()

@@ -12,13 +12,14 @@ from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
 _POSITIVE = Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
-# Least mass, as in springs: less overflows divided forces.
+# Smallest mass, as in springs: forces over smaller masses overflow.
 _MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
 _SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
 _FINITE = Range("finite", "SIM021", -math.inf, finite=True)
 
 
 def _bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
+    """Return bursts from rows of a file."""
     return [(t, int(count)) for t, count in rows]
 
 
@@ -69,7 +70,7 @@ class Emission:
 
 @dataclass(frozen=True)
 class Velocity:
-    """Velocity as expressions of x, y, z, t and age."""
+    """A velocity field as expressions of x, y, z, t and age."""
 
     x: str = key("Component along x [m/s].", "-z", "0")
     y: str = key("Component along y [m/s].", "0.2", "0")

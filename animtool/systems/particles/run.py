@@ -15,7 +15,7 @@ from animtool.systems.particles.simulation import ParticleRunState, ParticleSimu
 
 @dataclass(frozen=True, slots=True)
 class ParticleFrame(PointsFrame):
-    """Particles at a time.
+    """Particles at one time.
 
     Attributes:
         ids: ``(N,)``, ascending.
@@ -29,16 +29,16 @@ class ParticleFrame(PointsFrame):
 
     @property
     def ages(self) -> FloatArray:
-        """Time since birth of each ``(N,)`` [s]."""
+        """Time since the birth of each particle ``(N,)`` [s]."""
         return np.asarray(self.primvars["age"], np.float64)
 
 
 class ParticleRun(SimulationRun):
-    """A particle simulation in fixed steps.
+    """A particle simulation in fixed steps, sampled at any time.
 
     Attributes:
         state: State at the end of the last full step.
-        notices: Warnings so far.
+        notices: Warnings collected so far.
 
     Args:
         setup: The particle system.
@@ -62,9 +62,9 @@ class ParticleRun(SimulationRun):
 
     @property
     def contacts(self) -> Contacts | None:
-        """Contacts of the last step; None before the first.
+        """Contacts of the last step; None before it.
 
-        Particles born in it are not included.
+        They do not include particles born in the step.
         """
         return self._particles.contacts
 
@@ -73,7 +73,7 @@ class ParticleRun(SimulationRun):
 
         Raises:
             OptionError: Time runs backwards (SIM002).
-            ToleranceError: They blew up (SIM102), or integration stopped.
+            ToleranceError: The simulation diverged (SIM102), or a method stopped.
         """
         frame = super().at(t)
         assert isinstance(frame, PointsFrame)

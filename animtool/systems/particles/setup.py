@@ -22,7 +22,7 @@ from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.table import FORCES
 from animtool.systems.particles.velocity_field import VelocityField
 
-# Default step [s]: four per frame of film.
+# Default step [s]: four per frame at 24 frames per second.
 DEFAULT_STEP = 1 / 96
 
 
@@ -38,7 +38,7 @@ class KillRegion:
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return a mask of the points ``(N, 3)`` that are inside."""
+        """Return which points ``(N, 3)`` are in the region at a time [s]."""
         distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 
@@ -49,10 +49,10 @@ class Particles:
 
     Attributes:
         emitters: Sources of particles.
-        forces: Forces on them.
-        velocity: A field that advects them in place of forces.
+        forces: Forces on the particles.
+        velocity: Velocity field that moves particles, instead of forces.
         colliders: Colliders.
-        kills: Regions that remove them.
+        kills: Regions that remove particles.
         options: Method, and step [s]: all steps have this length, independent of the
             requested times.
         max_particles: Largest number of living particles; further births are skipped.
@@ -81,11 +81,12 @@ class Particles:
             OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to
                 SIM024); lists all faults.
         """
-        faults = self._options() + self._parts()
+        faults = self._option_faults() + self._parts()
         if faults:
             raise OptionError(faults)
 
-    def _options(self) -> list[Fault]:
+    def _option_faults(self) -> list[Fault]:
+        """Return faults of options and of their combination."""
         faults: list[Fault] = []
         try:
             check_options(self.options)
@@ -106,6 +107,7 @@ class Particles:
         return faults
 
     def _parts(self) -> list[Fault]:
+        """Return faults of emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
             faults += [
@@ -126,7 +128,7 @@ class Particles:
 def _record_faults(
     key: str, records: Sequence[Emitter | Collider | Sheet]
 ) -> list[Fault]:
-    """Return faults of records, each with its name or number."""
+    """Return the faults of records, located by name or number."""
     labels = [
         (record, record.name or f"{key}[{i}]") for i, record in enumerate(records)
     ]
@@ -134,6 +136,6 @@ def _record_faults(
 
 
 def _table_name(force: Force) -> str:
-    """Return the table name of a force, or its class name."""
+    """Return the name of a force in `FORCES`, or that of its class."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

@@ -1,4 +1,4 @@
-"""Particle simulation: births, motion, collisions and removal."""
+"""Simulation of particles: births, motion, collisions and removal."""
 
 from __future__ import annotations
 
@@ -51,22 +51,22 @@ if TYPE_CHECKING:
     from animtool.systems.framework.simulation import SimContext
     from animtool.systems.particles.spec import ParticlesModel
 
-# Frequency growth below this does not change the stable step [1].
+# Relative change of frequencies below which the stable step is not checked again [1].
 MODE_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True, slots=True)
 class ParticleRunState:
-    """The state at the end of a step."""
+    """State of a particle simulation at the end of a step."""
 
     particles: ParticleState = field(metadata=growing())  # living particles
     # Positions, then velocities ``(2, N, 3)``.
     state: FloatArray = field(metadata=growing(1))
-    born: int = 0  # number born so far
-    missed: int = 0  # number without room so far
-    # The method's memory, valid as long as the same particles live.
+    born: int = 0  # number of births so far, with skipped ones
+    missed: int = 0  # number of skipped births so far
+    # Memory of the integrator, valid for the same particles.
     memory: object = field(default=None, metadata=later(PreviousStep))
-    # The next trial step [s].
+    # Next trial step of an adaptive integrator [s].
     trial: float | None = field(default=None, metadata=later())
 
 
@@ -74,7 +74,7 @@ _NO_PARTICLES = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
-    """Return the simulation of a spec.
+    """Build the simulation of a spec.
 
     Raises:
         OptionError: As of `ParticleSimulation`.
@@ -90,7 +90,7 @@ def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
 
 
 class ParticleSimulation:
-    """Simulation of particles by one integrator.
+    """Simulates particles with one integrator.
 
     Raises:
         OptionError: The setup is invalid (SIM001, SIM004 to SIM006, SIM020 to SIM024).
@@ -105,19 +105,19 @@ class ParticleSimulation:
         self._kill_regions = [Colliders([kill.region.volume()]) for kill in setup.kills]
         self._integrator = check_options(setup.options)
         check_supported(Equations(self._system(_NO_PARTICLES)), self._integrator)
-        self._watch = DivergenceCheck(setup, self.colliders)
+        self._divergence_check = DivergenceCheck(setup, self.colliders)
         self._fastest_modes: FloatArray | None = None
-        self._too_long: list[Fault] = []
+        self._step_warnings: list[Fault] = []
         self._notices: list[Fault] = self.colliders.notices()
 
     def initial(self) -> ParticleRunState:
         """Return the particles born at the start."""
-        return self._start
+        return self._initial_state
 
     @cached_property
-    def _start(self) -> ParticleRunState:
+    def _initial_state(self) -> ParticleRunState:
         begin = self.begin
-        return self._with_births(_NO_PARTICLES, None, begin, begin, self._notices)
+        return self._add_births(_NO_PARTICLES, None, begin, begin, self._notices)
 
     def step(
         self, state: ParticleRunState, t: float, dt: float
@@ -129,9 +129,9 @@ class ParticleSimulation:
         particles, end, notices = state.particles, t + dt, list[Fault]()
         wrenches: Sequence[Wrenches] = ()
         if len(particles):
-            state, wrenches = self._advanced(state, t, end, notices)
-        state = self._with_births(state, t, t, end, notices)
-        state = self._without_removed(state, end)
+            state, wrenches = self._advance(state, t, end, notices)
+        state = self._add_births(state, t, t, end, notices)
+        state = self._remove_particles(state, end)
         if state.particles is particles:
             return Stepped(state, wrenches, notices)
         if not np.isfinite(state.state).all():
@@ -140,46 +140,51 @@ class ParticleSimulation:
         return Stepped(replace(state, memory=None, trial=None), wrenches, notices)
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
+        """Return the particles of a state as a system for integrators."""
         setup, colliders = self.setup, self.colliders
         return particle_system(setup, colliders, state.particles, state.state)
 
-    def _advanced(
+    def _advance(
         self, state: ParticleRunState, start: float, until: float, notices: list[Fault]
     ) -> tuple[ParticleRunState, Sequence[Wrenches]]:
         """Return particles after a step [s], and impulses on bodies."""
         system, options = self._system(state), self.setup.options
         start_state = system.state
         with np.errstate(all="ignore"):
-            self._watch.watch(state.particles, state.state)
+            self._divergence_check.set_particles(state.particles, state.state)
             self._check_step_length(system, start, until)
-            notices += self._too_long
-            run = IntegrationRun(
+            notices += self._step_warnings
+            integration = IntegrationRun(
                 self._integrator,
                 Equations(system),
                 options,
-                self._watch,
+                self._divergence_check,
                 until,
                 start,
                 start_state,
                 state.memory,
                 state.trial,
             )
-            status = advance_run(run, until)
-            self._steps_taken += run.steps
+            status = advance_run(integration, until)
+            self._steps_taken += integration.steps
             if status is not Status.OK:
-                self._stop(run, status, [(start, start_state), (run.time, run.state)])
-        end_state = run.state
+                self._stop(
+                    integration,
+                    status,
+                    [(start, start_state), (integration.time, integration.state)],
+                )
+        end_state = integration.state
         if isinstance(system, ParticleFlow):
             end_state = np.stack([end_state, system.rate(until, end_state)])
         self.contacts = contacts = system.contacts
         if contacts is not None:
             # The speed of deforming colliders is unknown.
-            by_deforming = contacts.colliders >= len(self.colliders)
-            self._watch.restart(
-                by_deforming | (contacts.touches == Touch.UNRESOLVED), end_state
+            is_on_sheet = contacts.colliders >= len(self.colliders)
+            self._divergence_check.reset_energies(
+                is_on_sheet | (contacts.touches == Touch.UNRESOLVED), end_state
             )
             notices += self._stuck_notices(state.particles, contacts, until)
-        checkpoint = checkpoint_of(run, status, until, run.state)
+        checkpoint = checkpoint_of(integration, status, until, integration.state)
         state = replace(
             state, state=end_state, memory=checkpoint.memory, trial=checkpoint.trial
         )
@@ -188,8 +193,8 @@ class ParticleSimulation:
     def _check_step_length(
         self, system: ParticleForces | ParticleFlow, start: float, until: float
     ) -> None:
-        """Warn once if steps are too long for the fastest motion."""
-        modes = None if self._too_long else system.frequencies(start, system.state)
+        """Check whether steps are too long for the fastest motion; warn once."""
+        modes = None if self._step_warnings else system.frequencies(start, system.state)
         if modes is None:
             return
         previous = self._fastest_modes
@@ -199,33 +204,34 @@ class ParticleSimulation:
         if not has_changed.any():
             return
         self._fastest_modes = modes
-        self._too_long = step_warnings(
+        self._step_warnings = step_warnings(
             Equations(system),
             self._integrator,
             self.setup.options,
             np.array([start, until]),
             system.state,
         )
-        self._watch.too_long = bool(self._too_long)
+        self._divergence_check.has_long_steps = bool(self._step_warnings)
 
     def _stop(
         self,
-        run: IntegrationRun,
+        integration: IntegrationRun,
         status: Status,
         samples: list[tuple[float, FloatArray]],
     ) -> None:
         # Forces that are not finite at the start are a fault, not a divergence.
-        check_start(run.equations, *samples[0])
-        stats = stats_of(run, status, samples)
+        """Raise a `StoppedError` with the reason that integration stopped."""
+        check_start(integration.equations, *samples[0])
+        stats = stats_of(integration, status, samples)
         warnings = [
-            *self._too_long,
+            *self._step_warnings,
             stop_warning(self._integrator, self.setup.options, stats),
         ]
         raise StoppedError(
             [replace(fault, severity=Severity.ERROR) for fault in warnings], stats
         )
 
-    def _with_births(
+    def _add_births(
         self,
         state: ParticleRunState,
         start_time: float | None,
@@ -233,14 +239,14 @@ class ParticleSimulation:
         end_time: float,
         notices: list[Fault],
     ) -> ParticleRunState:
-        """Return a state with the births of a step, at its end."""
+        """Return a state with the births of a step, at the end of the step."""
         capacity = max(self.setup.max_particles - len(state.particles), 0)
-        particles, birth_states, skipped_count = self._births(
+        particles, birth_states, skipped_count = self._sample_births(
             start_time, end_time, state.born, capacity
         )
-        total = len(particles) + skipped_count
-        skipped_here = max(total - capacity, 0)
-        if skipped_here and not state.missed:
+        birth_count = len(particles) + skipped_count
+        new_skipped_count = max(birth_count - capacity, 0)
+        if new_skipped_count and not state.missed:
             limit = self.setup.max_particles
             message = (
                 f"from {end_time:g} s on, the limit of {limit} particles leaves room "
@@ -251,7 +257,9 @@ class ParticleSimulation:
                 warning("SIM121", f"{message}no more", hint, self.setup.name)
             )
         state = replace(
-            state, born=state.born + total, missed=state.missed + skipped_here
+            state,
+            born=state.born + birth_count,
+            missed=state.missed + new_skipped_count,
         )
         indices = np.arange(len(particles))[:capacity]
         particles, birth_states = particles.select(indices), birth_states[:, indices]
@@ -271,10 +279,10 @@ class ParticleSimulation:
             state=np.concatenate([state.state, birth_states], axis=1),
         )
 
-    def _births(
-        self, start_time: float | None, end_time: float, first: int, capacity: int
+    def _sample_births(
+        self, start_time: float | None, end_time: float, first_id: int, capacity: int
     ) -> tuple[ParticleState, FloatArray, int]:
-        """Return births in order of time, with ids.
+        """Return the births of a time interval in order, with ids.
 
         Each emitter has at most ``capacity`` births; also returns the number of births
         that were skipped.
@@ -282,7 +290,7 @@ class ParticleSimulation:
         particle_sets, states, skipped_count = [], [], 0
         for emitter in self.setup.emitters:
             births = emitter.births(self.begin, start_time, end_time, capacity)
-            skipped_count += births.missed
+            skipped_count += births.skipped_count
             if not len(births.times):
                 continue
             x, v, lifetimes, radii = emitter.sample_births(births)
@@ -305,18 +313,18 @@ class ParticleSimulation:
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
         particles, state = particles.select(order), state[:, order]
-        ids = first + np.arange(len(particles), dtype=np.int64)
+        ids = first_id + np.arange(len(particles), dtype=np.int64)
         return replace(particles, ids=ids), state, skipped_count
 
     def _stuck_notices(
         self, particles: ParticleState, contacts: Contacts, t: float
     ) -> Iterator[Fault]:
-        """Yield a warning about particles stuck in colliders (SIM123)."""
-        (stuck,) = np.nonzero(contacts.touches == Touch.UNRESOLVED)
-        if not len(stuck):
+        """Yield a warning about particles that stay inside colliders (SIM123)."""
+        (stuck_rows,) = np.nonzero(contacts.touches == Touch.UNRESOLVED)
+        if not len(stuck_rows):
             return
-        label = f"particle {int(particles.ids[stuck[0]])}"
-        index, colliders = int(contacts.colliders[stuck[0]]), self.setup.colliders
+        label = f"particle {int(particles.ids[stuck_rows[0]])}"
+        index, colliders = int(contacts.colliders[stuck_rows[0]]), self.setup.colliders
         name = [
             *(
                 collider.name or f"colliders[{i}]"
@@ -336,7 +344,8 @@ class ParticleSimulation:
         hint = "particles start inside, or colliders close in on them from several "
         yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
 
-    def _without_removed(self, state: ParticleRunState, t: float) -> ParticleRunState:
+    def _remove_particles(self, state: ParticleRunState, t: float) -> ParticleRunState:
+        """Return a state without particles that died or are in kill regions."""
         is_alive: BoolArray = state.particles.deaths > t
         for region in self._kill_regions:
             is_alive = is_alive & (region.sample(state.state[0], t).distances[0] >= 0)
@@ -349,26 +358,27 @@ class ParticleSimulation:
         )
 
     def frame(self, state: ParticleRunState, t: float) -> PointsFrame:
-        """Return the particles of a state at its time [s]."""
+        """Return the particles of a state as points."""
         particles, (points, velocities) = state.particles, state.state
         ages = {"age": t - particles.births}
         return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
-        """Return energy, if conserved, and warnings."""
+        """Return the energy if it is conserved, and warnings."""
         hint = "set a rate or bursts, and a start and a lifetime with which "
         hint += "particles exist in the range"
         message = "there are no particles in any frame"
-        nobody = warning("SIM188", message, hint)
+        empty_warning = warning("SIM188", message, hint)
         return Diagnostics(
             self._energy(state, t),
             notices=self._notices,
-            if_empty=[nobody],
+            if_empty=[empty_warning],
             steps=self._steps_taken,
             stable_step=lambda: self._stable_step(state),
         )
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
+        """Return the energy of a state; None if it is not conserved."""
         system, forces = self._system(state), self.setup.forces
         if isinstance(system, ParticleFlow) or self.colliders.active:
             return None

@@ -1,4 +1,4 @@
-"""Keys of particles in scene files, and the records built from them."""
+"""Scene keys of particles, and the records built from them."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ class ParticlesModel(ForcedSpec):
 
     @property
     def title(self) -> str:
-        """Its title, for messages."""
+        """Title for messages."""
         return "particles"
 
     @property
@@ -93,7 +93,7 @@ class ParticlesModel(ForcedSpec):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of entries by kind."""
+        """Numbers of emitters and forces, and the limit of particles."""
         return {
             "emitters": len(self.emitters),
             "forces": len(self.forces),
@@ -101,7 +101,7 @@ class ParticlesModel(ForcedSpec):
         }
 
     def setup(self, parts: Mapping[str, Any]) -> Particles:
-        """Return the particle setup, without colliders."""
+        """Return the particle system, without colliders."""
         from animtool.sim.options import IntegrateOptions
         from animtool.systems.particles.setup import KillRegion, Particles
 
@@ -116,9 +116,11 @@ class ParticlesModel(ForcedSpec):
         )
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return invalid combinations of keys (SIM001, SIM004, SIM005, SIM024)."""
+        """Return faults of keys, also combined (SIM001, SIM004, SIM005, SIM024)."""
         try:
             self.setup(parts).check()
         except OptionError as error:
-            return [replace(one, where=one.where or "method") for one in error.faults]
+            return [
+                replace(fault, where=fault.where or "method") for fault in error.faults
+            ]
         return ()

@@ -1,4 +1,4 @@
-"""Particle attributes other than positions and velocities."""
+"""Particle attributes besides positions and velocities."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ class ParticleState(Rows):
 
     Attributes:
         ids: Unique ids, never reused ``(N,)``.
-        masses: ``(N,)`` [kg].
-        charges: ``(N,)`` [C].
-        radii: ``(N,)`` [m].
+        masses: Masses ``(N,)`` [kg].
+        charges: Electric charges ``(N,)`` [C].
+        radii: Radii ``(N,)`` [m].
         births: Birth times ``(N,)`` [s].
         deaths: Times of death ``(N,)`` [s]; infinity for never.
         origins: Birth positions ``(N, 3)`` [m].
@@ -43,7 +43,7 @@ class ParticleState(Rows):
         births: FloatArray | float,
         origins: FloatArray,
     ) -> ParticleState:
-        """Return uncharged, immortal particles from per-particle values."""
+        """Return uncharged particles that live forever."""
         arrays = [masses, 0.0, radii, births, np.inf]
         mass, charge, radius, birth, death = (
             np.array(np.broadcast_to(value, len(ids)), np.float64) for value in arrays
@@ -52,6 +52,6 @@ class ParticleState(Rows):
 
     @staticmethod
     def none() -> ParticleState:
-        """Return no particles."""
+        """Return a record without particles."""
         no_ids = np.zeros(0, np.int64)
         return ParticleState.lasting(no_ids, 0.0, 0.0, 0.0, np.zeros((0, 3)))

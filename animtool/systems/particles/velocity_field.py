@@ -14,13 +14,14 @@ from animtool.rig.expressions import Expression, parse_expression
 from animtool.systems.particles.records import Velocity
 from animtool.systems.particles.state import ParticleState
 
-# Variables of field expressions: position [m], velocity [m/s], time and age [s].
+# Variables of field expressions: position [m], velocity [m/s], time and age [s], mass
+# [kg] and charge [C].
 VARIABLES = ("x", "y", "z", "vx", "vy", "vz", "t", "age", "mass", "charge")
 _VELOCITY_VARIABLES = ("x", "y", "z", "t", "age")
 
 
 class Expressions:
-    """Three expressions, one per axis."""
+    """Base of records with three expressions, one per axis."""
 
     x: str
     y: str
@@ -28,14 +29,14 @@ class Expressions:
 
     @cached_property
     def expressions(self) -> tuple[Expression, ...]:
-        """The parsed expressions."""
+        """The parsed expressions of x, y and z."""
         return tuple(parse_expression(text) for text in (self.x, self.y, self.z))
 
 
 @inherits_docs
 @dataclass(frozen=True)
 class VelocityField(Velocity, Expressions, Checked):
-    """Velocities as expressions of x, y, z [m], t and age [s]."""
+    """A velocity field as expressions of x, y, z [m], t and age [s]."""
 
     code: ClassVar[str] = "SIM022"
 
@@ -46,9 +47,9 @@ class VelocityField(Velocity, Expressions, Checked):
         return evaluate_expressions(self.expressions, t, x, np.zeros_like(x), particles)
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid expressions, each with a message."""
+        """Return invalid expressions by axis, each with a message."""
         faults = expression_faults(self, _VELOCITY_VARIABLES)
-        return [(axis, f"its {axis} {why}") for axis, why in faults]
+        return [(axis, f"its {axis} {reason}") for axis, reason in faults]
 
 
 def evaluate_expressions(
@@ -58,9 +59,9 @@ def evaluate_expressions(
     v: FloatArray,
     particles: ParticleState,
 ) -> FloatArray:
-    """Return three expressions evaluated at particles ``(N, 3)``."""
+    """Return the values of three expressions at particles ``(N, 3)``."""
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
-    columns = [
+    variable_values = [
         *x.T,
         *v.T,
         times,
@@ -68,7 +69,7 @@ def evaluate_expressions(
         particles.masses,
         particles.charges,
     ]
-    values = dict(zip(VARIABLES, columns, strict=True))
+    values = dict(zip(VARIABLES, variable_values, strict=True))
     components = [
         np.broadcast_to(expression.evaluate(values), len(x))
         for expression in expressions
@@ -77,7 +78,7 @@ def evaluate_expressions(
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return the invalid ones of the expressions x, y, z, each with a reason."""
+    """Return which of the expressions x, y, z are invalid, each with a reason."""
     from animtool.core.names import nearest
 
     faults = []

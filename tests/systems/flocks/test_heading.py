@@ -17,10 +17,10 @@ from animtool.systems.flocks.flock import (
     FlockForces,
     FlockState,
     MemberHeadings,
+    advance_headings,
     build,
-    first_heading,
+    initial_headings,
     mesh_indices,
-    next_heading,
     wrap_motion,
 )
 from animtool.systems.flocks.members import (
@@ -32,9 +32,9 @@ from animtool.systems.flocks.members import (
 )
 from animtool.systems.flocks.rules import (
     FlockRule,
+    build_rules,
     max_pairs,
     rule_accelerations,
-    rules_of,
 )
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
@@ -66,7 +66,7 @@ def test_who_begins_looks_along_its_way_and_upright() -> None:
     """Straight up it keeps its side, and who stands is as it was."""
     own = members(np.zeros((4, 3)), species(seed=3), species(seed=8))
     v = np.array([[3.0, 0, 4], [0, 5, 0], [0, 0, 0], [0, -1e-8, 0]])
-    found = first_heading(own, v)
+    found = initial_headings(own, v)
     ahead = so3.rotate(found.rotations, np.array([0.0, 0, 1]))
     assert_allclose(ahead, [[0.6, 0, 0.8], [0, 1, 0], [0, 0, 1], [0, -1, 0]], atol=1e-9)
     side = so3.rotate(found.rotations, ACROSS)
@@ -88,7 +88,7 @@ def test_who_turns_leans_to_what_carries_it_as_quickly_as_said(banking: float) -
     v0 = np.array([[0.0, 0, 10]])
     v1 = 14 * np.array([[np.sin(0.1), 0, np.cos(0.1)]])
     begin = MemberHeadings(so3.IDENTITY[None], np.zeros((1, 3)), np.array([0.25]))
-    found = next_heading(own, begin, v0, v1, 0.05)
+    found = advance_headings(own, begin, v0, v1, 0.05)
     ahead = v1[0] / 14
     gained = banking * (v1 - v0)[0] / 0.05 + [0, 9.81, 0]
     lift = gained - (gained @ ahead) * ahead
@@ -255,14 +255,14 @@ def test_who_is_seen_farthest_and_how_fast_one_may_be() -> None:
 def test_rules_without_an_effect_are_left_out() -> None:
     rows = np.arange(12.0).reshape(4, 3)
     none = {k: {"weight": 0} for k in ("attraction", "alignment", "repulsion")}
-    assert rules_of(members(rows, species(**none))) == []
+    assert build_rules(members(rows, species(**none))) == []
     for one in none:
         kept = species(**{**none, one: {"weight": 2.0}})
-        (rule,) = rules_of(members(rows, kept))
+        (rule,) = build_rules(members(rows, kept))
         assert rule.members is rule.others is None
     whole = {"vision": {"radius": 3, "angle": 360}}
     friends = [species(**whole, joins=["b"]), species(name="b", joins=[])]
-    one, other = rules_of(members(rows, *friends))
+    one, other = build_rules(members(rows, *friends))
     assert one.members is not None
     assert (one.members.tolist(), one.others, one.cosine) == ([0, 1], None, -1.0)
     assert (one.nearest, one.radius) == (friends[0].vision.nearest or 0, 3)
@@ -270,7 +270,7 @@ def test_rules_without_an_effect_are_left_out() -> None:
     assert other.others.tolist() == [2, 3]
     # Nobody is there to heed.
     empty = Members(friends, [4, 4], [{}] * 2, 0.0, rows, rows)
-    (first,) = rules_of(empty)
+    (first,) = build_rules(empty)
     assert first.members is not None
     assert first.members.tolist() == [0, 1, 2, 3]
 
@@ -416,7 +416,7 @@ def test_who_is_limited_changes_nothing_that_was_given() -> None:
 def test_who_sees_a_narrow_part_sees_no_more() -> None:
     rows = np.arange(6.0).reshape(2, 3)
     for angle, cosine in ((36.0, 0.9510565), (180.0, 0.0), (360.0, -1.0)):
-        (rule,) = rules_of(members(rows, species(vision={"angle": angle})))
+        (rule,) = build_rules(members(rows, species(vision={"angle": angle})))
         assert rule.cosine == pytest.approx(cosine, abs=1e-6)
 
 

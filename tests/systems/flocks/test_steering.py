@@ -12,11 +12,11 @@ from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import periodic_box, rules_of
+from animtool.systems.flocks.rules import build_rules, periodic_box
 from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import (
-    avoidance,
+    avoidance_accelerations,
     clamp_speeds,
     goal_accelerations,
     limit_steering,
@@ -105,7 +105,7 @@ def test_a_wall_stops_who_comes_within_the_room_that_is_left(
     own = members({"radius": 0.1, "avoidance": {"distance": 3, "weight": 10}})
     floor = Colliders([Collider(Plane(), Poses.fixed())])
     x, v = np.array([[0.0, height, 0.0]]), np.array([[1.0, speed, 0.0]])
-    found = avoidance(own, floor, 0.0, x, v)
+    found = avoidance_accelerations(own, floor, 0.0, x, v)
     assert_allclose(found, [[0, away, 0]], atol=1e-9)
 
 
@@ -115,9 +115,9 @@ def test_a_wall_that_comes_is_avoided_as_one_that_is_flown_at() -> None:
     ball = Collider(Sphere(1.0), Poses([0.0, 1.0], ends, [[0, 0, 0, 1]] * 2))
     x, still, down = np.array([[0.0, 1.0, 0.0]]), np.zeros((1, 3)), np.zeros((1, 3))
     down[0, 1] = -4.0
-    comes = avoidance(own, Colliders([ball]), 0.25, x, still)
+    comes = avoidance_accelerations(own, Colliders([ball]), 0.25, x, still)
     held = Collider(Sphere(1.0), Poses([0.0], [[0.0, -1.0, 0.0]], [[0, 0, 0, 1]]))
-    flown = avoidance(own, Colliders([held]), 0.25, x, down)
+    flown = avoidance_accelerations(own, Colliders([held]), 0.25, x, down)
     assert_allclose(comes, flown, rtol=1e-9)
     # Braked by the square of 4 m/s over twice the gap of .9 m, and pushed by .7 of 10.
     assert comes[0, 1] == pytest.approx(0.7 * (7.0 + 16.0 / 1.8), rel=1e-9)
@@ -132,7 +132,7 @@ def test_walls_push_each_by_itself_whoever_is_far_from_the_first() -> None:
         Collider(Sphere(1.0), Poses.fixed((0.0, 51.6, 0.0))),
         Collider(Sphere(1.0), Poses.fixed((11.6, 50.0, 0.0))),
     ]
-    found = avoidance(own, Colliders(walls), 0.0, x, np.zeros((2, 3)))
+    found = avoidance_accelerations(own, Colliders(walls), 0.0, x, np.zeros((2, 3)))
     away = [10 * (1 - gap / 3) ** 2 for gap in (0.5, 1.5)]
     assert_allclose(found, [[0, -away[0], 0], [-away[1], 0, 0]], atol=1e-9)
 
@@ -143,7 +143,7 @@ def test_a_wall_is_avoided_from_a_metre_and_a_half_on() -> None:
     own = members({"radius": 0.1})
     for gap, push in ((1.51, 0.0), (0.75, 2.5), (0.3, 6.4), (0.0, 10.0)):
         x = np.array([[0.0, gap + 0.1, 0.0]])
-        found = avoidance(own, floor, 0.0, x, np.zeros((1, 3)))
+        found = avoidance_accelerations(own, floor, 0.0, x, np.zeros((1, 3)))
         assert_allclose(found, [[0, push, 0]], atol=1e-9)
 
 
@@ -245,7 +245,7 @@ def test_rules_are_of_half_the_angle_and_no_farther_than_they_see() -> None:
     vision = {"radius": 2, "angle": 200, "nearest": 7}
     keys = {"attraction": {"weight": 1, "radius": 5}, "alignment": {"weight": 2}}
     repulsion = {"weight": 3, "radius": 0.5, "softening": 0.2}
-    (rule,) = rules_of(members({"vision": vision, **keys, "repulsion": repulsion}))
+    (rule,) = build_rules(members({"vision": vision, **keys, "repulsion": repulsion}))
     assert rule.cosine == pytest.approx(-np.sin(np.radians(10)))
     assert (rule.radius, rule.nearest, rule.softening) == (2, 7, 0.2)
     assert rule.attraction == (1, 2)
@@ -258,7 +258,7 @@ def test_who_flees_and_who_chases_heeds_the_other_species_alone() -> None:
     flees = [{"species": "s1", "weight": 40, "radius": 6}]
     chases = [{"species": "s0", "weight": 3, "radius": 20}]
     own = members({**none, "flees": flees}, {**none, "chases": chases}, count=2)
-    away, after = rules_of(own)
+    away, after = build_rules(own)
     assert away.members is not None
     assert away.others is not None
     assert (away.members.tolist(), away.others.tolist()) == ([0, 1], [2, 3])

@@ -25,9 +25,9 @@ from animtool.systems.fluid.filling import (
     _check_distinct,
     _check_outside,
     _lattice_points,
-    coarse_drops,
-    has_room,
+    coarse_drop_warnings,
     initial_fluid,
+    is_clear,
 )
 from animtool.systems.fluid.spec import FluidModel
 
@@ -148,7 +148,7 @@ def test_drops_of_less_than_five_spacings_are_told(
     fills = [{"points": "x"} for _ in shapes]
     own = spec(**{"tension": 0.07, "fills": fills, **keys})
     parts = [{} if shape is None else {"shape": shape} for shape in shapes]
-    found = list(coarse_drops(own, parts))
+    found = list(coarse_drop_warnings(own, parts))
     assert len(found) == len(said)
     for fault, text in zip(found, said, strict=True):
         assert fault.code == "SIM175"
@@ -198,7 +198,7 @@ def test_layers_come_one_after_the_other(
 ) -> None:
     found = nozzle(**keys).inflow(*span, np.zeros(3), room)
     assert_allclose(found.births, births, atol=1e-12)
-    assert found.missed == missed
+    assert found.skipped_count == missed
     assert found.state.shape == (2, len(births), 3)
 
 
@@ -222,10 +222,10 @@ def test_who_has_room_is_six_tenths_of_a_spacing_from_others_and_in_no_wall() ->
     x = np.array(
         [[0.061, 0, 0], [0.059, 0, 0], [0, 0, -0.059], [1, 0.02, 0], [1, 1, 1]]
     )
-    found = has_room(x, others, NONE, 0.0, 0.1)
+    found = is_clear(x, others, NONE, 0.0, 0.1)
     assert found.tolist() == [True, False, False, True, True]
     floor = Colliders([Collider(Plane(), Poses.fixed((0, 0.02, 0)))])
-    found = has_room(x, others[1:], floor, 0.0, 0.1)
+    found = is_clear(x, others[1:], floor, 0.0, 0.1)
     assert found.tolist() == [False, False, False, True, True]
-    assert has_room(x, others[:0], NONE, 0.0, 0.1).all()
-    assert len(has_room(x[:0], others, floor, 0.0, 0.1)) == 0
+    assert is_clear(x, others[:0], NONE, 0.0, 0.1).all()
+    assert len(is_clear(x[:0], others, floor, 0.0, 0.1)) == 0

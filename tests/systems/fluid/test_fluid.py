@@ -21,8 +21,8 @@ from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.fluid.filling import (
     JET_DROP_RATIO,
     Nozzle,
-    _points_of_file,
-    coarse_drops,
+    _read_points,
+    coarse_drop_warnings,
 )
 from animtool.systems.fluid.fluid import Fluid, PressureResult
 from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
@@ -495,12 +495,12 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
             "fills": [{"shape": {"sphere": {"radius": radius}}}],
         }
     )
-    found = list(coarse_drops(spec, [{"shape": Sphere(radius)}]))
+    found = list(coarse_drop_warnings(spec, [{"shape": Sphere(radius)}]))
     assert [fault.code for fault in found] == codes
     for fault in found:
         finer = float(str(fault.hint).removeprefix("spacing: "))
         finely = spec.model_copy(update={"spacing": finer})
-        assert not list(coarse_drops(finely, [{"shape": Sphere(radius)}]))
+        assert not list(coarse_drop_warnings(finely, [{"shape": Sphere(radius)}]))
 
 
 @pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])
@@ -512,7 +512,7 @@ def test_drops_of_a_jet_are_wider_than_it(radius: float, codes: list[str]) -> No
     spec = FluidModel.model_validate(
         {"name": "it", "spacing": 0.1, "tension": WATER, "emitters": [tap]}
     )
-    found = list(coarse_drops(spec, []))
+    found = list(coarse_drop_warnings(spec, []))
     assert [fault.code for fault in found] == codes
     for fault in found:
         assert fault.message.startswith("a drop of nozzle 0")
@@ -531,7 +531,7 @@ def test_a_nozzle_that_is_narrower_than_the_spacing_brings_one_by_one() -> None:
         )
         nozzle = Nozzle(spec, tap, Poses.fixed(), 0.0)
         found = nozzle.inflow(0.0, 0.05, np.zeros(3), 1000)
-        assert found.missed == 0
+        assert found.skipped_count == 0
         assert_allclose(found.state[0, :, 0], expected, atol=1e-12)
         assert_allclose(found.state[0, :, 2], 0, atol=1e-12)
 
@@ -543,9 +543,9 @@ def test_points_of_a_file_that_are_no_numbers_are_named_by_their_row() -> None:
         {"name": "it", "spacing": 0.1, "fills": [{"points": "a.npz"}]}
     ).fills
     with pytest.raises(AnimtoolError, match="points of pool: row 2 is not") as error:
-        _points_of_file(fill, {"points": points}, "pool")
+        _read_points(fill, {"points": points}, "pool")
     assert error.value.faults[0].code == "SIM064"
-    found = _points_of_file(fill, {"points": points[:2]}, "pool")
+    found = _read_points(fill, {"points": points[:2]}, "pool")
     assert_array_equal(found, np.stack([points[:2], 0 * points[:2]]))
 
 
@@ -617,7 +617,7 @@ def test_parts_are_doubled_beyond_the_density_that_is_allowed(
     monkeypatch.setattr(own, "_run_kernel", steps)
     notices: list[Fault] = []
     still = np.zeros_like(state.motion[0])
-    after, _ = own._after_pressure(state, 0.0, 0.01, still, notices)
+    after, _ = own._solve_pressure(state, 0.0, 0.01, still, notices)
     assert len(asked) == len(found)
     sound, parts = asked[0]
     assert asked == [(sound * 2**k, parts * 2**k) for k in range(len(found))]

@@ -16,7 +16,7 @@ from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.fluid.fluid import Fluid, FluidState, PressureResult, build
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
-from animtool.systems.fluid.surface import density_field, surface_of
+from animtool.systems.fluid.surface import build_surface, density_field
 from animtool.systems.framework.simulation import StoppedError
 from animtool.systems.particles import find_force
 
@@ -94,7 +94,7 @@ def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
     # Of the kinetic energy, which is more than there was before.
     for gain, gains in ((0.051, True), (0.049, False)):
         before = kinetic - gain * (kinetic + spring)
-        assert own._gains_energy(replace(state, energy=before)) is (gains and closed)
+        assert own._has_energy_gain(replace(state, energy=before)) is (gains and closed)
     if closed and not keys:
         high = fluid(v=0 * V, forces=[DOWN])
         begin = replace(high.initial(), sound=2.0)
@@ -102,7 +102,7 @@ def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
         for lack, gains in ((0.06, True), (0.02, False)):
             # It hangs: of nothing but pressure.
             low = replace(begin, energy=total - lack * spring)
-            assert high._gains_energy(low) is gains
+            assert high._has_energy_gain(low) is gains
         assert high.diagnostics(begin, 0.0).energy is not None
     energy = own.diagnostics(state, 0.0).energy
     assert (energy is not None) is closed
@@ -116,11 +116,11 @@ def test_a_step_that_gains_energy_is_said_to_be_too_long(
     def stop(*given: Any) -> None:
         told.append(given[1:5])
 
-    monkeypatch.setattr(own, "_stop_too_long", stop)
+    monkeypatch.setattr(own, "_stop_for_long_step", stop)
     state = replace(own.initial(), energy=7.0)
     for gains in (False, True):
-        monkeypatch.setattr(own, "_gains_energy", lambda _, gains=gains: gains)
-        own._after_pressure(state, 1.0, 0.001, np.zeros((3, 3)))
+        monkeypatch.setattr(own, "_has_energy_gain", lambda _, gains=gains: gains)
+        own._solve_pressure(state, 1.0, 0.001, np.zeros((3, 3)))
         assert len(told) == gains
     t, dt, message, shorter = told[0]
     assert (t, dt, shorter) == (1.0, 0.001, 1.0)
@@ -132,14 +132,14 @@ def test_what_drains_take_away_took_its_energy() -> None:
     floor = Collider(Plane(), Poses.fixed((0, 1.5, 0)))
     own = fluid(forces=[DOWN], drains=[floor, Collider(Sphere(1.0, (0, 5, 7)))])
     state = replace(own.initial(), pressures=np.array([5.0, 6, 7]))
-    left = own._without_drained(state, 0.0)
+    left = own._remove_drained(state, 0.0)
     assert left.ids.tolist() == [1]
     assert_array_equal(left.motion, np.stack([X[1:2], V[1:2]]))
     assert left.pressures.tolist() == [6]
     assert left.energy == pytest.approx(MASS * 16)
     assert left.made == 3
     at_bound = fluid(drains=[Collider(Plane(), Poses.fixed((0, 1.0, 0)))])
-    assert at_bound._without_drained(state, 0.0) is state
+    assert at_bound._remove_drained(state, 0.0) is state
 
 
 TAP = {"size": [0.5, 0.5], "speed": 2.0}
@@ -150,14 +150,14 @@ def test_what_comes_in_brings_its_energy_and_is_numbered_on() -> None:
     state, notices = replace(own.initial(), made=7, held=2), list[Fault]()
     pull = np.tile([0.0, -8, 0], (3, 1))
     # A layer every quarter of a second; the one at 1.2 s is the second.
-    fed = own._with_inflow(state, 1.0, 1.2, pull, notices)
+    fed = own._add_inflow(state, 1.0, 1.2, pull, notices)
     assert fed.ids.tolist() == [0, 1, 2, 7]
     assert (fed.made, fed.held, notices) == (8, 2, [])
     assert fed.births.tolist() == [1, 1, 1, 1]
     assert_allclose(fed.motion[:, 3], [[20, 0.4 - 4 * 0.04, 0], [0, 2 - 1.6, 0]])
     gained = MASS * (0.4**2 / 2 + 8 * (0.4 - 0.16))
     assert fed.energy - state.energy == pytest.approx(gained)
-    full = own._with_inflow(fed, 1.2, 1.5, pull, notices)
+    full = own._add_inflow(fed, 1.2, 1.5, pull, notices)
     # That of 1.25 s.
     assert (full.made, full.held) == (8, 3)
     assert [notice.code for notice in notices] == ["SIM121"]
@@ -166,7 +166,7 @@ def test_what_comes_in_brings_its_energy_and_is_numbered_on() -> None:
         emitters=[TAP], colliders=[Collider(Sphere(1.0), Poses.fixed((20, 0, 0)))]
     )
     notices = []
-    held = walled._with_inflow(state, 1.0, 1.2, pull, notices)
+    held = walled._add_inflow(state, 1.0, 1.2, pull, notices)
     assert (held.made, held.held, len(held.ids)) == (7, 3, 3)
     assert [notice.code for notice in notices] == ["SIM138"]
     assert notices[0].message.startswith("1 particle could not be emitted until 1.2 s")
@@ -179,7 +179,7 @@ def pressed(own: Fluid, monkeypatch: pytest.MonkeyPatch, dense: float) -> Any:
     made = PressureResult(state.motion, state.pressures, dense, ())
     monkeypatch.setattr(own, "_run_kernel", lambda *_: made)
     notices: list[Fault] = []
-    after, _ = own._after_pressure(state, 0.0, 0.01, np.zeros((3, 3)), notices)
+    after, _ = own._solve_pressure(state, 0.0, 0.01, np.zeros((3, 3)), notices)
     return after, notices
 
 
@@ -208,7 +208,7 @@ def test_what_is_denser_than_asked_for_is_told_and_collapses_in_the_end(
     assert [notice.code for notice in notices] == ([code] if code else [])
     assert after.compression == after.densest == dense
     begin = replace(own.initial(), densest=0.5)
-    later, _ = own._after_pressure(begin, 0.0, 0.01, np.zeros((3, 3)), notices)
+    later, _ = own._solve_pressure(begin, 0.0, 0.01, np.zeros((3, 3)), notices)
     assert (later.densest, later.compression) == (0.5, dense)
 
 
@@ -223,13 +223,13 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
         asked.append(step)
         return len(asked) == 3
 
-    monkeypatch.setattr(own, "_succeeds", goes)
+    monkeypatch.setattr(own, "_is_stable_step", goes)
     state = own.initial()
-    assert own._working_step(state, 0.0, 0.96, 3.0) == asked[2]
+    assert own._find_stable_step(state, 0.0, 0.96, 3.0) == asked[2]
     assert_allclose(asked, [0.16, 0.08, 0.04], rtol=0.05)
     asked.clear()
     with pytest.raises(StoppedError) as error:
-        own._stop_too_long(state, 2.0, 0.96, "why", 3.0, [])
+        own._stop_for_long_step(state, 2.0, 0.96, "why", 3.0, [])
     (fault,) = error.value.faults
     assert (fault.code, fault.severity) == ("SIM102", Severity.ERROR)
     assert "blew up at 2.96 s: why" in fault.message
@@ -237,11 +237,11 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
     for shorter, notices in ((1000.0, []), (3.0, None)):
         asked.clear()
         with pytest.raises(StoppedError) as error:
-            own._stop_too_long(state, 2.0, 0.96, "why", shorter, notices)
+            own._stop_for_long_step(state, 2.0, 0.96, "why", shorter, notices)
         assert (asked, str(error.value.faults[0].hint)[:10]) == ([], "use weaker")
     fast = replace(state, motion=np.stack([X, V * 1e6]))
     with pytest.raises(StoppedError, match="more than 4096 substeps"):
-        own._after_pressure(fast, 0.0, 0.01, np.zeros((3, 3)), None)
+        own._solve_pressure(fast, 0.0, 0.01, np.zeros((3, 3)), None)
 
 
 def test_sheets_are_looked_at_before_they_moved_half_a_spacing() -> None:
@@ -305,7 +305,7 @@ def surface(x: Any, v: Any, **keys: Any) -> Any:
     own = FluidModel.model_validate({"name": "it", "spacing": 0.5, "surface": keys})
     x = np.array(x, float).reshape(-1, 3)
     ages = {"age": np.arange(len(x)) + 1.0}
-    return surface_of(own, x, np.array(v, float).reshape(-1, 3), ages)
+    return build_surface(own, x, np.array(v, float).reshape(-1, 3), ages)
 
 
 def test_the_surface_of_two_is_about_each_and_goes_with_it() -> None:
@@ -361,7 +361,7 @@ def test_a_pull_beyond_numbers_asks_for_no_sound_at_first() -> None:
     own = Substeps(FluidModel.model_validate({"name": "it", "spacing": 0.1}))
     pull = np.full((3, 3), -1e308)
     with np.errstate(over="ignore", invalid="ignore"):
-        assert own.first_sound(1e308 * np.sign(X - 2), pull) == 0
+        assert own.initial_sound_speed(1e308 * np.sign(X - 2), pull) == 0
 
 
 @pytest.mark.parametrize(("room", "tries"), [(2, 2), (1.9, 1), (4, 3), (3.9, 2)])
@@ -380,11 +380,11 @@ def test_parts_are_doubled_as_far_as_the_most_that_there_may_be(
 
     monkeypatch.setattr(own, "_run_kernel", steps)
     still = np.zeros((3, 3))
-    own._after_pressure(state, 0.0, 0.01, still, [])
+    own._solve_pressure(state, 0.0, 0.01, still, [])
     first = asked[0]
     asked.clear()
     own._substeps.max_substeps = room * first  # type: ignore[assignment]
-    own._after_pressure(state, 0.0, 0.01, still, [])
+    own._solve_pressure(state, 0.0, 0.01, still, [])
     assert asked == [first * 2**k for k in range(tries)]
 
 

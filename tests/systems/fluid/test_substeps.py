@@ -27,8 +27,10 @@ def sound(head: float) -> float:
 def test_pressure_goes_as_fast_as_the_depth_asks_for() -> None:
     points = np.array([[0.0, 1.0, 0.0], [0.0, 3.0, 0.0], [9.0, 2.0, 0.0]])
     pull = np.tile([0.0, -9.81, 0.0], (3, 1))
-    assert substeps().first_sound(points, pull) == pytest.approx(sound(2 * 9.81))
-    assert substeps().first_sound(points[:0], pull[:0]) == 0
+    assert substeps().initial_sound_speed(points, pull) == pytest.approx(
+        sound(2 * 9.81)
+    )
+    assert substeps().initial_sound_speed(points[:0], pull[:0]) == 0
 
 
 @pytest.mark.parametrize(
@@ -45,7 +47,9 @@ def test_what_presses_and_what_meets_add_up(
     pressure: float, speed: float, pull: float, head: float
 ) -> None:
     own = substeps()
-    found = own.sound(0.0, np.full(9, pressure), np.full(9, speed), pull, 0.01)
+    found = own.step_sound_speed(
+        0.0, np.full(9, pressure), np.full(9, speed), pull, 0.01
+    )
     assert found == pytest.approx(sound(head))
 
 
@@ -54,11 +58,13 @@ def test_few_particles_ask_for_nothing_and_a_drop_always_does() -> None:
     speeds = np.full(1000, 1.0)
     speeds[:5] = 100.0
     blank = np.zeros(1000)
-    assert substeps().sound(0.0, blank, speeds, 0.0, 0.1) == pytest.approx(sound(0.5))
+    assert substeps().step_sound_speed(0.0, blank, speeds, 0.0, 0.1) == pytest.approx(
+        sound(0.5)
+    )
     speeds[5] = 100.0
-    found = substeps().sound(0.0, blank, speeds, 0.0, 0.1)
+    found = substeps().step_sound_speed(0.0, blank, speeds, 0.0, 0.1)
     assert found == pytest.approx(sound(5000.0))
-    drop = substeps(tension=40.0).sound(0.0, blank, blank, 0.0, 0.1)
+    drop = substeps(tension=40.0).step_sound_speed(0.0, blank, blank, 0.0, 0.1)
     assert drop == pytest.approx(sound(2 * 40 / (0.5 * DENSITY)))
 
 
@@ -66,10 +72,10 @@ def test_it_slows_down_within_a_second_and_gets_faster_within_a_twentieth() -> N
     own, blank = substeps(), np.zeros(9)
     fast = np.full(9, np.sqrt(2.0))
     needed = sound(1.0)
-    assert own.sound(1.19 * needed, blank, fast, 0.0, 0.01) == 1.19 * needed
-    assert own.sound(needed / 1.19, blank, fast, 0.0, 0.01) == needed / 1.19
+    assert own.step_sound_speed(1.19 * needed, blank, fast, 0.0, 0.01) == 1.19 * needed
+    assert own.step_sound_speed(needed / 1.19, blank, fast, 0.0, 0.01) == needed / 1.19
     for before, expected in ((2.0, 2 * np.exp(-0.01)), (0.5, 0.5 * np.exp(0.2))):
-        found = own.sound(before * needed, blank, fast, 0.0, 0.01)
+        found = own.step_sound_speed(before * needed, blank, fast, 0.0, 0.01)
         assert found == pytest.approx(expected * needed)
 
 
@@ -88,4 +94,4 @@ def test_it_slows_down_within_a_second_and_gets_faster_within_a_twentieth() -> N
 def test_parts_of_a_tenth_of_a_second(
     keys: dict[str, float], fastest: float, sound: float, parts: int
 ) -> None:
-    assert substeps(**keys).parts(0.1, fastest, sound) == parts
+    assert substeps(**keys).substep_count(0.1, fastest, sound) == parts

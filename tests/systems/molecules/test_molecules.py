@@ -22,7 +22,7 @@ from animtool.systems.molecules.atoms import (
     COULOMB,
     Atoms,
     PeriodicBox,
-    _read,
+    _read_motion,
     pair_coefficients,
 )
 from animtool.systems.molecules.molecules import (
@@ -30,8 +30,8 @@ from animtool.systems.molecules.molecules import (
     Interactions,
     Molecules,
     MoleculeState,
-    bath_factor,
     build,
+    thermostat_factor,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel
 
@@ -121,7 +121,7 @@ def test_a_bath_brings_its_temperature_and_its_spread() -> None:
     bath = ThermostatModel(temperatures=[[0, 100]], relaxation=0.2)
     freedom, kinetic, found = 30, 1e-3, []
     for step in range(20_000):
-        factor = bath_factor(bath, 5, step, 1.0, 0.1, kinetic, freedom)
+        factor = thermostat_factor(bath, 5, step, 1.0, 0.1, kinetic, freedom)
         kinetic *= factor**2
         found.append(kinetic)
     mean = freedom * BOLTZMANN * 100 / 2
@@ -129,7 +129,7 @@ def test_a_bath_brings_its_temperature_and_its_spread() -> None:
     spread = np.sqrt(freedom / 2) * BOLTZMANN * 100
     assert np.std(found[100:]) == pytest.approx(spread, rel=0.05)
     cold = ThermostatModel(temperatures=[[0, 0]], relaxation=0.2)
-    factor = bath_factor(cold, 5, 1, 1.0, 0.2, 1.0, freedom)
+    factor = thermostat_factor(cold, 5, 1, 1.0, 0.2, 1.0, freedom)
     assert factor**2 == pytest.approx(np.exp(-1))
 
 
@@ -400,9 +400,9 @@ def test_a_step_is_judged_by_the_stiffest_kind() -> None:
         square = 8 * (pulls[0] - pulls[1]) / 2e-6 / one["mass"]
         stiffest = max(stiffest, np.sqrt(square))
         made = molecules(species=[one], box=[4, 4, 4], cutoff=1.9)
-        assert made._stiffest == pytest.approx(np.sqrt(square), rel=1e-4)
+        assert made._max_frequency == pytest.approx(np.sqrt(square), rel=1e-4)
     both = molecules(species=kinds, box=[4, 4, 4], cutoff=1.9)
-    assert both._stiffest == pytest.approx(stiffest, rel=1e-4)
+    assert both._max_frequency == pytest.approx(stiffest, rel=1e-4)
 
 
 def test_lattices_have_as_long_cells_along_each_side() -> None:
@@ -431,9 +431,9 @@ def test_kinds_that_alternate_keep_the_order_of_the_lattice() -> None:
 
 def test_a_bath_warms_nothing_that_stands_still() -> None:
     bath = ThermostatModel(temperatures=[[0, 100]], relaxation=0.2)
-    assert bath_factor(bath, 5, 0, 1.0, 0.1, 0.0, 30) == 1.0
-    assert bath_factor(bath, 5, 0, 1.0, 0.1, 2.0, 0) == 1.0
-    assert bath_factor(bath, 5, 0, 1.0, 0.0, 2.0, 30) == 1.0
+    assert thermostat_factor(bath, 5, 0, 1.0, 0.1, 0.0, 30) == 1.0
+    assert thermostat_factor(bath, 5, 0, 1.0, 0.1, 2.0, 0) == 1.0
+    assert thermostat_factor(bath, 5, 0, 1.0, 0.0, 2.0, 30) == 1.0
 
 
 @pytest.mark.parametrize("out", [[0, -1.5001, 0], [1.5001, 0, 0], [0, 0, -9]])
@@ -444,7 +444,9 @@ def test_one_atom_outside_of_the_box_is_refused(out: list[float]) -> None:
     )
     points = np.array([[1.5, 0, 0], [0, -1.5, 0.4], out], float)
     with raises(AnimtoolError, "SIM071"):
-        _read(spec.species[0], {"points": points}, PeriodicBox(spec))
-    found, speeds = _read(spec.species[0], {"points": points[:2]}, PeriodicBox(spec))
+        _read_motion(spec.species[0], {"points": points}, PeriodicBox(spec))
+    found, speeds = _read_motion(
+        spec.species[0], {"points": points[:2]}, PeriodicBox(spec)
+    )
     assert speeds is None
     assert_allclose(found, points[:2] + 1.5)

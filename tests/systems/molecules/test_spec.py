@@ -39,6 +39,9 @@ def test_what_atoms_and_their_box_are_where_nothing_is_given() -> None:
     assert (whole.thermostat, whole.cutoff, whole.switch) == (None, None, None)
     assert (whole.damping, whole.skin, whole.traps) == (2, 0.12, [])
     assert (whole.seed, whole.method, whole.colour) == (0, "velocity_verlet", None)
-    assert whole.reach == pytest.approx(2.5 * 0.3405)
+    assert whole.cutoff_distance == pytest.approx(2.5 * 0.3405)
     species = [{"name": "a", "sigma": 0.2}, {"name": "b", "sigma": 0.4}]
-    assert MoleculesModel.model_validate({**box, "species": species}).reach == 1.0
+    assert (
+        MoleculesModel.model_validate({**box, "species": species}).cutoff_distance
+        == 1.0
+    )

@@ -19,11 +19,11 @@ from animtool.systems.nbody.galaxies import (
     _integral_to_end,
     build_galaxies,
     build_galaxy,
-    disc_speeds,
-    disc_surface,
     disc_velocities,
-    enclosed,
-    orbit_starts,
+    enclosed_mass,
+    orbit_motions,
+    squared_disc_speeds,
+    surface_density,
 )
 from animtool.systems.nbody.nbody import (
     MAX_PHASE,
@@ -185,10 +185,10 @@ def test_pulls_and_speeds_about_a_point_are_keplers(softening: float) -> None:
     r = own.r
     assert (r[0], r[-1], len(r)) == pytest.approx((5e-5, 12, 4096))
     squares = 2 * 3 * r**2 / (r**2 + softening**2) ** 1.5
-    assert_allclose(own.circular**2, squares, rtol=1e-6)
-    assert_allclose(own.acceleration, squares / r, rtol=1e-6)
+    assert_allclose(own.circular_velocities**2, squares, rtol=1e-6)
+    assert_allclose(own.accelerations, squares / r, rtol=1e-6)
     if not softening:
-        assert_allclose(own.escape**2, 2 * 2 * 3 / r, rtol=1e-4)
+        assert_allclose(own.escape_velocities**2, 2 * 2 * 3 / r, rtol=1e-4)
     alone = MassProfile(galaxy(nucleus=3), 2.0, 0.0)
     assert (alone.r[0], alone.r[-1]) == pytest.approx((1e-4, 4))
 
@@ -197,11 +197,14 @@ def test_all_parts_of_a_galaxy_pull() -> None:
     ball = {"mass": 2, "radius": 1, "cutoff": 4, "count": 9}
     parts = {"bulge": ball, "halo": {**ball, "mass": 5}, "disc": {**ball, "mass": 3}}
     own = MassProfile(galaxy(nucleus=1, **parts), 2.0, 0.0)
-    at = [np.interp(9.0, own.r, each) for each in (own.acceleration, own.circular)]
+    at = [
+        np.interp(9.0, own.r, each)
+        for each in (own.accelerations, own.circular_velocities)
+    ]
     assert at[0] == pytest.approx(2 * 11 / 81, rel=1e-4)
     far = own.r[-1]
-    disc = float(disc_speeds(own.galaxy.disc, np.array([far]))[0])  # type: ignore[arg-type]
-    assert own.circular[-1] ** 2 == pytest.approx(2 * 8 / far + 2 * disc)
+    disc = float(squared_disc_speeds(own.galaxy.disc, np.array([far]))[0])  # type: ignore[arg-type]
+    assert own.circular_velocities[-1] ** 2 == pytest.approx(2 * 8 / far + 2 * disc)
     assert far * disc == pytest.approx(3 / (1 - 5 * np.exp(-4)), rel=0.05)
 
 
@@ -210,17 +213,17 @@ def test_a_disc_turns_as_freeman_says() -> None:
     disc = galaxy(disc={"mass": 3, "radius": 0.5, "cutoff": 50, "count": 9}).disc
     assert disc is not None
     r = np.linspace(0.02, 5, 500)
-    found = disc_speeds(disc, r)
+    found = squared_disc_speeds(disc, r)
     assert r[np.argmax(found)] / 0.5 == pytest.approx(2.15, abs=0.03)
     assert found.max() == pytest.approx(0.3874 * 3 / 0.5, rel=2e-3)
-    assert disc_speeds(disc, np.array([1e9]))[0] >= 0
-    assert disc_surface(disc, 0.0) == pytest.approx(3 / (2 * np.pi * 0.25))
-    assert disc_surface(disc, 0.5) == pytest.approx(3 / (2 * np.pi * 0.25) / np.e)
+    assert squared_disc_speeds(disc, np.array([1e9]))[0] >= 0
+    assert surface_density(disc, 0.0) == pytest.approx(3 / (2 * np.pi * 0.25))
+    assert surface_density(disc, 0.5) == pytest.approx(3 / (2 * np.pi * 0.25) / np.e)
     cut = galaxy(disc={"mass": 3, "radius": 0.5, "cutoff": 2, "count": 9}).disc
     assert cut is not None
     whole = 1 - 3 * np.exp(-2)
     assert_allclose(
-        enclosed(cut, np.array([0.5, 1, 9])), [3 * (1 - 2 / np.e) / whole, 3, 3]
+        enclosed_mass(cut, np.array([0.5, 1, 9])), [3 * (1 - 2 / np.e) / whole, 3, 3]
     )
 
 
@@ -234,7 +237,7 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     x = made.points[1:] - made.points[0]
     v = made.velocities[1:] - made.velocities[0]
     assert own.disc is not None
-    r = np.interp(u[:, 0] * 3, enclosed(own.disc, profile.r), profile.r)
+    r = np.interp(u[:, 0] * 3, enclosed_mass(own.disc, profile.r), profile.r)
     angle = 2 * np.pi * u[:, 1]
     assert_allclose(x[:, 0], r * np.sin(angle))
     assert_allclose(x[:, 2], r * np.cos(angle))
@@ -253,13 +256,13 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     # Hardly bound, its dispersion is a share of what it turns by.
     hot = disc_velocities(own.disc.model_copy(update={"stability": 99.0}), profile)
     dense = profile.r < 1
-    assert_allclose(hot[0][dense], 0.7 * profile.circular[dense])
+    assert_allclose(hot[0][dense], 0.7 * profile.circular_velocities[dense])
     cold = disc_velocities(own.disc.model_copy(update={"stability": 0.0}), profile)
     assert not cold[0].any()
     assert not cold[2].any()
-    assert_allclose(cold[3], profile.circular)
+    assert_allclose(cold[3], profile.circular_velocities)
     lag = hot[0] ** 2 - hot[1] ** 2 - 2 * profile.r / 0.5 * hot[0] ** 2
-    expected = np.sqrt(np.maximum(profile.circular**2 + lag, 0))
+    expected = np.sqrt(np.maximum(profile.circular_velocities**2 + lag, 0))
     assert_allclose(hot[3], expected, rtol=1e-9, atol=1e-12)
 
 
@@ -271,20 +274,20 @@ def test_bodies_of_a_spheroid_are_bound_and_drawn_by_their_own_seed(kind: str) -
     profile = MassProfile(own, 2.0, 0.1)
     u = uniforms(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
     model = getattr(own, kind)
-    r = np.interp(u[:, 0] * 3, enclosed(model, profile.r), profile.r)
+    r = np.interp(u[:, 0] * 3, enclosed_mass(model, profile.r), profile.r)
     x = r[:, None] * matter.random_directions(u[:, 1:3])
     assert_allclose(made.points, x - x.mean(axis=0), atol=1e-12)
-    sigma = np.interp(r, profile.r, profile.dispersion(model))
+    sigma = np.interp(r, profile.r, profile.velocity_dispersion(model))
     v = sigma[:, None] * matter.normal_samples(u[:, 3:6])
     fast = np.linalg.norm(v, axis=1)
-    most = 0.95 * np.interp(r, profile.r, profile.escape)
+    most = 0.95 * np.interp(r, profile.r, profile.escape_velocities)
     v *= np.minimum(most / fast, 1)[:, None]
     assert_allclose(made.velocities, v - v.mean(axis=0), atol=1e-12)
     assert_allclose(made.masses, 0.05)
     # Beyond the cut-off there is no mass that moves.
     beyond = profile.r > 3.1
-    assert not profile.dispersion(model)[beyond].any()
-    assert profile.dispersion(model)[profile.r < 2.5].min() > 0
+    assert not profile.velocity_dispersion(model)[beyond].any()
+    assert profile.velocity_dispersion(model)[profile.r < 2.5].min() > 0
 
 
 def test_galaxies_are_turned_and_put_and_moved() -> None:
@@ -327,7 +330,7 @@ def test_what_stays_on_an_orbit_is_that_of_its_pericentre(
         pericentre=near, eccentricity=eccentricity, separation=separation,
         rotate=[1.0, 0, 0, 1],
     )  # fmt: skip
-    (x, v), (y, w) = orbit_starts(orbit, [2.0, 3.0], 2.0)
+    (x, v), (y, w) = orbit_motions(orbit, [2.0, 3.0], 2.0)
     off, way = y - x, w - v
     mu = 2.0 * 5
     energy = way @ way / 2 - mu / np.linalg.norm(off)
@@ -360,6 +363,6 @@ def test_two_may_begin_where_they_are_farthest() -> None:
     for e in np.linspace(0.05, 0.95, 181):
         far = 0.3 * (1 + e) / (1 - e)
         orbit = EncounterModel(pericentre=0.3, eccentricity=e, separation=far)
-        (x, v), (y, w) = orbit_starts(orbit, [2.0, 3.0], 2.0)
+        (x, v), (y, w) = orbit_motions(orbit, [2.0, 3.0], 2.0)
         assert np.linalg.norm(y - x) == pytest.approx(far)
         assert (y - x) @ (w - v) == pytest.approx(0, abs=1e-6)

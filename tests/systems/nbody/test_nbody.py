@@ -22,8 +22,8 @@ from animtool.systems.nbody.galaxies import (
     MassProfile,
     build_galaxy,
     disc_velocities,
-    enclosed,
-    orbit_starts,
+    enclosed_mass,
+    orbit_motions,
 )
 from animtool.systems.nbody.nbody import MAX_PHASE, RECOMMENDED_STEP, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
@@ -87,7 +87,7 @@ def test_the_rotation_curve_is_that_of_its_mass() -> None:
     to_local = -(pulls[:8000] * x)[:, [0, 2]].sum(axis=1) / r
     for low, high in ((0.5, 1), (1, 2), (2, 3)):
         ring = (r > low) & (r < high)
-        curve = np.interp(r[ring], profile.r, profile.circular)
+        curve = np.interp(r[ring], profile.r, profile.circular_velocities)
         found = np.sqrt((to_local * r)[ring].mean())
         assert found == pytest.approx(np.sqrt((curve**2).mean()), rel=0.04)
         # Cold, it goes around as the curve has it.
@@ -284,10 +284,10 @@ def test_spheroids_have_the_mass_and_the_dispersion_of_their_profile() -> None:
     }
     own = profile_of(halo=plummer)
     r = np.array([0.1, 0.5, 1.0, 2.0])
-    found = np.interp(r, own.r, own.dispersion(own.galaxy.halo))
+    found = np.interp(r, own.r, own.velocity_dispersion(own.galaxy.halo))
     assert_allclose(found**2, 2 * 3 / (6 * np.sqrt(r**2 + 0.25)), rtol=0.01)
     # Its potential is that of a point, seen over a softening of a.
-    escape = np.interp(r, own.r, own.escape)
+    escape = np.interp(r, own.r, own.escape_velocities)
     assert_allclose(escape**2, 2 * 2 * 3 / np.sqrt(r**2 + 0.25), rtol=0.01)
     hernquist = {
         "mass": 3,
@@ -297,7 +297,7 @@ def test_spheroids_have_the_mass_and_the_dispersion_of_their_profile() -> None:
         "count": 9,
     }
     own = profile_of(halo=hernquist)
-    found = enclosed(own.galaxy.halo, np.array([0.5, 1.5, 1e9]))
+    found = enclosed_mass(own.galaxy.halo, np.array([0.5, 1.5, 1e9]))
     whole = (100 / 101) ** 2  # of an endless one that is within the cut-off
     assert_allclose(found, [0.75 / whole, 1.6875 / whole, 3.0])
 
@@ -322,7 +322,7 @@ def test_two_of_unequal_mass_meet_about_their_centre_of_mass() -> None:
     orbit = EncounterModel(
         pericentre=0.5, eccentricity=1.0, separation=4.0, at=[1.0, 2.0, 3.0]
     )
-    (x, v), (y, w) = orbit_starts(orbit, [3.0, 1.0], 2.0)
+    (x, v), (y, w) = orbit_motions(orbit, [3.0, 1.0], 2.0)
     at = np.array([1.0, 2.0, 3.0])
     assert_allclose(3 * (x - at) + (y - at), 0, atol=1e-12)
     assert_allclose(3 * v + w, 0, atol=1e-12)
@@ -344,7 +344,7 @@ def test_as_much_is_within_radii_as_the_profile_says(kind: str, mass: float) -> 
     made = build_galaxy(galaxy, 2.0, 0.0)
     x = made.points - made.points.mean(axis=0)
     r = np.linalg.norm(x[:, [0, 2]] if kind == "disc" else x, axis=1)
-    shares = np.sort(enclosed(getattr(galaxy, kind), r)) / mass
+    shares = np.sort(enclosed_mass(getattr(galaxy, kind), r)) / mass
     # Kolmogorov and Smirnov: in one of a thousand samples it is more.
     assert np.abs(shares - (np.arange(4000) + 0.5) / 4000).max() < 1.95 / np.sqrt(4000)
     assert made.masses.sum() == pytest.approx(mass)
@@ -432,17 +432,17 @@ def test_a_tree_is_for_as_many_bodies_as_an_accuracy_asks(
     """A thousand at 2e-4; a hundredfold error with a 0.4th power of it as many."""
     x = np.random.default_rng(1).normal(size=(count, 3))
     made = nbody(x, 0 * x, np.ones(count), 1.0, 0.1, 0.01, accuracy=accuracy)
-    assert made.tree is tree
+    assert made.uses_tree is tree
 
 
 @pytest.mark.parametrize(("accuracy", "tree"), [(1e-6, True), (0.99e-6, False)])
 def test_finer_than_single_precision_is_summed_directly(
     accuracy: float, tree: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("animtool.systems.nbody.nbody.CROSSOVER", 1.0)
+    monkeypatch.setattr("animtool.systems.nbody.nbody.TREE_MIN_BODIES", 1.0)
     x = np.random.default_rng(1).normal(size=(50, 3))
     made = nbody(x, 0 * x, np.ones(50), 1.0, 0.1, 0.01, accuracy=accuracy)
-    assert made.tree is tree
+    assert made.uses_tree is tree
 
 
 def test_one_body_beyond_numbers_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:

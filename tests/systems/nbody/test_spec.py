@@ -28,6 +28,6 @@ def test_what_galaxies_are_where_nothing_is_given() -> None:
     assert (halo.profile, halo.cutoff) == ("hernquist", 10)
     assert own.encounter is not None
     assert (own.encounter.eccentricity, own.encounter.at) == (1, [0, 0, 0])
-    assert galaxy.dark == 0
+    assert galaxy.hidden_count == 0
     hidden = galaxy.model_copy(update={"shows_halo": False})
-    assert hidden.dark == 3
+    assert hidden.hidden_count == 3

@@ -64,7 +64,7 @@ def test_who_is_born_is_counted_from_the_middle_of_the_first_span(
         assert found.keys.tolist() == [0, 2**40, 2**40 + 1, 1]
     else:
         assert_allclose(found.times, times)
-    assert found.missed == missed
+    assert found.skipped_count == missed
 
 
 def test_keys_of_bursts_are_apart_from_those_of_the_rate() -> None:

@@ -221,7 +221,7 @@ def test_what_was_usual_is_the_most_of_what_there_was(
 
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(least * share, DOWN)
-        check.watch(some([2.0]), state(*before))
+        check.set_particles(some([2.0]), state(*before))
         assert bool(check.divergence(0.0, state(*after))) is blown
     spoiled = state(*after)
     spoiled[1, 0, 2] = np.nan
@@ -233,25 +233,25 @@ def test_a_piston_may_bring_what_its_speed_gives() -> None:
     moves = Poses([0, 2], [[0, -9, 0], [0, -3, 0]], [[0, 0, 0, 1]] * 2)
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(2.0 * share, DOWN, colliders=[Collider(Plane(), moves)])
-        check.watch(some([2.0]), placed([0.0], [0.0]))
+        check.set_particles(some([2.0]), placed([0.0], [0.0]))
         assert bool(check.divergence(0.0, placed([0.0], [6.0]))) is blown
 
 
 def test_who_is_born_or_removed_is_no_gain() -> None:
     """The energy of each counts from where it was first seen, by its id."""
     check = checked(0.5, DOWN)
-    check.watch(some([2.0, 2.0], first=4), placed([0.0, 5.0], [10.0, 0.0]))
+    check.set_particles(some([2.0, 2.0], first=4), placed([0.0, 5.0], [10.0, 0.0]))
     later = placed([5.0, 0.0], [0.0, 30.0])
-    check.watch(some([2.0, 2.0], first=5), later)
+    check.set_particles(some([2.0, 2.0], first=5), later)
     # Of id 5 as it was, of id 6 as it came: 80 J, and 900 J.
     assert_allclose(check._first_energies, [[0, 900], [80, 0]])
     assert not check.divergence(0.0, later)
-    check.restart(np.array([True, False]), placed([1.0, 9.0], [3.0, 9.0]))
+    check.reset_energies(np.array([True, False]), placed([1.0, 9.0], [3.0, 9.0]))
     assert_allclose(check._first_energies, [[9, 900], [16, 0]])
-    check.watch(some([2.0], first=2), placed([1.0], [1.0]))
+    check.set_particles(some([2.0], first=2), placed([1.0], [1.0]))
     assert_allclose(check._first_energies, [[1], [16]])
-    check.watch(some([]), np.zeros((2, 0, 3)))
-    check.watch(some([2.0], first=9), placed([1.0], [1.0]))
+    check.set_particles(some([]), np.zeros((2, 0, 3)))
+    check.set_particles(some([2.0], first=9), placed([1.0], [1.0]))
     assert_allclose(check._first_energies, [[1], [16]])
 
 
@@ -264,12 +264,12 @@ def test_without_all_potentials_energy_tells_of_steps_too_long_alone() -> None:
         ([DOWN, ("charges", {})], True, False),
     ):
         check = checked(1.0, *forces)
-        check.watch(some([2.0]), placed([0.0], [10.0]))
-        check.too_long = too_long
+        check.set_particles(some([2.0]), placed([0.0], [10.0]))
+        check.has_long_steps = too_long
         assert bool(check.divergence(0.0, far)) is blown
     field = Particles([Emitter(rate=1)], velocity=VelocityField("1"))
     check = DivergenceCheck(field, Colliders([]))
-    check.watch(some([2.0]), placed([0.0], [10.0]))
+    check.set_particles(some([2.0]), placed([0.0], [10.0]))
     assert check.divergence(0.0, far) == ""
 
 

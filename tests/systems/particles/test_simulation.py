@@ -159,7 +159,7 @@ def test_steps_are_judged_again_where_motions_are_faster_by_a_twentieth(
     ):  # fmt: skip
         own._check_step_length(System(*rows), float(t), t + 1.0)  # type: ignore[arg-type]
     assert asked == [0, 2, 3, 4, 5]
-    assert not own._watch.too_long
+    assert not own._divergence_check.has_long_steps
 
 
 def test_the_largest_step_that_is_stable_is_of_the_fastest_motion() -> None:
@@ -207,7 +207,7 @@ def test_what_a_field_takes_along_has_its_speed_from_the_first_frame_on() -> Non
 )
 def test_faults_say_where_they_are(keys: Any, wheres: list[str]) -> None:
     setup = Particles(**{"emitters": [Emitter(rate=1)], **keys})
-    found = setup._options() + setup._parts()
+    found = setup._option_faults() + setup._parts()
     assert [str(fault.where).partition(".")[0] for fault in found] == wheres
 
 

@@ -37,7 +37,7 @@ class Drag(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians: see `Force`."""
+        """Return its Jacobians, as `Force.slopes` does."""
         speed = np.linalg.norm(v, axis=1)[:, None]
         directions = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
         isotropic = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
@@ -52,7 +52,7 @@ class Drag(Force):
 
 @dataclass(frozen=True)
 class Viscosity(Force):
-    """Stokes drag: ``6 π η r v``, for small, slow spheres."""
+    """Stokes drag of small, slow spheres: ``6 π η r v``."""
 
     viscosity: NotNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
 
@@ -67,7 +67,7 @@ class Viscosity(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians: see `Force`."""
+        """Return its Jacobians, as `Force.slopes` does."""
         drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
         return np.zeros_like(drag), -drag
 
@@ -92,7 +92,7 @@ class Wind(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians: see `Force`."""
+        """Return its Jacobians, as `Force.slopes` does."""
         drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
         return np.zeros_like(drag), -drag
 
@@ -119,16 +119,18 @@ class Friction(Force):
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        pull = self.deceleration * particles.masses / speed
-        return np.asarray(-pull[:, None] * v)
+        coefficients = self.deceleration * particles.masses / speed
+        return np.asarray(-coefficients[:, None] * v)
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return it divided by the velocity, so that it never reverses: see `Force`."""
+        """Return the force over velocity, so that friction never reverses motion."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        pull = (self.deceleration * particles.masses / speed)[:, None, None] * np.eye(3)
-        return np.zeros_like(pull), -pull
+        coefficients = (self.deceleration * particles.masses / speed)[
+            :, None, None
+        ] * np.eye(3)
+        return np.zeros_like(coefficients), -coefficients
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return its damping coefficient [kg/s]."""

@@ -24,8 +24,7 @@ Positive: TypeAlias = Annotated[
 # A time for all particles, or one per particle ``(N,)`` [s].
 Time: TypeAlias = "float | FloatArray"
 
-# Step of finite differences, relative to positions [m] and velocities [m/s], which are
-# at least 1 for this.
+# Finite difference step, relative to positions [m] and velocities [m/s]; at least this.
 DIFFERENCE_STEP = 1e-6
 
 
@@ -35,7 +34,7 @@ class Force(ABC):
     Attributes:
         pairs: Whether particles act on each other.
         is_dissipative: Whether it only removes energy from particles.
-        varies: Whether it depends on position, velocity or time.
+        varies: Whether it depends on positions, velocities or time.
     """
 
     pairs: bool = False
@@ -51,15 +50,15 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians by positions and by velocities of each particle.
+        """Return the Jacobians of the force by position and velocity of each particle.
 
-        ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and 0 for
-        pair forces. They need not be exact: methods are stable if they are about as
-        steep as the force.
+        Both are ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and
+        0 for pair forces. They need not be exact: methods are stable if they are about
+        as steep as the force.
         """
-        by_position, by_speed = np.zeros((2, len(x), 3, 3))
+        by_position, by_velocity = np.zeros((2, len(x), 3, 3))
         if self.pairs:
-            return by_position, by_speed
+            return by_position, by_velocity
         for k in range(3):
             offset = np.zeros_like(x)
             offset[:, k] = DIFFERENCE_STEP * np.maximum(np.abs(x).max(axis=1), 1.0)
@@ -71,26 +70,26 @@ class Force(ABC):
             forward, backward = (
                 self.force(t, x, v + sign * offset, particles) for sign in (1, -1)
             )
-            by_speed[:, :, k] = (forward - backward) / (2 * offset[:, k, None])
-        return by_position, by_speed
+            by_velocity[:, :, k] = (forward - backward) / (2 * offset[:, k, None])
+        return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return energies ``(N,)`` [J]; None if it has no potential."""
+        """Return potential energies ``(N,)`` [J]; None if it has no potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
-        """Return its stiffness: growth with the distance from equilibrium [N/m]."""
+        """Return the largest stiffness, the force over a displacement [N/m]."""
         return 0.0
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping coefficient [kg/s]."""
+        """Return the largest damping coefficient, the force over a speed [kg/s]."""
         return 0.0
 
     def turning(self, particles: ParticleState) -> float:
-        """Return the rate at which it rotates velocities [rad/s]."""
+        """Return the largest rate at which it rotates velocities [rad/s]."""
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return invalid options by name, each with a message."""
         faults = range_faults(self, "must be {bound}, not {value:g}")
         return [(str(fault.where), fault.message) for fault in faults]

@@ -34,7 +34,7 @@ from animtool.systems.particles.velocity_field import (
 
 @dataclass(frozen=True)
 class Field(Expressions, Force):
-    """Forces by expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
+    """Forces from expressions of x, y, z, vx, vy, vz, t, age, mass and charge."""
 
     x: str = "0"  # [N]
     y: str = "0"  # [N]
@@ -78,7 +78,7 @@ class Turbulence(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zeros, as it has no restoring part; see `Force`."""
+        """Return zeros: it has no restoring force."""
         zeros = np.zeros((len(x), 3, 3))
         return zeros, zeros
 
@@ -94,15 +94,15 @@ class Electromagnetic(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> FloatArray:
         """Return forces ``(N, 3)`` [N]."""
-        magnetic_part = np.cross(v, np.asarray(self.magnetic, np.float64))
-        return particles.charges[:, None] * (np.asarray(self.electric) + magnetic_part)
+        magnetic_term = np.cross(v, np.asarray(self.magnetic, np.float64))
+        return particles.charges[:, None] * (np.asarray(self.electric) + magnetic_term)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
         return -particles.charges * (x @ np.asarray(self.electric, np.float64))
 
     def turning(self, particles: ParticleState) -> float:
-        """Return the rate at which it rotates velocities [rad/s]."""
+        """Return the largest rate at which it rotates velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
         return field * float(
             (np.abs(particles.charges) / particles.masses).max(initial=0.0)

@@ -1,4 +1,4 @@
-"""Gravity, constant and central forces, springs, propulsion."""
+"""Gravity, constant and central forces, springs and propulsion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MIN_BRAKED_SPEED = 1e-9
 
 @dataclass(frozen=True)
 class Gravity(Force):
-    """Uniform acceleration."""
+    """Uniform acceleration, such as gravity."""
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
@@ -45,7 +45,7 @@ class Gravity(Force):
 
 @dataclass(frozen=True)
 class Uniform(Force):
-    """Uniform force, independent of mass."""
+    """Uniform force on each particle, whatever its mass."""
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
 
@@ -85,6 +85,7 @@ class Central(Force):
         )
 
     def _distance(self, x: FloatArray) -> FloatArray:
+        """Return the softened distances from the centre ``(N,)`` [m]."""
         offsets = x - np.asarray(self.centre)
         return np.asarray(np.sqrt((offsets * offsets).sum(axis=1) + self.softening**2))
 
@@ -132,7 +133,7 @@ class Spring(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians: see `Force`."""
+        """Return its Jacobians, as `Force.slopes` does."""
         unit = np.eye(3)
         offsets = x - self._anchors(particles)
         stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
@@ -150,12 +151,13 @@ class Spring(Force):
         return by_position, -self.kd * outer
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
+        """Return the anchor of each particle ``(N, 3)``, or of all ``(3,)`` [m]."""
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
         """Return energies ``(N,)`` [J]."""
-        stretch = np.linalg.norm(x - self._anchors(particles), axis=1) - self.rest
-        return np.asarray(0.5 * self.k * stretch**2)
+        elongations = np.linalg.norm(x - self._anchors(particles), axis=1) - self.rest
+        return np.asarray(0.5 * self.k * elongations**2)
 
     def stiffness(self) -> float:
         """Return its stiffness [N/m]."""
@@ -190,7 +192,7 @@ class Propulsion(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return force over velocity for a brake, else zeros; see `Force`."""
+        """Return the force over velocity for a brake, else zeros."""
         zeros = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
             return zeros, zeros

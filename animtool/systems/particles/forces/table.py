@@ -1,4 +1,4 @@
-"""The table of forces on particles: imported when first used."""
+"""Table of forces on particles; each is imported when it is used."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ FORCES: dict[str, str] = {
 
 
 def find_force(name: str) -> type[Force]:
-    """Return a force class by name.
+    """Return a class of forces by name.
 
     Raises:
         OptionError: There is none of that name (SIM023).
