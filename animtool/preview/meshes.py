@@ -100,9 +100,11 @@ def needs_points(skin: PreparedSkin | None) -> bool:
 def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     """Return the four largest weights of each vertex and their joints ``(V, 4)``."""
     influences = skin.influences
-    counts = np.diff(influences.first)
+    counts = np.diff(influences.row_starts)
     rows = np.repeat(np.arange(skin.vertices), counts)
-    ranks = np.arange(len(influences.joints)) - np.repeat(influences.first[:-1], counts)
+    ranks = np.arange(len(influences.joints)) - np.repeat(
+        influences.row_starts[:-1], counts
+    )
     in_first_four = ranks < MAX_INFLUENCES
     joints = np.zeros((skin.vertices, MAX_INFLUENCES), np.int64)
     weights = np.zeros((skin.vertices, MAX_INFLUENCES))
@@ -198,14 +200,14 @@ def _shape_entries(
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for at in knots[knots != 0].tolist()
     ]
-    owners = np.repeat(np.arange(shapes.vertices), np.diff(columns.first))
+    owners = np.repeat(np.arange(shapes.vertices), np.diff(columns.row_starts))
     numbers = {
-        column: row for row, column in enumerate(np.flatnonzero(columns.dense), 1)
+        column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }
     entries = []
     for index, column in enumerate(visible.tolist()):
         if column in numbers:
-            offsets = columns.table[numbers[column]].reshape(-1, 3)
+            offsets = columns.dense_table[numbers[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:

@@ -68,12 +68,14 @@ def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float
 
 
 def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
+    """Return whether a trial step before the target is below the floor."""
     if trial >= target - run.time:
         return False
     return trial < run.options.floor or run.time + trial == run.time
 
 
 def _stop_below_floor(run: IntegrationRun, trial: float) -> Status:
+    """Stop the run; the reason names the step and the likely cause."""
     reason = f"the tolerance needs a step of {plain_number(trial)} s"
     suspect = run.equations.system.suspect(run.time, run.state)
     reason += f"; {suspect}" if suspect else ""
@@ -101,7 +103,7 @@ def _error_ratio(
 
 
 def _initial_step(run: IntegrationRun) -> float:
-    """Return an initial step size, from the rate and its rate of change."""
+    """Return an initial step size, estimated from the rate and its change."""
     options, equations, y = run.options, run.equations, run.state
     tolerances = np.maximum(options.least + options.relative * np.abs(y), 1e-300)
 

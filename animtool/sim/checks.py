@@ -37,17 +37,19 @@ def step_warnings(
 ) -> list[Fault]:
     """Return a warning if fixed steps exceed the stability limit.
 
-    Only for systems that report their fastest modes (`System.frequencies`).
+    None for systems that do not report their fastest modes (`System.frequencies`).
     """
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
     if step is None or modes is None or integrator.control is not StepControl.FIXED:
         return []
     intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
-    longest = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
+    max_step = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
     limit = allowed_step(integrator, modes)
-    if limit is None or longest <= limit:
+    if limit is None or max_step <= limit:
         return []
-    message = f"{integrator.name} is not stable with steps of {plain_number(longest)} s"
+    message = (
+        f"{integrator.name} is not stable with steps of {plain_number(max_step)} s"
+    )
     return [warning("SIM101", message, _stable_step_advice(limit))]
 
 
@@ -57,7 +59,7 @@ def stop_warning(
     """Return a warning about why integration stopped, with a hint."""
     verb = "blew up" if stats.status is Status.UNSTABLE else "stopped"
     message = f"{integrator.name} {verb} at {stats.time:.6g} s: {stats.reason}"
-    advice = {
+    hints = {
         Status.UNSTABLE: _stable_step_advice(stats.stable_step),
         Status.STEP_TOO_SMALL: f"the smallest step is {options.floor:g} s: raise the "
         "tolerance, soften the stiffest parts, or use radau for stiff systems",
@@ -65,11 +67,12 @@ def stop_warning(
         "radau for stiff systems",
         Status.NOT_SOLVED: "use a shorter step",
     }
-    code, hint = _STATUS_CODES[stats.status], advice[stats.status]
+    code, hint = _STATUS_CODES[stats.status], hints[stats.status]
     return warning(code, message, hint)
 
 
 def _stable_step_advice(stable_step: float | None) -> str:
+    """Return a hint from the largest stable step, which may be unknown."""
     if stable_step is None or math.isinf(stable_step):
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
@@ -80,9 +83,9 @@ def _stable_step_advice(stable_step: float | None) -> str:
 class EnergyWatch:
     """Checks states for non-finite values, and energy or strain out of bounds.
 
-    The gain of energy is relative to the largest of: the initial energies, the energy
-    that may be supplied, and the potential energy released since the start. Motions
-    without any of these are not checked for energy.
+    The gain of energy is relative to an energy scale: the largest of the initial
+    energies, the energy that may be supplied, and the potential energy released since
+    the start. The energy is not checked if the scale is 0.
     """
 
     def __init__(self, system: System, options: IntegrateOptions) -> None:
@@ -101,7 +104,7 @@ class EnergyWatch:
                 abs(energy.total), energy.kinetic, abs(energy.potential), energy.supply
             )
 
-    def watch_system(self, system: System) -> None:
+    def set_system(self, system: System) -> None:
         """Replace the watched system, for example after particles were removed."""
         self._system = system
 
@@ -112,19 +115,21 @@ class EnergyWatch:
         return self._energy_reason(t, state) or self._strain_reason(t, state)
 
     def _energy_reason(self, t: float, state: FloatArray) -> str:
+        """Return why the energy of a state shows divergence, or empty."""
         start, current = self._start_energy, self._system.energy(t, state)
         self.energy = current
         if start is None or current is None:
             return ""
-        released = start.potential - current.potential
-        self._energy_scale = max(self._energy_scale, current.supply, released)
+        released_potential = start.potential - current.potential
+        self._energy_scale = max(self._energy_scale, current.supply, released_potential)
         limit = self._options.growth * self._energy_scale
-        gained = current.total - start.total
-        if self._energy_scale > 0 and not gained <= limit:
+        energy_gain = current.total - start.total
+        if self._energy_scale > 0 and not energy_gain <= limit:
             return f"its energy rose from {start.total:.3g} J to {current.total:.3g} J"
         return ""
 
     def _strain_reason(self, t: float, state: FloatArray) -> str:
+        """Return why the stretch of springs shows divergence, or empty."""
         if np.isinf(self._options.stretch):
             return ""
         ratio = self._system.stretch(t, state)
@@ -180,6 +185,7 @@ def check_start(equations: Equations, t: float, state: FloatArray) -> None:
 
 
 def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
+    """Return messages about the shape and values of an initial state."""
     if equations.second_order is not None:
         if state.ndim != 3 or state.shape[0] != 2:
             return [f"the start must have shape (2, N, d), not {state.shape}"]
@@ -191,6 +197,7 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
 
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
+    """Return messages about the shape and values of the initial rate."""
     if equations.second_order is not None:
         rate, expected = equations.acceleration(t, *state), state.shape[1:]
         name, row_name = "the acceleration", "the acceleration of particle"
@@ -204,6 +211,10 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 
 def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
     """Return one message for each row that is not finite at the start."""
-    finite = np.isfinite(np.atleast_1d(values))
-    bad_rows = np.flatnonzero(~finite.all(axis=tuple(range(1, finite.ndim))))
-    return [f"{row_name} {i} is not finite at the start" for i in bad_rows.tolist()]
+    is_finite = np.isfinite(np.atleast_1d(values))
+    nonfinite_rows = np.flatnonzero(
+        ~is_finite.all(axis=tuple(range(1, is_finite.ndim)))
+    )
+    return [
+        f"{row_name} {i} is not finite at the start" for i in nonfinite_rows.tolist()
+    ]

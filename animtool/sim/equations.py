@@ -39,9 +39,9 @@ class Equations:
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return
         last = self._last_rate
-        matches = last is not None and last[1] is y and last[0] == t
+        is_same_state = last is not None and last[1] is y and last[0] == t
         self._anchor = (t, y)
-        self._anchor_rate = last[2] if last is not None and matches else None
+        self._anchor_rate = last[2] if last is not None and is_same_state else None
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
         """Return the time derivative of a state, in its shape."""
@@ -55,6 +55,7 @@ class Equations:
         return rates
 
     def _evaluate(self, t: float, y: FloatArray) -> FloatArray:
+        """Evaluate the time derivative of a state."""
         if self.first_order is not None:
             self.evaluations += 1
             return self.first_order.rate(t, y)
@@ -85,12 +86,13 @@ class Equations:
         matrices = self.second_order.jacobians(t, x, v)
         if matrices is None or self._fixed is None:
             return matrices
-        free = np.broadcast_to(~self._fixed, x.shape).ravel().astype(np.float64)
-        by_x, by_v = (_scaled_rows(matrix, free) for matrix in matrices)
+        is_free = np.broadcast_to(~self._fixed, x.shape).ravel().astype(np.float64)
+        by_x, by_v = (_scale_rows(matrix, is_free) for matrix in matrices)
         return by_x, by_v
 
 
-def _scaled_rows(matrix: Matrix, factors: FloatArray) -> Matrix:
+def _scale_rows(matrix: Matrix, factors: FloatArray) -> Matrix:
+    """Return a matrix with each row multiplied by a factor."""
     if isinstance(matrix, np.ndarray):
         return factors[:, None] * matrix
     from scipy.sparse import diags_array

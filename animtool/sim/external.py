@@ -18,7 +18,7 @@ from animtool.sim.system import Matrix
 from animtool.sim.trajectory import Status
 
 # Solvers without support for sparse Jacobians; they use finite differences instead.
-DENSE_OUTPUT_SOLVERS = {"scipy.integrate:LSODA"}
+DENSE_JACOBIAN_SOLVERS = {"scipy.integrate:LSODA"}
 
 
 @dataclass(slots=True)
@@ -52,6 +52,7 @@ def advance_scipy(run: IntegrationRun, target: float) -> Status:
 
 
 def _dense_value(memory: _Solver, t: float) -> FloatArray:
+    """Return the state at a time within the last step."""
     if t == memory.solver.t:
         return np.array(memory.solver.y)
     if memory.dense_output is None:
@@ -70,11 +71,13 @@ def _take_step(solver: Any) -> str:
 
 
 def _failure_text(run: IntegrationRun, failure: str) -> str:
+    """Return why a step failed, with the likely cause if known."""
     suspect = run.equations.system.suspect(run.time, run.state)
     return f"{failure}; {suspect}" if suspect else failure
 
 
 def _start_solver(run: IntegrationRun) -> _Solver:
+    """Return a SciPy solver started at the state of a run."""
     options, shape = run.options, run.state.shape
     equations = run.equations
 
@@ -101,26 +104,26 @@ def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix]
     """Return the Jacobian of the flattened rate; None if unavailable."""
     equations, shape = run.equations, run.state.shape
 
-    def of_rates(t: float, flat: FloatArray) -> Matrix:
+    def rate_jacobian(t: float, flat: FloatArray) -> Matrix:
         return equations.jacobian(t, flat.reshape(shape))
 
-    def of_accelerations(t: float, flat: FloatArray) -> Matrix:
+    def acceleration_jacobian(t: float, flat: FloatArray) -> Matrix:
         matrices = equations.jacobians(t, *flat.reshape(shape))
         assert matrices is not None
         return _block_jacobian(*matrices)
 
     if equations.second_order is None:
         sample = equations.jacobian(run.time, run.state)
-        jacobian = of_rates
+        jacobian = rate_jacobian
     else:
-        pair = equations.jacobians(run.time, *run.state)
-        sample = None if pair is None else pair[0]
-        jacobian = of_accelerations
-    supported = (
+        jacobian_pair = equations.jacobians(run.time, *run.state)
+        sample = None if jacobian_pair is None else jacobian_pair[0]
+        jacobian = acceleration_jacobian
+    is_supported = (
         isinstance(sample, np.ndarray)
-        or run.integrator.solver not in DENSE_OUTPUT_SOLVERS
+        or run.integrator.solver not in DENSE_JACOBIAN_SOLVERS
     )
-    return jacobian if sample is not None and supported else None
+    return jacobian if sample is not None and is_supported else None
 
 
 def _block_jacobian(by_x: Matrix, by_v: Matrix) -> Matrix:

@@ -66,8 +66,8 @@ def stats_of(
         run.steps,
         None if integrator.control is StepControl.SCIPY else run.rejected,
         run.equations.evaluations,
-        run.smallest if run.steps else 0.0,
-        run.largest,
+        run.smallest_step if run.steps else 0.0,
+        run.largest_step,
         run.local_error if integrator.error_order else None,
         stable_step=stable,
     )
@@ -131,10 +131,10 @@ def integrate(
             equations, integrator, options, sample_times, start.state
         )
         run = _start_run(equations, integrator, options, sample_times, start)
-        states, status = _states(run, sample_times)
-        ends = sorted({0, len(states) - 1})
+        states, status = _sample_states(run, sample_times)
+        end_indices = sorted({0, len(states) - 1})
         stats = stats_of(
-            run, status, [(float(sample_times[i]), states[i]) for i in ends]
+            run, status, [(float(sample_times[i]), states[i]) for i in end_indices]
         )
         energies = _sample_energies(system, sample_times, states)
     if status is not Status.OK:
@@ -163,24 +163,27 @@ def _start_run(
     integrator: Integrator,
     options: IntegrateOptions,
     times: FloatArray,
-    begin: Checkpoint,
+    start: Checkpoint,
 ) -> IntegrationRun:
-    watch = EnergyWatch(equations.system, options)
-    watch.start(begin.time, begin.state)
+    """Return a run that starts from a checkpoint, with its energy watch."""
+    energy_watch = EnergyWatch(equations.system, options)
+    energy_watch.start(start.time, start.state)
     return IntegrationRun(
         integrator,
         equations,
         options,
-        watch,
+        energy_watch,
         float(times[-1]),
-        begin.time,
-        begin.state,
-        begin.memory,
-        begin.trial,
+        start.time,
+        start.state,
+        start.memory,
+        start.trial,
     )
 
 
-def _states(run: IntegrationRun, times: FloatArray) -> tuple[list[FloatArray], Status]:
+def _sample_states(
+    run: IntegrationRun, times: FloatArray
+) -> tuple[list[FloatArray], Status]:
     """Return the states at the times that were reached, and the final status."""
     states, status = [run.state], Status.OK
     for t in times[1:].tolist():
@@ -194,6 +197,7 @@ def _states(run: IntegrationRun, times: FloatArray) -> tuple[list[FloatArray], S
 def _sample_energies(
     system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
+    """Return total energies at the times reached; None if one is missing."""
     energies = [
         system.energy(t, state)
         for t, state in zip(times.tolist(), states, strict=False)

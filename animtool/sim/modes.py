@@ -25,10 +25,10 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
     >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
     0.02
     """
-    oscillating = modes[modes[:, 0] > 0]
+    oscillating_modes = modes[modes[:, 0] > 0]
     steps = [
         integrator.largest_step(float(omega), max(0.0, float(damping)))
-        for omega, damping in oscillating
+        for omega, damping in oscillating_modes
     ]
     limits = [step for step in steps if step is not None]
     if len(limits) < len(steps):
@@ -42,9 +42,9 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     The modes that the system reports; for small states without them, the eigenvalues of
     a finite-difference Jacobian. Modes that grow physically are left out.
     """
-    known_modes = equations.system.frequencies(t, state)
-    if known_modes is not None:
-        return known_modes
+    reported_modes = equations.system.frequencies(t, state)
+    if reported_modes is not None:
+        return reported_modes
     if state.size > MAX_STATE_SIZE or not np.isfinite(state).all():
         return None
 
@@ -55,13 +55,15 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     jacobian = finite_differences(rate, state.ravel(), rate(state.ravel()))
     if not np.isfinite(jacobian).all():
         return None
-    values = np.linalg.eigvals(jacobian)
-    magnitudes = np.abs(values)
+    eigenvalues = np.linalg.eigvals(jacobian)
+    magnitudes = np.abs(eigenvalues)
     # Finite differences have rounding errors relative to the largest value.
-    relevant = (magnitudes > 1e-6 * magnitudes.max(initial=0.0)) & (
-        values.real <= 1e-6 * magnitudes
+    is_relevant = (magnitudes > 1e-6 * magnitudes.max(initial=0.0)) & (
+        eigenvalues.real <= 1e-6 * magnitudes
     )
-    damping = np.maximum(-values.real / np.where(magnitudes > 0, magnitudes, 1.0), 0.0)
+    damping = np.maximum(
+        -eigenvalues.real / np.where(magnitudes > 0, magnitudes, 1.0), 0.0
+    )
     damping = np.where(damping < 1e-6, 0.0, damping)
-    modes: FloatArray = np.stack([magnitudes, damping], axis=1)[relevant]
+    modes: FloatArray = np.stack([magnitudes, damping], axis=1)[is_relevant]
     return modes

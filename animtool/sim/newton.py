@@ -41,6 +41,7 @@ def solve_stage(
 def _solve_first_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
+    """Solve a stage of a first-order system for the whole state."""
     shape = base.shape
 
     def residual(unknowns: FloatArray) -> FloatArray:
@@ -61,19 +62,20 @@ def _solve_first_order(
 def _solve_second_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
+    """Solve a stage of a second-order system for the velocities."""
     shape = base[1].shape
 
-    def state(unknowns: FloatArray) -> FloatArray:
+    def state_of(unknowns: FloatArray) -> FloatArray:
         v = unknowns.reshape(shape)
         return np.array((base[0] + scale * v, v))
 
     def residual(unknowns: FloatArray) -> FloatArray:
-        x, v = state(unknowns)
+        x, v = state_of(unknowns)
         difference: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
         return difference.ravel()
 
     def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
-        jacobians = equations.jacobians(t, *state(unknowns))
+        jacobians = equations.jacobians(t, *state_of(unknowns))
         if jacobians is None:
             return -finite_differences(residual, unknowns, value)
         by_x, by_v = jacobians
@@ -81,7 +83,7 @@ def _solve_second_order(
 
     rest_velocity = REST_FRACTION * float(np.abs(base[0]).max(initial=0.0)) / abs(scale)
     solution = _find_root(residual, matrix, guess[1].ravel(), rest_velocity)
-    return None if solution is None else state(solution)
+    return None if solution is None else state_of(solution)
 
 
 def finite_differences(
@@ -115,10 +117,10 @@ def _find_root(
         point, residuals = _line_search(residual, point, residuals, correction)
         if not np.isfinite(residuals).all():
             return None
-        size = max(float(np.abs(point).max(initial=0.0)), min_size)
+        magnitude = max(float(np.abs(point).max(initial=0.0)), min_size)
         if (
             float(np.abs(correction).max(initial=0.0))
-            <= CONVERGED_CORRECTION * size + 1e-300
+            <= CONVERGED_CORRECTION * magnitude + 1e-300
         ):
             return point
     return None
@@ -128,12 +130,15 @@ def _line_search(
     residual: Residual, point: FloatArray, residuals: FloatArray, correction: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the next iterate and residuals; halves steps that double the residual."""
-    size = float(np.linalg.norm(residuals))
+    residual_norm = float(np.linalg.norm(residuals))
     new_point, new_residuals = point, residuals
     for halving in range(MAX_HALVINGS):
         new_point = point + correction * 0.5**halving
         new_residuals = residual(new_point)
-        if float(np.linalg.norm(new_residuals)) <= 2 * size or size == 0:
+        if (
+            float(np.linalg.norm(new_residuals)) <= 2 * residual_norm
+            or residual_norm == 0
+        ):
             break
     return new_point, new_residuals
 
@@ -148,6 +153,7 @@ def _identity_minus(matrix: Matrix) -> Matrix:
 
 
 def _solve_linear(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
+    """Return the solution of a linear system; None if singular."""
     if not isinstance(matrix, np.ndarray):
         return _solve_sparse(matrix, rhs)
     try:
@@ -158,6 +164,7 @@ def _solve_linear(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
 
 
 def _solve_sparse(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
+    """Return the solution of a sparse system; None if singular."""
     from scipy.sparse.linalg import splu
 
     try:

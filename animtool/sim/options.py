@@ -68,7 +68,7 @@ class IntegrateOptions:
 
 def check_options(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name; raise if they are invalid."""
-    integrator = _integrator_of(options)
+    integrator = _find_named_integrator(options)
     faults = _option_faults(options, integrator.control)
     if faults:
         raise OptionError(faults)
@@ -81,7 +81,7 @@ def finer_options(options: IntegrateOptions) -> IntegrateOptions:
     >>> finer_options(IntegrateOptions("rk4", step=0.1)).step
     0.05
     """
-    if _integrator_of(options).control is StepControl.FIXED:
+    if _find_named_integrator(options).control is StepControl.FIXED:
         assert options.step is not None
         return replace(options, step=options.step * FINER_STEP, estimate=False)
     return replace(
@@ -92,7 +92,7 @@ def finer_options(options: IntegrateOptions) -> IntegrateOptions:
     )
 
 
-def _integrator_of(options: IntegrateOptions) -> Integrator:
+def _find_named_integrator(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name."""
     integrator = find_integrator(options.method)
     if options.method == "adaptive_doubling" and options.base != "rk4":
@@ -103,14 +103,14 @@ def _integrator_of(options: IntegrateOptions) -> Integrator:
 
 
 def _option_faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
-    """Return faults of options, for a kind of method."""
+    """Return faults of options for a kind of step control."""
     return range_faults(options) + _method_faults(
         options, fixed=control is StepControl.FIXED
     )
 
 
 def _method_faults(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:
-    """Return faults of options that a method requires or ignores."""
+    """Return faults of options that are missing, or that the method ignores."""
     faults = []
     if fixed and options.step is None:
         message = f"{options.method} needs a step"

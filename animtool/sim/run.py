@@ -44,10 +44,10 @@ class IntegrationRun:
     memory: object = None  # the method's memory
     # The next trial step of adaptive methods [s].
     trial: float | None = None
-    steps: int = 0  # accepted
-    rejected: int = 0  # rejected
-    smallest: float = math.inf  # step [s]
-    largest: float = 0.0  # step [s]
+    steps: int = 0  # accepted steps
+    rejected: int = 0  # rejected steps
+    smallest_step: float = math.inf  # smallest accepted step [s]
+    largest_step: float = 0.0  # largest accepted step [s]
     local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why it stopped
     checked_steps: int = field(default=0)  # accepted steps at the last divergence check
@@ -69,7 +69,10 @@ class IntegrationRun:
         """Count steps up to time t; return whether to continue."""
         self.time = t
         self.steps += steps
-        self.smallest, self.largest = min(self.smallest, h), max(self.largest, h)
+        self.smallest_step, self.largest_step = (
+            min(self.smallest_step, h),
+            max(self.largest_step, h),
+        )
         if self.steps - self.checked_steps >= CHECK_INTERVAL:
             return self.check()
         return self.budget_status()
@@ -101,9 +104,9 @@ class StepGrid:
 
     start: float  # [s]
     end: float  # [s]
-    count: int  # of steps
-    h: float  # each step [s]
-    # The start as a multiple of the step, if times are multiples; else None.
+    count: int  # number of steps
+    h: float  # size of each step [s]
+    # Index of the first step on the grid of multiples; None off the grid.
     first: int | None
 
     def time(self, i: int) -> float:
@@ -125,12 +128,18 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     >>> step_grid(0.1 + 0.2, 0.6, 0.1)
     StepGrid(start=0.30000000000000004, end=0.6, count=3, h=0.1, first=3)
     """
-    first, last = start / step, end / step
-    first_index, last_index = round(first), round(last)
+    first_multiple, last_multiple = start / step, end / step
+    first_index, last_index = round(first_multiple), round(last_multiple)
     # Rounding error of times that are multiples of the step.
-    tolerance = GRID_TOLERANCE + 4 * math.ulp(max(abs(first), abs(last)))
-    on_grid = max(abs(first - first_index), abs(last - last_index)) <= tolerance < 0.5
-    if on_grid and last_index > first_index:
+    tolerance = GRID_TOLERANCE + 4 * math.ulp(
+        max(abs(first_multiple), abs(last_multiple))
+    )
+    is_on_grid = (
+        max(abs(first_multiple - first_index), abs(last_multiple - last_index))
+        <= tolerance
+        < 0.5
+    )
+    if is_on_grid and last_index > first_index:
         return StepGrid(start, end, last_index - first_index, step, first_index)
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
     return StepGrid(start, end, count, (end - start) / count, None)
@@ -152,6 +161,7 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
 
 
 def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
+    """Take the steps one by one, in Python."""
     step_function = run.integrator.step
     assert step_function is not None
     for i in range(grid.count):

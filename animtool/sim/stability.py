@@ -35,7 +35,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
 
     R is a polynomial that begins 1 + z.
 
-    It is the first step that is not stable; larger stable steps beyond are ignored.
+    The limit is the smallest unstable step, even if some larger steps are stable.
 
     >>> round(rate_limit([1, 1, 1 / 2, 1 / 6, 1 / 24])(1.0, 0.0), 3)
     2.828
@@ -46,22 +46,26 @@ def rate_limit(growth: Sequence[float]) -> Limit:
         # λ h of the slower decay is below rounding.
         if damping_ratio >= 1:
             root = math.sqrt(damping_ratio - 1) * math.sqrt(damping_ratio + 1)
-            values = {complex(-damping_ratio - root)}
+            eigenvalues = {complex(-damping_ratio - root)}
         else:
             root = math.sqrt((1 - damping_ratio) * (1 + damping_ratio))
-            values = {complex(-damping_ratio, root), complex(-damping_ratio, -root)}
-        limits = (_first_growth(coefficients, value) for value in values)
+            eigenvalues = {
+                complex(-damping_ratio, root),
+                complex(-damping_ratio, -root),
+            }
+        limits = (_first_growth(coefficients, value) for value in eigenvalues)
         return min(limits) / omega
 
     return limit
 
 
-def _first_growth(growth: FloatArray, value: complex) -> float:
-    size = abs(value)
-    scaled = growth * (value / size) ** np.arange(len(growth))
-    square: FloatArray = np.convolve(scaled, scaled.conj()).real
-    square[0] = 0.0
-    return _first_positive(square) / size
+def _first_growth(growth: FloatArray, eigenvalue: complex) -> float:
+    """Return the first step above 0 at which a mode grows."""
+    magnitude = abs(eigenvalue)
+    scaled = growth * (eigenvalue / magnitude) ** np.arange(len(growth))
+    growth_excess: FloatArray = np.convolve(scaled, scaled.conj()).real
+    growth_excess[0] = 0.0
+    return _first_positive(growth_excess) / magnitude
 
 
 def jury_limit(

@@ -27,8 +27,8 @@ class Energy:
     """The energy of a state.
 
     Attributes:
-        kinetic: [J]
-        potential: [J], of springs and fields, from any zero.
+        kinetic: Kinetic energy [J].
+        potential: Potential energy of springs and fields, from any zero [J].
         supply: Energy that external forces (wind, motors, moving pins) may add [J]; 0
             without any. The order of magnitude is enough: a gain far beyond it counts
             as divergence.
@@ -264,10 +264,14 @@ class ForceSystem(_FunctionSystem, SecondOrder):
         fixed: BoolArray | None = None,
         velocity_dependent: bool = True,
     ) -> None:
-        starts = np.asarray(positions, np.float64)
-        speeds = np.zeros_like(starts) if velocities is None else velocities
+        start_positions = np.asarray(positions, np.float64)
+        start_velocities = (
+            np.zeros_like(start_positions) if velocities is None else velocities
+        )
         super().__init__(
-            np.stack([starts, np.asarray(speeds, np.float64)]), energy, frequencies
+            np.stack([start_positions, np.asarray(start_velocities, np.float64)]),
+            energy,
+            frequencies,
         )
         self._acceleration = acceleration
         self._jacobians = jacobians

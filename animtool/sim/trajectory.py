@@ -14,7 +14,7 @@ class Status(StrEnum):
 
     Attributes:
         OK: All times were reached.
-        UNSTABLE: It blew up: energy, springs or the state itself exceeded bounds.
+        UNSTABLE: It diverged: energy, springs or the state itself exceeded bounds.
         STEP_TOO_SMALL: The tolerance requires a step below the floor.
         OUT_OF_BUDGET: It used up its budget of evaluations.
         NOT_SOLVED: An implicit step did not converge.
@@ -32,7 +32,7 @@ class Checkpoint:
     """A state to resume the integration from.
 
     Attributes:
-        time: [s]
+        time: Time of the state [s].
         state: State at that time.
         memory: Data that the method keeps between steps.
         trial: Next step that an adaptive method tries [s].
@@ -61,8 +61,8 @@ class Stats:
             without an estimate.
         error: Largest difference from a run with finer steps, in the state's units, as
             an estimate of the error; None if not requested.
-        stable_step: Largest stable step of a run that blew up with a fixed step [s]: 0
-            if none is stable, None if unknown.
+        stable_step: Largest stable step of a run that diverged with a fixed step [s]:
+            0 if none is stable, None if unknown.
     """
 
     status: Status

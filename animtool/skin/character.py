@@ -53,7 +53,7 @@ def character_meshes(
         shapes: Names of the weighted shapes.
     """
     joint_indices = {name: i for i, name in enumerate(joints)}
-    columns = {name: i for i, name in enumerate(shapes)}
+    column_of_shape = {name: i for i, name in enumerate(shapes)}
     meshes, faults = [], []
     for surface in surfaces:
         try:
@@ -62,7 +62,7 @@ def character_meshes(
             faults += [_with_mesh_name(fault, surface.name) for fault in error.faults]
             continue
         shape_columns = [
-            _shape_column(surface, shape, columns) for shape in surface.shapes
+            _shape_column(surface, shape, column_of_shape) for shape in surface.shapes
         ]
         meshes.append(
             CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
@@ -86,9 +86,9 @@ def character_strands(
     no_shapes = np.zeros(0, np.int64)
     for entry in strands:
         points = entry.points.reshape(-1, 3)
-        carrier = np.array([joints.index(entry.joint)])
+        carrier_joint = np.array([joints.index(entry.joint)])
         try:
-            binding = Binding([[0]], [[1.0]], bind, carrier)
+            binding = Binding([[0]], [[1.0]], bind, carrier_joint)
             skin = prepare_skin(binding, len(points))
         except FormatError as error:
             faults += [
@@ -104,20 +104,22 @@ def character_strands(
 
 
 def _with_mesh_name(fault: Fault, mesh: str) -> Fault:
+    """Return a fault whose message starts with the mesh's name."""
     return replace(fault, message=f"mesh {mesh!r}: " + fault.message)
 
 
 def _shape_column(
-    surface: Surface, shape: SurfaceShape, columns: dict[str, int]
+    surface: Surface, shape: SurfaceShape, column_of_shape: dict[str, int]
 ) -> int:
     """Return the column of a shape, which may have its mesh's name as prefix."""
     short_name = shape.name.removeprefix(f"{surface.name}_")
-    return columns.get(shape.name, columns.get(short_name, -1))
+    return column_of_shape.get(shape.name, column_of_shape.get(short_name, -1))
 
 
 def _prepare_mesh(
     surface: Surface, joint_indices: dict[str, int], bind: FloatArray
 ) -> DeformedMesh:
+    """Return a surface prepared for deformation, with its shapes and skin."""
     shapes = skin = None
     if surface.shapes:
         deltas = [_shape_deltas(shape) for shape in surface.shapes]
@@ -136,6 +138,7 @@ def _prepare_mesh(
 
 
 def _shape_deltas(shape: SurfaceShape) -> ShapeDeltas:
+    """Return a surface's shape as offsets, with its inbetweens."""
     return ShapeDeltas(
         shape.name,
         shape.deltas,

@@ -61,19 +61,23 @@ class DeformedMesh:
             raise FormatError(faults)
 
     def _normal_faults(self) -> list[Fault]:
+        """Return the faults of the normals' shape and vertices."""
         if self.normals is None:
             return []
-        at = self.normal_vertices
-        expected = len(self.points) if at is None else len(at)
+        normal_vertices = self.normal_vertices
+        expected = len(self.points) if normal_vertices is None else len(normal_vertices)
         if np.shape(self.normals) != (expected, 3):
             message = (
                 f"normals are {np.shape(self.normals)}, but must be ({expected}, 3)"
             )
             return [Fault("SKIN001", message)]
         if (
-            at is not None
-            and at.size
-            and not 0 <= at.min() <= at.max() < len(self.points)
+            normal_vertices is not None
+            and normal_vertices.size
+            and not 0
+            <= normal_vertices.min()
+            <= normal_vertices.max()
+            < len(self.points)
         ):
             message = f"normals of vertices outside 0…{len(self.points) - 1}"
             return [Fault("SKIN002", message)]
@@ -86,7 +90,7 @@ class DeformedFrames:
 
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
-    extents: FloatArray  # smallest and largest coordinates ``(F, 2, 3)``
+    extents: FloatArray  # minimum and maximum coordinates ``(F, 2, 3)``
     # Unit, ``(F, N, 3)``; None unless requested.
     normals: FloatArray | None = None
     # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
@@ -127,25 +131,27 @@ def deform(
     >>> deform(mesh, np.zeros((2, 0))).extents[1].tolist()
     [[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]]
     """
-    values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
-    return _deform_into(mesh, values, world, normals, _block_seconds(times), None)
+    weights_array = (
+        None if weights is None else as_floats(weights, ("F", "S"), "weights")
+    )
+    return _deform_into(mesh, weights_array, world, normals, _times_array(times), None)
 
 
 def _deform_into(
     mesh: DeformedMesh,
-    values: FloatArray | None,
+    weights: FloatArray | None,
     world: WorldTransforms | None,
     normals: bool,
     times: FloatArray | None,
     buffers: _DeformBuffers | None,
 ) -> DeformedFrames:
     """Return the deformed mesh like `deform`, reusing buffers if given."""
-    frames = _frame_count(values, world)
-    points = _deformed_points(mesh, values, world, frames, buffers)
+    frames = _frame_count(weights, world)
+    points = _deform_points(mesh, weights, world, frames, buffers)
     return DeformedFrames(
         points,
         extents(points),
-        _deformed_normals(mesh, values, world, frames, buffers) if normals else None,
+        _deform_normals(mesh, weights, world, frames, buffers) if normals else None,
         None if times is None else _point_velocities(points, times),
     )
 
@@ -159,7 +165,10 @@ class _DeformBuffers:
     normals: FloatArray  # ``(F, N, 3)``
 
     @classmethod
-    def of(cls, mesh: DeformedMesh, frames: int, *, normals: bool) -> _DeformBuffers:
+    def allocate(
+        cls, mesh: DeformedMesh, frames: int, *, normals: bool
+    ) -> _DeformBuffers:
+        """Return buffers for a number of frames; without normals unless requested."""
         count = 0 if mesh.normals is None or not normals else len(mesh.normals)
         shape = (frames, *mesh.points.shape)
         return cls(np.zeros(shape), np.zeros(shape), np.zeros((frames, count, 3)))
@@ -187,24 +196,28 @@ def deform_blocks(
     Returns:
         Blocks that share memory: each must be used before the next is requested.
     """
-    values = None if weights is None else as_floats(weights, ("F", "S"), "weights")
-    frames = _frame_count(values, world)
+    weights_array = (
+        None if weights is None else as_floats(weights, ("F", "S"), "weights")
+    )
+    frames = _frame_count(weights_array, world)
     size = block or block_frames(len(mesh.points))
     # Central differences need the frame on either side.
-    seconds = _block_seconds(times)
-    margin = 0 if seconds is None else 1
-    buffers = _DeformBuffers.of(mesh, min(frames, size + 2 * margin), normals=normals)
+    frame_times = _times_array(times)
+    margin = 0 if frame_times is None else 1
+    buffers = _DeformBuffers.allocate(
+        mesh, min(frames, size + 2 * margin), normals=normals
+    )
     for begin in range(0, frames, size):
         end = min(begin + size, frames)
         first, stop = max(begin - margin, 0), min(end + margin, frames)
         deformed = _deform_into(
             mesh,
-            None if values is None else values[first:stop],
+            None if weights_array is None else weights_array[first:stop],
             None
             if world is None
             else WorldTransforms(world.positions[first:stop], world.linear[first:stop]),
             normals,
-            None if seconds is None else seconds[first:stop],
+            None if frame_times is None else frame_times[first:stop],
             buffers,
         )
         yield deformed.select(slice(begin - first, end - first))
@@ -221,7 +234,7 @@ def block_frames(vertices: int) -> int:
 
 
 def extents(points: ArrayLike) -> FloatArray:
-    """Return the smallest and largest coordinates ``(F, 2, 3)`` of ``(F, V, 3)``.
+    """Return the minimum and maximum coordinates ``(F, 2, 3)`` of points ``(F, V, 3)``.
 
     >>> extents([[[0, 5, 1], [2, 3, 4]]]).tolist()
     [[[0.0, 3.0, 1.0], [2.0, 5.0, 4.0]]]
@@ -230,6 +243,7 @@ def extents(points: ArrayLike) -> FloatArray:
 
 
 def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> int:
+    """Return the number of frames of weights and joints, which must agree."""
     counts = set()
     if weights is not None:
         counts.add(len(weights))
@@ -240,13 +254,14 @@ def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> i
     return counts.pop()
 
 
-def _deformed_points(
+def _deform_points(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
     buffers: _DeformBuffers | None,
 ) -> FloatArray:
+    """Return the deformed points ``(F, V, 3)``."""
     points = mesh.points[None]
     is_skinned = mesh.skin is not None and world is not None
     out = None if buffers is None else buffers.points[:frames]
@@ -260,13 +275,14 @@ def _deformed_points(
     return np.ascontiguousarray(np.broadcast_to(points, (frames, *points.shape[1:])))
 
 
-def _deformed_normals(
+def _deform_normals(
     mesh: DeformedMesh,
     weights: FloatArray | None,
     world: WorldTransforms | None,
     frames: int,
     buffers: _DeformBuffers | None,
 ) -> FloatArray:
+    """Return the deformed unit normals ``(F, N, 3)``."""
     if mesh.normals is None:
         raise ValueError("the mesh has no normals")
     normals = np.asarray(mesh.normals, np.float64)[None]
@@ -286,11 +302,13 @@ def _deformed_normals(
     return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
 
 
-def _block_seconds(times: ArrayLike | None) -> FloatArray | None:
+def _times_array(times: ArrayLike | None) -> FloatArray | None:
+    """Return the times of the frames as an array; None without times."""
     return None if times is None else as_floats(times, ("F",), "times")
 
 
 def _point_velocities(points: FloatArray, times: FloatArray) -> FloatArray:
+    """Return velocities ``(F, V, 3)``, zero for a single frame."""
     if len(points) < 2:
         return np.zeros_like(points)
     return np.asarray(np.gradient(points, times, axis=0))
@@ -303,7 +321,7 @@ def replace_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> DeformedFrames:
-    """Return frames of a mesh with replaced points, such as simulated ones.
+    """Return frames of a mesh with its points replaced, for example by simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 
@@ -322,41 +340,43 @@ def replace_points(
     margin = 0 if times is None else 1
     first = max(frames.start - margin, 0)
     stop = min(frames.stop + margin, len(points.values))
-    with_margin = points.select(slice(first, stop)).dense()
+    points_with_margin = points.select(slice(first, stop)).dense()
     requested_rows = slice(frames.start - first, frames.stop - first)
-    values = np.ascontiguousarray(with_margin[requested_rows])
+    new_points = np.ascontiguousarray(points_with_margin[requested_rows])
     velocities = deformed.velocities
     if times is not None:
-        velocities = np.zeros_like(values)
-        if len(with_margin) > 1:
-            velocities = np.gradient(with_margin, times[first:stop], axis=0)[
+        velocities = np.zeros_like(new_points)
+        if len(points_with_margin) > 1:
+            velocities = np.gradient(points_with_margin, times[first:stop], axis=0)[
                 requested_rows
             ]
     normals = deformed.normals
     if normals is not None and surface is not None:
-        differ = (values != deformed.points).any(axis=(1, 2))
+        has_changed = (new_points != deformed.points).any(axis=(1, 2))
         normals = normals.copy()
-        normals[differ] = vertex_normals(surface, values[differ])
+        normals[has_changed] = vertex_normals(surface, new_points[has_changed])
     return replace(
         deformed,
-        points=values,
-        extents=extents(values),
+        points=new_points,
+        extents=extents(new_points),
         normals=normals,
         velocities=velocities,
     )
 
 
 def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
-    """Return unit vertex normals ``(F, V, 3)``, the mean of face normals by area.
+    """Return area-weighted unit normals of vertices ``(F, V, 3)``.
 
-    ``points`` ``(F, V, 3)``.
+    Args:
+        surface: Mesh with the faces.
+        points: Points of the vertices ``(F, V, 3)``.
     """
     corners = triangulated(surface.counts, surface.indices)
     a, b, c = (points[:, corners[:, k]] for k in range(3))
-    areas = np.cross(b - a, c - a)
-    area_normals = np.zeros_like(points)
-    by_vertex = np.moveaxis(area_normals, 1, 0)
+    area_vectors = np.cross(b - a, c - a)
+    normal_sums = np.zeros_like(points)
+    sums_by_vertex = np.moveaxis(normal_sums, 1, 0)
     for k in range(3):
-        np.add.at(by_vertex, corners[:, k], np.moveaxis(areas, 1, 0))
-    length = np.linalg.norm(area_normals, axis=-1, keepdims=True)
-    return np.asarray(area_normals / np.where(length > 0, length, 1.0))
+        np.add.at(sums_by_vertex, corners[:, k], np.moveaxis(area_vectors, 1, 0))
+    length = np.linalg.norm(normal_sums, axis=-1, keepdims=True)
+    return np.asarray(normal_sums / np.where(length > 0, length, 1.0))

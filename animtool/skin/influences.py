@@ -9,15 +9,15 @@ from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 
-# Rounding error of sums of float32 weights.
+# Tolerance of weight sums: rounding error of float32 weights.
 SUM_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """Joint influences; those of vertex v are ``first[v]`` to ``first[v + 1]``."""
+    """Joint influences; those of vertex v are from ``row_starts[v]``."""
 
-    first: IntArray  # ``(V + 1,)``, ascending from 0
+    row_starts: IntArray  # first influence of each vertex, and the end ``(V + 1,)``
     # ``(K,)`` int32, per vertex the strongest first, without duplicates.
     joints: npt.NDArray[np.int32]
     weights: FloatArray  # ``(K,)`` [1], not zero; they sum to 1 per vertex
@@ -25,27 +25,27 @@ class Influences:
     @property
     def vertices(self) -> int:
         """Number of vertices."""
-        return len(self.first) - 1
+        return len(self.row_starts) - 1
 
-    def rows(self, vertices: IntArray) -> Influences:
+    def select(self, vertices: IntArray) -> Influences:
         """Return the influences of selected vertices, in their order.
 
         Args:
             vertices: Vertex indices ``(N,)``, possibly repeated.
         """
-        counts = np.diff(self.first)[vertices]
-        first = np.concatenate([[0], np.cumsum(counts)])
-        entries = np.arange(first[-1]) + np.repeat(
-            self.first[vertices] - first[:-1], counts
+        counts = np.diff(self.row_starts)[vertices]
+        row_starts = np.concatenate([[0], np.cumsum(counts)])
+        entries = np.arange(row_starts[-1]) + np.repeat(
+            self.row_starts[vertices] - row_starts[:-1], counts
         )
-        return Influences(first, self.joints[entries], self.weights[entries])
+        return Influences(row_starts, self.joints[entries], self.weights[entries])
 
 
 @dataclass(frozen=True, slots=True)
 class InfluenceReport:
     """Corrections applied to influences on reading."""
 
-    normalized: int  # vertices whose weights differ from the sum 1 by more than 1e-6
+    normalized: int  # vertices whose weight sum differs from 1 by more than 1e-6
     pruned: int  # vertices with weights dropped by the limit of influences
     zeros: int  # influences of zero weight, removed
     merged: int  # duplicate influences of a joint, merged
@@ -78,70 +78,79 @@ def read_influences(
     >>> influences.weights.tolist(), report.normalized, report.sum_error
     ([0.75, 0.25], 1, 3.0)
     """
-    numbers, values = np.asarray(indices), np.asarray(weights, np.float64)
-    _check_shapes(numbers, values, vertices)
-    if vertices is not None and len(numbers) == 1:
-        numbers = np.broadcast_to(numbers, (vertices, numbers.shape[1]))
-        values = np.broadcast_to(values, numbers.shape)
-    _check_values(numbers, values, joints)
-    count = len(numbers)
-    rows, joints_of_rows, strengths = _merge_duplicates(
-        numbers.astype(np.int64), values, max(joints, 1)
+    joint_indices, weights_array = np.asarray(indices), np.asarray(weights, np.float64)
+    _check_shapes(joint_indices, weights_array, vertices)
+    if vertices is not None and len(joint_indices) == 1:
+        joint_indices = np.broadcast_to(
+            joint_indices, (vertices, joint_indices.shape[1])
+        )
+        weights_array = np.broadcast_to(weights_array, joint_indices.shape)
+    _check_values(joint_indices, weights_array, joints)
+    count = len(joint_indices)
+    rows, joints_of_rows, sorted_weights = _merge_duplicates(
+        joint_indices.astype(np.int64), weights_array, max(joints, 1)
     )
-    weight_sums = np.bincount(rows, strengths, count).astype(np.float64)
+    weight_sums = np.bincount(rows, sorted_weights, count).astype(np.float64)
     is_kept = _first_entries(rows, count, max_influences)
     is_pruned = np.bincount(rows[~is_kept], minlength=count) > 0
-    nonzero, merged_count = int(np.count_nonzero(values)), len(rows)
-    rows, joints_of_rows, strengths = (
+    nonzero_count, merged_count = int(np.count_nonzero(weights_array)), len(rows)
+    rows, joints_of_rows, sorted_weights = (
         rows[is_kept],
         joints_of_rows[is_kept],
-        strengths[is_kept],
+        sorted_weights[is_kept],
     )
-    totals = np.bincount(rows, strengths, count).astype(np.float64)
-    _check_sums(weight_sums, totals)
+    kept_sums = np.bincount(rows, sorted_weights, count).astype(np.float64)
+    _check_sums(weight_sums, kept_sums)
     errors = np.abs(weight_sums - 1)
     report = InfluenceReport(
         normalized=int(np.count_nonzero(errors > SUM_TOLERANCE)),
         pruned=int(np.count_nonzero(is_pruned)),
-        zeros=values.size - nonzero,
-        merged=nonzero - merged_count,
+        zeros=weights_array.size - nonzero_count,
+        merged=nonzero_count - merged_count,
         sum_error=float(errors.max(initial=0.0)),
         sum_vertex=int(np.argmax(errors)) if count else 0,
     )
-    normalized = strengths / totals[rows]
+    normalized = sorted_weights / kept_sums[rows]
     return Influences(
         _row_starts(rows, count), joints_of_rows.astype(np.int32), normalized
     ), report
 
 
 def _merge_duplicates(
-    numbers: IntArray, values: FloatArray, joints: int
+    joint_indices: IntArray, weights: FloatArray, joints: int
 ) -> tuple[IntArray, IntArray, FloatArray]:
-    """Return vertex, joint and weight of every influence, without duplicates.
+    """Return vertex, joint and weight of each influence, duplicates merged.
 
     Sorted by vertex, then by descending weight; ties keep the order of the input.
     """
-    order = np.argsort(-values, axis=1, kind="stable")
-    strengths = np.take_along_axis(values, order, axis=1)
-    sorted_joints = np.take_along_axis(numbers, order, axis=1)
-    is_nonzero = strengths != 0
+    order = np.argsort(-weights, axis=1, kind="stable")
+    sorted_weights = np.take_along_axis(weights, order, axis=1)
+    sorted_joints = np.take_along_axis(joint_indices, order, axis=1)
+    is_nonzero = sorted_weights != 0
     rows = np.nonzero(is_nonzero)[0]
-    sorted_joints, strengths = sorted_joints[is_nonzero], strengths[is_nonzero]
-    if not _has_duplicates(numbers, values):
-        return rows, sorted_joints, strengths
+    sorted_joints, sorted_weights = (
+        sorted_joints[is_nonzero],
+        sorted_weights[is_nonzero],
+    )
+    if not _has_duplicates(joint_indices, weights):
+        return rows, sorted_joints, sorted_weights
     pairs = rows * joints + sorted_joints
-    unique, at, inverse = np.unique(pairs, return_index=True, return_inverse=True)
-    merged_weights = np.bincount(inverse, strengths, len(unique)).astype(np.float64)
-    order = np.argsort(at)
+    unique, first_indices, inverse = np.unique(
+        pairs, return_index=True, return_inverse=True
+    )
+    merged_weights = np.bincount(inverse, sorted_weights, len(unique)).astype(
+        np.float64
+    )
+    order = np.argsort(first_indices)
     return unique[order] // joints, unique[order] % joints, merged_weights[order]
 
 
-def _has_duplicates(numbers: IntArray, values: FloatArray) -> bool:
+def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
     """Return whether a vertex has a joint twice with weight."""
     # Entries of zero weight get a placeholder that differs from all joints.
-    placeholders = -1 - np.arange(numbers.shape[1])
-    in_order = np.sort(np.where(values != 0, numbers, placeholders), axis=1)
-    return bool((in_order[:, 1:] == in_order[:, :-1]).any())
+    placeholders = -1 - np.arange(joint_indices.shape[1])
+    sorted_joints = np.sort(np.where(weights != 0, joint_indices, placeholders), axis=1)
+    return bool((sorted_joints[:, 1:] == sorted_joints[:, :-1]).any())
 
 
 def _row_starts(rows: IntArray, count: int) -> IntArray:
@@ -159,32 +168,36 @@ def _first_entries(rows: IntArray, count: int, max_count: int | None) -> BoolArr
 
 
 def _check_shapes(
-    numbers: npt.NDArray[np.generic], values: FloatArray, vertices: int | None
+    joint_indices: npt.NDArray[np.generic], weights: FloatArray, vertices: int | None
 ) -> None:
+    """Check that joint indices and weights have the same, expected shape."""
     faults = []
-    if numbers.ndim != 2 or numbers.shape != values.shape:
+    if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
         message = (
-            f"joint indices {numbers.shape} and weights {values.shape} must both be "
-            "(vertices, influences)"
+            f"joint indices {joint_indices.shape} and weights {weights.shape} must "
+            "both be (vertices, influences)"
         )
         faults.append(Fault("SKIN001", message))
-    elif vertices is not None and len(numbers) not in {1, vertices}:
-        message = f"influences of {len(numbers)} vertices, but there are {vertices}"
+    elif vertices is not None and len(joint_indices) not in {1, vertices}:
+        message = (
+            f"influences of {len(joint_indices)} vertices, but there are {vertices}"
+        )
         faults.append(Fault("SKIN001", message))
-    elif not np.issubdtype(numbers.dtype, np.integer):
+    elif not np.issubdtype(joint_indices.dtype, np.integer):
         faults.append(
-            Fault("SKIN002", f"joint indices are {numbers.dtype}, not integers")
+            Fault("SKIN002", f"joint indices are {joint_indices.dtype}, not integers")
         )
     if faults:
         raise FormatError(faults)
 
 
 def _check_values(
-    numbers: npt.NDArray[np.generic], values: FloatArray, joints: int
+    joint_indices: npt.NDArray[np.generic], weights: FloatArray, joints: int
 ) -> None:
-    integers = numbers.astype(np.int64)
+    """Check that joint indices are in range and weights are finite."""
+    integers = joint_indices.astype(np.int64)
     out_of_range = (integers < 0) | (integers >= joints)
-    infinite = ~np.isfinite(values)
+    infinite = ~np.isfinite(weights)
     faults = [
         *_vertex_faults(
             "SKIN002",
@@ -200,11 +213,13 @@ def _check_values(
 
 
 def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
+    """Return which vertices have a wrong influence."""
     return np.asarray(is_wrong.any(axis=1), np.bool_)
 
 
-def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
-    without_weight = np.minimum(sums, kept_sums) <= 0
+def _check_sums(sums: FloatArray, remaining_sums: FloatArray) -> None:
+    """Check that each vertex has weight, before and after pruning."""
+    without_weight = np.minimum(sums, remaining_sums) <= 0
     faults = _vertex_faults(
         "SKIN004", np.asarray(without_weight), "no weight on any joint"
     )
@@ -214,8 +229,8 @@ def _check_sums(sums: FloatArray, kept_sums: FloatArray) -> None:
 
 def _vertex_faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
     """Return a fault that lists the vertices of a mask, if any."""
-    at = np.flatnonzero(is_wrong).tolist()
-    if not at:
+    vertices = np.flatnonzero(is_wrong).tolist()
+    if not vertices:
         return []
-    noun = "vertex" if len(at) == 1 else f"{len(at)} vertices"
-    return [Fault(code, f"{noun} with {problem}: {listed(at)}")]
+    noun = "vertex" if len(vertices) == 1 else f"{len(vertices)} vertices"
+    return [Fault(code, f"{noun} with {problem}: {listed(vertices)}")]

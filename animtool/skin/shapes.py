@@ -29,7 +29,7 @@ from animtool.core.record import dataclass
 
 # Minimum distance of inbetween weights from 0, 1 and each other; UsdSkel skips closer
 # ones.
-NEAREST_INBETWEEN = 1e-6
+MIN_INBETWEEN_DISTANCE = 1e-6
 
 # Cost of the sparse relative to the dense product, measured per frame over 10 000
 # vertices on one thread (tests/bench/deform.py): a dense column takes 1.75 us for any
@@ -48,7 +48,7 @@ MIN_COPY_FRAMES = 7
 class InbetweenDeltas:
     """The offsets of a shape at an inbetween weight."""
 
-    at: float  # weight [1], neither 0 nor 1
+    weight: float  # where the offsets apply fully [1], neither 0 nor 1
     # ``(D, 3)`` at the vertices of the shape; None moves no points.
     offsets: ArrayLike | None
     normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None keeps normals
@@ -75,11 +75,11 @@ class _Columns:
     """Rest values and offsets of C columns, each dense or sparse."""
 
     rest: FloatArray  # ``(1, V, 3)``
-    dense: BoolArray  # which columns are dense ``(C,)``
-    table: FloatArray  # ``(1 + dense, 3·V)``: the rest values, then the dense columns
-    first: IntArray  # ``(V + 1,)`` where the sparse offsets of each vertex begin
-    columns: npt.NDArray[np.int32]  # ``(K,)`` int32, the column of each sparse offset
-    offsets: FloatArray  # ``(K, 3)``
+    is_dense: BoolArray  # whether each column is dense ``(C,)``
+    dense_table: FloatArray  # ``(1 + dense, 3·V)``: rest values, then dense columns
+    row_starts: IntArray  # first sparse offset of each vertex, and the end ``(V + 1,)``
+    columns: npt.NDArray[np.int32]  # column of each sparse offset ``(K,)`` int32
+    offsets: FloatArray  # sparse offsets ``(K, 3)``
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,10 @@ def prepare_shapes(
 ) -> PreparedShapes:
     """Return shapes prepared for evaluation on a mesh.
 
-    ``points`` ``(V, 3)``, ``normals`` ``(V, 3)``.
+    Args:
+        shapes: Blend shapes of the mesh.
+        points: Points at rest ``(V, 3)``.
+        normals: Normals at rest ``(V, 3)``; None without normals.
 
     >>> smile = ShapeDeltas("smile", [[0.0, 2.0, 0.0]], indices=[1])
     >>> shapes = prepare_shapes([smile], np.zeros((2, 3)))
@@ -114,9 +117,9 @@ def prepare_shapes(
     faults = [fault for shape in shapes for fault in _shape_faults(shape, len(rest))]
     if faults:
         raise FormatError(faults)
-    sorted_shapes = [_all_offsets(shape) for shape in shapes]
+    sorted_shapes = [_offsets_by_weight(shape) for shape in shapes]
     knots = tuple(
-        np.array([offset.at for offset in shape_offsets])
+        np.array([offset.weight for offset in shape_offsets])
         for shape_offsets in sorted_shapes
     )
     return PreparedShapes(
@@ -185,71 +188,82 @@ def blend_normals(
 def _blend_columns(
     columns: _Columns, weights: FloatArray, out: FloatArray | None
 ) -> FloatArray:
-    active = np.asarray(weights.any(axis=0), np.bool_)
-    active_dense = np.asarray(columns.dense & active, np.bool_)
-    active_sparse = np.asarray(~columns.dense & active, np.bool_)
+    """Return rest values plus columns times their weights ``(F, V, 3)``."""
+    is_active = np.asarray(weights.any(axis=0), np.bool_)
+    active_dense = np.asarray(columns.is_dense & is_active, np.bool_)
+    active_sparse = np.asarray(~columns.is_dense & is_active, np.bool_)
     blended_rows = output_array(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
     if active_dense.any():
         _add_dense_columns(
-            columns, weights, active, blended_rows.reshape(len(blended_rows), -1)
+            columns, weights, is_active, blended_rows.reshape(len(blended_rows), -1)
         )
         points = blended_rows
     if active_sparse.any():
-        first, numbers, offsets = columns.first, columns.columns, columns.offsets
+        row_starts, column_indices, offsets = (
+            columns.row_starts,
+            columns.columns,
+            columns.offsets,
+        )
         # The kernel skips inactive columns of a single frame.
         if len(weights) > 1:
-            first, numbers, offsets = _active_offsets(columns, active_sparse)
-        _kernels.add_sparse(points, weights, first, numbers, offsets, blended_rows)
+            row_starts, column_indices, offsets = _active_offsets(
+                columns, active_sparse
+            )
+        _kernels.add_sparse(
+            points, weights, row_starts, column_indices, offsets, blended_rows
+        )
     elif not active_dense.any():
         blended_rows[:] = points
     return blended_rows
 
 
 def _add_dense_columns(
-    columns: _Columns, weights: FloatArray, active: BoolArray, out: FloatArray
+    columns: _Columns, weights: FloatArray, is_active: BoolArray, out: FloatArray
 ) -> None:
-    """Fill in the rest and the dense columns times their weights ``(F, 3·V)``."""
-    dense_weights, is_used = weights[:, columns.dense], active[columns.dense]
-    table = columns.table
-    inactive = len(is_used) - int(is_used.sum())
-    if inactive * len(weights) > MIN_COPY_FRAMES * (len(is_used) - inactive + 1):
-        table, dense_weights = (
-            table[np.append(True, is_used)],
+    """Fill in rest values plus dense columns times their weights ``(F, 3·V)``."""
+    dense_weights, is_used = weights[:, columns.is_dense], is_active[columns.is_dense]
+    dense_table = columns.dense_table
+    inactive_count = len(is_used) - int(is_used.sum())
+    if inactive_count * len(weights) > MIN_COPY_FRAMES * (
+        len(is_used) - inactive_count + 1
+    ):
+        dense_table, dense_weights = (
+            dense_table[np.append(True, is_used)],
             dense_weights[:, is_used],
         )
     factors = np.concatenate([np.ones((len(dense_weights), 1)), dense_weights], axis=1)
-    np.matmul(factors, table, out=out)
+    np.matmul(factors, dense_table, out=out)
 
 
 def _active_offsets(
-    columns: _Columns, active: BoolArray
+    columns: _Columns, is_active: BoolArray
 ) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
     """Return the sparse offsets of the active columns."""
-    is_active = active[columns.columns]
-    if is_active.all():
-        return columns.first, columns.columns, columns.offsets
-    new_first = np.concatenate([[0], np.cumsum(is_active)])
+    is_kept = is_active[columns.columns]
+    if is_kept.all():
+        return columns.row_starts, columns.columns, columns.offsets
+    kept_before = np.concatenate([[0], np.cumsum(is_kept)])
     return (
-        new_first[columns.first],
-        columns.columns[is_active],
-        columns.offsets[is_active],
+        kept_before[columns.row_starts],
+        columns.columns[is_kept],
+        columns.offsets[is_kept],
     )
 
 
 def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the piecewise linear weights of all knots but 0 ``(F, knots - 1)``."""
-    last = len(knots) - 2
-    at = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last)
-    fraction = (weights - knots[at]) / (knots[at + 1] - knots[at])
+    last_segment = len(knots) - 2
+    segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
+    fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])
     hats = np.zeros((len(weights), len(knots)))
     frames = np.arange(len(weights))
-    hats[frames, at] = 1.0 - fraction
-    hats[frames, at + 1] = fraction
+    hats[frames, segments] = 1.0 - fraction
+    hats[frames, segments + 1] = fraction
     return hats[:, knots != 0]
 
 
-def _all_offsets(shape: ShapeDeltas) -> list[InbetweenDeltas]:
+def _offsets_by_weight(shape: ShapeDeltas) -> list[InbetweenDeltas]:
     """Return the offsets of a shape at all its weights, 1 included, by weight.
 
     Empty offsets with normal offsets mean a shape of normals only.
@@ -262,7 +276,7 @@ def _all_offsets(shape: ShapeDeltas) -> list[InbetweenDeltas]:
         else offset
         for offset in (*shape.inbetweens, full_offsets)
     ]
-    return sorted(all_offsets, key=lambda offset: offset.at)
+    return sorted(all_offsets, key=lambda offset: offset.weight)
 
 
 def _prepare_columns(
@@ -270,34 +284,41 @@ def _prepare_columns(
     offsets: Sequence[Sequence[ArrayLike | None]],
     rest: FloatArray,
 ) -> _Columns:
-    nonzero: list[tuple[IntArray, FloatArray]] = []
+    """Return the dense and sparse columns of all shapes' offsets."""
+    nonzero_offsets: list[tuple[IntArray, FloatArray]] = []
     for shape, shape_offsets in zip(shapes, offsets, strict=True):
-        for values in shape_offsets:
-            nonzero.append(_nonzero_offsets(shape, values, len(rest)))
-    density = np.array([len(at) for at, _ in nonzero]) / max(len(rest), 1)
-    dense = _is_dense(density)
-    table = np.zeros((1 + int(dense.sum()), *rest.shape))
-    table[0] = rest
-    for row, i in enumerate(np.flatnonzero(dense), 1):
-        at, values = nonzero[i]
-        if (at[1:] > at[:-1]).all():
-            table[row, at] = values
-        else:
-            np.add.at(table[row], at, values)
-    sparse = np.flatnonzero(~dense)
-    vertices = np.concatenate([np.zeros(0, np.int64), *(nonzero[i][0] for i in sparse)])
-    sparse_offsets = np.concatenate(
-        [np.zeros((0, 3)), *(nonzero[i][1] for i in sparse)]
+        for shape_values in shape_offsets:
+            nonzero_offsets.append(_nonzero_offsets(shape, shape_values, len(rest)))
+    density = np.array([len(vertices) for vertices, _ in nonzero_offsets]) / max(
+        len(rest), 1
     )
-    numbers = np.repeat(sparse, [len(nonzero[i][0]) for i in sparse]).astype(np.int32)
-    order = np.argsort(vertices, kind="stable")
-    counts = np.bincount(vertices, minlength=len(rest))
+    is_dense = _is_dense(density)
+    dense_table = np.zeros((1 + int(is_dense.sum()), *rest.shape))
+    dense_table[0] = rest
+    for row, i in enumerate(np.flatnonzero(is_dense), 1):
+        vertices, shape_values = nonzero_offsets[i]
+        if (vertices[1:] > vertices[:-1]).all():
+            dense_table[row, vertices] = shape_values
+        else:
+            np.add.at(dense_table[row], vertices, shape_values)
+    sparse = np.flatnonzero(~is_dense)
+    sparse_vertices = np.concatenate(
+        [np.zeros(0, np.int64), *(nonzero_offsets[i][0] for i in sparse)]
+    )
+    sparse_offsets = np.concatenate(
+        [np.zeros((0, 3)), *(nonzero_offsets[i][1] for i in sparse)]
+    )
+    column_indices = np.repeat(
+        sparse, [len(nonzero_offsets[i][0]) for i in sparse]
+    ).astype(np.int32)
+    order = np.argsort(sparse_vertices, kind="stable")
+    counts = np.bincount(sparse_vertices, minlength=len(rest))
     return _Columns(
         rest[None],
-        dense,
-        table.reshape(len(table), -1),
+        is_dense,
+        dense_table.reshape(len(dense_table), -1),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
-        numbers[order],
+        column_indices[order],
         sparse_offsets[order],
     )
 
@@ -305,11 +326,11 @@ def _prepare_columns(
 def _is_dense(density: FloatArray) -> BoolArray:
     """Return a mask of the columns that are faster in the dense product."""
     cost = density * SPARSE_COST
-    dense = np.asarray(cost >= 1.0)
-    saved_cost = float((1.0 - cost[~dense]).sum())
-    if dense.any() and saved_cost < PASS_COLUMNS:
+    is_dense = np.asarray(cost >= 1.0)
+    saved_cost = float((1.0 - cost[~is_dense]).sum())
+    if is_dense.any() and saved_cost < PASS_COLUMNS:
         return np.ones(len(density), np.bool_)
-    return dense
+    return is_dense
 
 
 def _nonzero_offsets(
@@ -319,60 +340,66 @@ def _nonzero_offsets(
     if values is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)
-    at = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
+    vertices = np.arange(count) if shape.indices is None else np.asarray(shape.indices)
     x, y, z = offsets.T
     is_nonzero = (x != 0) | (y != 0) | (z != 0)
     if is_nonzero.all():
-        return at.astype(np.int64), offsets
-    return at[is_nonzero].astype(np.int64), offsets[is_nonzero]
+        return vertices.astype(np.int64), offsets
+    return vertices[is_nonzero].astype(np.int64), offsets[is_nonzero]
 
 
 def _shape_faults(shape: ShapeDeltas, count: int) -> list[Fault]:
+    """Return the faults of a shape's vertices, offsets and inbetweens."""
     label = f"shape {shape.name!r}"
     faults = []
     length = count
     if shape.indices is not None:
-        at = np.asarray(shape.indices)
-        if at.ndim != 1 or not (at.size == 0 or np.issubdtype(at.dtype, np.integer)):
+        vertices = np.asarray(shape.indices)
+        if vertices.ndim != 1 or not (
+            vertices.size == 0 or np.issubdtype(vertices.dtype, np.integer)
+        ):
             message = (
-                f"{label}: vertex indices are {at.dtype} {at.shape}, not integers (D,)"
+                f"{label}: vertex indices are {vertices.dtype} {vertices.shape}, not "
+                "integers (D,)"
             )
             return [Fault("SKIN001", message)]
-        length = len(at)
-        out_of_range = at[(at < 0) | (at >= count)].tolist()
+        length = len(vertices)
+        out_of_range = vertices[(vertices < 0) | (vertices >= count)].tolist()
         if out_of_range:
             message = (
                 f"{label} moves vertices outside 0…{count - 1}: {listed(out_of_range)}"
             )
             faults.append(Fault("SKIN002", message))
-    for offset in _all_offsets(shape):
+    for offset in _offsets_by_weight(shape):
         for array_name, values in (
             ("offsets", offset.offsets),
             ("normal offsets", offset.normal_offsets),
         ):
             if values is not None:
-                name = f"{label}: {array_name} at {offset.at:g}"
+                name = f"{label}: {array_name} at {offset.weight:g}"
                 faults += _offset_faults(name, values, length)
     return faults + _knot_faults(label, shape)
 
 
 def _offset_faults(name: str, values: ArrayLike, length: int) -> list[Fault]:
+    """Return the faults of offsets: wrong shape, or not finite."""
     array = np.asarray(values, np.float64)
     if array.shape != (length, 3):
         message = f"{name} are {array.shape}, but must be ({length}, 3)"
         return [Fault("SKIN001", message)]
-    finite = np.isfinite(array)
-    if finite.all():
+    is_finite = np.isfinite(array)
+    if is_finite.all():
         return []
-    not_finite = np.flatnonzero(~finite.all(axis=1)).tolist()
+    not_finite = np.flatnonzero(~is_finite.all(axis=1)).tolist()
     return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
 
 
 def _knot_faults(label: str, shape: ShapeDeltas) -> list[Fault]:
-    knots = np.sort([0.0, 1.0, *(inbetween.at for inbetween in shape.inbetweens)])
-    if (np.diff(knots) > NEAREST_INBETWEEN).all():
+    """Return a fault if inbetweens share a weight, or are at 0 or 1."""
+    knots = np.sort([0.0, 1.0, *(inbetween.weight for inbetween in shape.inbetweens)])
+    if (np.diff(knots) > MIN_INBETWEEN_DISTANCE).all():
         return []
-    weights = listed([f"{inbetween.at:g}" for inbetween in shape.inbetweens])
+    weights = listed([f"{inbetween.weight:g}" for inbetween in shape.inbetweens])
     message = f"{label} has inbetweens at {weights}"
     hint = "each needs its own weight, other than 0 and 1"
     return [Fault("SKIN006", message, hint=hint)]

@@ -1,6 +1,6 @@
 """Skinning over frames: linear blend and dual quaternions, as in UsdSkel.
 
-Everything is for column vectors, in skeleton space, which is the rig's world.
+Matrices multiply column vectors. Points are in skeleton space: the rig's world.
 """
 
 from __future__ import annotations
@@ -74,22 +74,28 @@ class PreparedSkin:
 def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
     """Return a binding prepared for evaluation, with only the joints it uses."""
     bind = np.asarray(binding.bind, np.float64)
-    geom = np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
-    geom = geom.astype(np.float64)
-    _check_matrices(bind, geom)
-    order = np.arange(len(bind))
-    if binding.joints is not None:
-        order = np.asarray(binding.joints)
-        _check_order(order, len(bind))
-    influences, report = read_influences(
-        binding.indices, binding.weights, len(order), vertices=vertices
+    geom_bind = (
+        np.eye(4) if binding.geom_bind is None else np.asarray(binding.geom_bind)
     )
-    used_joints, numbers = np.unique(influences.joints, return_inverse=True)
-    joints = order[used_joints].astype(np.int64)
+    geom_bind = geom_bind.astype(np.float64)
+    _check_matrices(bind, geom_bind)
+    mesh_joints = np.arange(len(bind))
+    if binding.joints is not None:
+        mesh_joints = np.asarray(binding.joints)
+        _check_mesh_joints(mesh_joints, len(bind))
+    influences, report = read_influences(
+        binding.indices, binding.weights, len(mesh_joints), vertices=vertices
+    )
+    used_joints, compact_joints = np.unique(influences.joints, return_inverse=True)
+    joints = mesh_joints[used_joints].astype(np.int64)
     _check_regular(bind, joints)
-    compact = Influences(influences.first, numbers.astype(np.int32), influences.weights)
+    used_influences = Influences(
+        influences.row_starts, compact_joints.astype(np.int32), influences.weights
+    )
     inverse = np.linalg.inv(bind[joints]).astype(np.float64)
-    return PreparedSkin(binding.method, compact, report, joints, inverse, geom)
+    return PreparedSkin(
+        binding.method, used_influences, report, joints, inverse, geom_bind
+    )
 
 
 def skin_points(
@@ -129,14 +135,16 @@ def skin_normals(
 ) -> FloatArray:
     """Return skinned unit normals ``(F, N, 3)``.
 
-    Linear blend sums the inverse transposes of the joints' transforms, as UsdSkel; dual
+    Linear blend sums the inverse transposes of joint transforms, as in UsdSkel; dual
     quaternions rotate by the blended rotation, after the inverse stretch. A normal that
     a joint of zero scale leaves without direction is zero.
 
     ``normals``: ``(F, N, 3)``, or ``(1, N, 3)`` if they are equal in all frames;
     ``vertices`` ``(N,)``; ``out`` ``(F, N, 3)``.
     """
-    influences = skin.influences if vertices is None else skin.influences.rows(vertices)
+    influences = (
+        skin.influences if vertices is None else skin.influences.select(vertices)
+    )
     source = as_floats(normals, ("F", influences.vertices, 3), "normals")
     return _skin_values(skin, influences, source, world, out, normals=True)
 
@@ -150,6 +158,7 @@ def _skin_values(
     *,
     normals: bool,
 ) -> FloatArray:
+    """Return skinned points or normals ``(F, N, 3)``."""
     skinned = output_array(out, (len(world.positions), influences.vertices, 3))
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
@@ -159,7 +168,7 @@ def _skin_values(
             transforms[..., 3] = 0.0
         _kernels.skin_linear(
             source,
-            influences.first,
+            influences.row_starts,
             influences.joints,
             influences.weights,
             transforms,
@@ -181,7 +190,7 @@ def _skin_values(
         source = _to_world(source, skin.world_from_points)
     _kernels.skin_dual_quaternion(
         source,
-        influences.first,
+        influences.row_starts,
         influences.joints,
         influences.weights,
         rotations,
@@ -194,6 +203,7 @@ def _skin_values(
 
 
 def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
+    """Return points moved to their place at bind time."""
     if (world_from_points == np.eye(4)).all():
         return points
     return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
@@ -227,16 +237,17 @@ def _inverse_transposes(linear: FloatArray) -> FloatArray:
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]
     size = np.linalg.norm(cofactors, axis=(-2, -1), keepdims=True)
     largest = np.abs(linear).max(axis=(-2, -1), keepdims=True)
-    regular = np.abs(determinant) > SINGULAR_DETERMINANT * largest**3
-    divisor = np.where(regular, determinant, np.where(size > 0, size, 1.0))
+    is_regular = np.abs(determinant) > SINGULAR_DETERMINANT * largest**3
+    divisor = np.where(is_regular, determinant, np.where(size > 0, size, 1.0))
     return np.asarray(cofactors / divisor)
 
 
-def _check_matrices(bind: FloatArray, geom: FloatArray) -> None:
+def _check_matrices(bind: FloatArray, geom_bind: FloatArray) -> None:
+    """Check that bind matrices have the right shape and are finite."""
     faults = []
     for name, matrix, shape in (
         ("bind transforms", bind, (len(bind), 4, 4) if bind.ndim else (0, 4, 4)),
-        ("the bind transform of the points", geom, (4, 4)),
+        ("the bind transform of the points", geom_bind, (4, 4)),
     ):
         if matrix.shape != shape:
             message = f"{name}: shape {matrix.shape}, but must be {shape}"
@@ -249,32 +260,36 @@ def _check_matrices(bind: FloatArray, geom: FloatArray) -> None:
         raise FormatError(faults)
 
 
-def _check_order(order: IntArray, joints: int) -> None:
-    if order.ndim != 1 or not np.issubdtype(order.dtype, np.integer):
+def _check_mesh_joints(mesh_joints: IntArray, joints: int) -> None:
+    """Check that a mesh's joints are indices of skeleton joints."""
+    if mesh_joints.ndim != 1 or not np.issubdtype(mesh_joints.dtype, np.integer):
         message = (
-            f"the mesh's joint order is {order.dtype} {order.shape}, not integers (U,)"
+            f"the mesh's joint order is {mesh_joints.dtype} {mesh_joints.shape}, not "
+            "integers (U,)"
         )
         raise FormatError(Fault("SKIN001", message))
-    out_of_range = order[(order < 0) | (order >= joints)].tolist()
+    out_of_range = mesh_joints[(mesh_joints < 0) | (mesh_joints >= joints)].tolist()
     if out_of_range:
         message = f"the mesh's joint order has joints outside 0…{joints - 1}: "
         raise FormatError(Fault("SKIN002", message + listed(out_of_range)))
 
 
 def _check_regular(bind: FloatArray, joints: IntArray) -> None:
+    """Check that the bind transforms of joints have an inverse."""
     linear = bind[joints, :3, :3]
     largest = np.abs(linear).max(axis=(1, 2), initial=0.0)
-    singular = np.abs(np.linalg.det(linear)) <= SINGULAR_DETERMINANT * largest**3
-    if singular.any():
-        at = listed(joints[singular].tolist())
-        message = f"bind transforms of joints {at} have no inverse"
+    is_singular = np.abs(np.linalg.det(linear)) <= SINGULAR_DETERMINANT * largest**3
+    if is_singular.any():
+        joints_text = listed(joints[is_singular].tolist())
+        message = f"bind transforms of joints {joints_text} have no inverse"
         hint = "none of their axes may have length 0"
         raise FormatError(Fault("USD226", message, hint=hint))
 
 
 def _check_finite(skin: PreparedSkin, linear: FloatArray, origins: FloatArray) -> None:
-    finite = np.isfinite(linear).all(axis=(2, 3)) & np.isfinite(origins).all(axis=2)
-    if not finite.all():
-        frame, joint = np.argwhere(~finite)[0].tolist()
+    """Check that the transforms of joints are finite in all frames."""
+    is_finite = np.isfinite(linear).all(axis=(2, 3)) & np.isfinite(origins).all(axis=2)
+    if not is_finite.all():
+        frame, joint = np.argwhere(~is_finite)[0].tolist()
         message = f"joint {skin.joints[joint]} is not finite in frame {frame}"
         raise FormatError(Fault("SKIN003", message))

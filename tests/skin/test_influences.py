@@ -20,7 +20,7 @@ def test_the_strongest_is_first_and_nothing_weightless_is_left() -> None:
     found, report = read_influences(
         [[0, 1, 2], [2, 0, 0]], [[0.25, 0.75, 0], [1, 0, 0]], 3
     )
-    assert_array_equal(found.first, [0, 2, 3])
+    assert_array_equal(found.row_starts, [0, 2, 3])
     assert_array_equal(found.joints, [1, 0, 2])
     assert_array_equal(found.weights, [0.75, 0.25, 1])
     assert (report.zeros, report.normalized, report.pruned, report.merged) == (
@@ -42,7 +42,7 @@ def test_pruning_keeps_the_strongest_and_normalises() -> None:
     found, report = read_influences(
         [[0, 1, 2], [0, 1, 2]], [[1, 3, 0], [1, 1, 2]], 3, max_influences=2
     )
-    assert_array_equal(found.first, [0, 2, 4])
+    assert_array_equal(found.row_starts, [0, 2, 4])
     assert_array_equal(found.joints, [1, 0, 2, 0])
     assert_allclose(found.weights, [0.75, 0.25, 2 / 3, 1 / 3])
     assert (report.pruned, report.normalized) == (1, 2)
@@ -72,7 +72,9 @@ def test_each_vertex_sums_to_one(seed: int, count: int, joints: int) -> None:
     np.add.at(dense, (np.arange(9)[:, None], indices), weights)
     dense /= dense.sum(axis=1, keepdims=True)
     again = np.zeros_like(dense)
-    again[np.repeat(np.arange(9), np.diff(found.first)), found.joints] = found.weights
+    again[np.repeat(np.arange(9), np.diff(found.row_starts)), found.joints] = (
+        found.weights
+    )
     assert_allclose(again, dense, atol=1e-15)
 
 
@@ -83,10 +85,10 @@ def test_rows_picks_vertices(seed: int) -> None:
     weights[:, 1] = 1
     found, _ = read_influences(rng.integers(0, 7, (6, 4)), weights, 7)
     picks = rng.integers(0, 6, 11)
-    picked = found.rows(picks)
+    picked = found.select(picks)
     for row, vertex in enumerate(picks):
-        own = slice(found.first[vertex], found.first[vertex + 1])
-        got = slice(picked.first[row], picked.first[row + 1])
+        own = slice(found.row_starts[vertex], found.row_starts[vertex + 1])
+        got = slice(picked.row_starts[row], picked.row_starts[row + 1])
         assert_array_equal(picked.joints[got], found.joints[own])
         assert_array_equal(picked.weights[got], found.weights[own])
 

@@ -47,7 +47,7 @@ def plain(
         for shape, weight in zip(shapes, row, strict=True):
             parts = [InbetweenDeltas(1.0, shape.offsets, shape.normal_offsets)]
             parts += shape.inbetweens
-            knots = {part.at: np.asarray(getattr(part, what)) for part in parts}
+            knots = {part.weight: np.asarray(getattr(part, what)) for part in parts}
             knots[0.0] = np.zeros_like(knots[1.0])
             at = sorted(knots)
             i = max(sum(knot <= weight for knot in at) - 1, 0)
@@ -65,7 +65,7 @@ def test_points_and_normals_written_out(seed: int, frames: int, vertices: int) -
     rest, normals = rng.normal(size=(2, vertices, 3))
     shapes = random_shapes(rng, vertices)
     made = prepare_shapes(shapes, rest, normals)
-    assert 0 < made.points.dense.sum() < len(made.points.dense)
+    assert 0 < made.points.is_dense.sum() < len(made.points.is_dense)
     weights = rng.uniform(-1, 2, (frames, 30)) * (rng.random((frames, 30)) < 0.4)
     assert_allclose(
         blend_points(made, weights), plain(shapes, rest, weights), atol=1e-12
@@ -121,11 +121,11 @@ def test_what_moves_most_is_dense_and_the_rest_sparse() -> None:
     full = ShapeDeltas("full", np.ones((100, 3)))
     tiny = [ShapeDeltas(f"t{i}", np.ones((1, 3)), [i]) for i in range(40)]
     made = prepare_shapes([full, *tiny], np.zeros((100, 3)))
-    assert_array_equal(np.flatnonzero(made.points.dense), [0])
+    assert_array_equal(np.flatnonzero(made.points.is_dense), [0])
     few = prepare_shapes([full, *tiny[:3]], np.zeros((100, 3)))
-    assert few.points.dense.all()
+    assert few.points.is_dense.all()
     none = prepare_shapes(tiny[:3], np.zeros((100, 3)))
-    assert not none.points.dense.any()
+    assert not none.points.is_dense.any()
 
 
 def test_offsets_of_zero_are_not_stored() -> None:

@@ -40,9 +40,10 @@ class MovingBodies(Protocol):
     def inverse_masses(
         self, t: float, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
-        """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
+        """Return inverse effective masses of bodies ``(K,)`` [1/kg] at a time [s].
 
-        For bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors ``(K, 3)``.
+        The bodies ``owners`` ``(K,)`` are pushed at points ``(K, 3)`` [m] along unit
+        vectors ``(K, 3)``.
         """
 
     def inertias(
@@ -50,7 +51,7 @@ class MovingBodies(Protocol):
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
-        At a time [s], the beginning or the end of a step; inertias in world space
+        The time [s] is the beginning or the end of a step. Inertias are in world space
         [1/(kg m²)].
         """
 
@@ -89,9 +90,9 @@ class Wrenches:
             np.sum([wrench.delayed for wrench in wrenches], axis=0),
         )
 
-    def after(self, span: float) -> Wrenches:
-        """Return the impulses as seen a time ``span`` [s] later."""
-        return Wrenches(self.impulses, self.delayed + span * self.impulses)
+    def after(self, duration: float) -> Wrenches:
+        """Return the impulses, applied a duration [s] earlier."""
+        return Wrenches(self.impulses, self.delayed + duration * self.impulses)
 
 
 def body_owners(
@@ -102,34 +103,38 @@ def body_owners(
     The first ``static_count`` colliders have no body. Bodies are numbered across all
     systems.
     """
-    owners, first = [np.full(static_count, -1)], 0
+    owners, first_body = [np.full(static_count, -1)], 0
     for system in bodies:
-        owners.append(np.where(system.owners >= 0, system.owners + first, -1))
-        first += system.count
+        owners.append(np.where(system.owners >= 0, system.owners + first_body, -1))
+        first_body += system.count
     return np.concatenate(owners).astype(np.int32)
 
 
 def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> FloatArray:
     """Return the kernel's table of bodies that a step [s] can push ``(B, 13)``.
 
-    Inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and centres of
-    mass at both ends [m].
+    Columns: inverse masses [1/kg], inverse inertias (xx, yy, zz, xy, xz, yz), and
+    centres of mass at both ends [m].
     """
-    rows = [np.zeros((0, 13))]
+    body_rows = [np.zeros((0, 13))]
     for system in bodies:
         if system.count:
             centres, inverse_inertias = system.inertias(t0, begins=True)
-            ends, _ = system.inertias(t1)
+            end_centres, _ = system.inertias(t1)
             inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             masses = 1 / system.masses[:, None]
-            rows.append(np.concatenate([masses, inertia_rows, centres, ends], axis=1))
-    return np.concatenate(rows)
+            body_rows.append(
+                np.concatenate([masses, inertia_rows, centres, end_centres], axis=1)
+            )
+    return np.concatenate(body_rows)
 
 
-def by_system(bodies: Sequence[MovingBodies], pushes: FloatArray) -> list[FloatArray]:
+def split_by_system(
+    bodies: Sequence[MovingBodies], pushes: FloatArray
+) -> list[FloatArray]:
     """Return impulses on bodies ``(2, B, 6)``, split by system."""
-    ends = np.cumsum([system.count for system in bodies])
-    return np.split(pushes, ends[:-1], axis=1) if bodies else []
+    end_indices = np.cumsum([system.count for system in bodies])
+    return np.split(pushes, end_indices[:-1], axis=1) if bodies else []
 
 
 def exchange_impulses(
@@ -155,38 +160,45 @@ def exchange_impulses(
         shapes: Index of the collider that each point touched, negative for none
             ``(N,)``.
         without_contacts: Positions, then velocities without contacts ``(2, N, 3)``.
-        with_contacts: Likewise with contacts.
-        masses: Of the points ``(N,)`` [kg].
+        with_contacts: Positions, then velocities with contacts ``(2, N, 3)``.
+        masses: Masses of the points ``(N,)`` [kg].
 
     Returns:
         Positions and velocities of the points, and the impulses on the bodies.
     """
     owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
-    change = with_contacts[1] - without_contacts[1]
-    speed_change = np.linalg.norm(change, axis=1)
-    (rows,) = np.nonzero((owners >= 0) & (speed_change > 0))
+    velocity_change = with_contacts[1] - without_contacts[1]
+    speed_change = np.linalg.norm(velocity_change, axis=1)
+    (touching_rows,) = np.nonzero((owners >= 0) & (speed_change > 0))
     wrenches = Wrenches.none(bodies.count)
-    if not len(rows):
+    if not len(touching_rows):
         return with_contacts, wrenches
-    owners, change, speed_change = owners[rows], change[rows], speed_change[rows]
+    owners, velocity_change, speed_change = (
+        owners[touching_rows],
+        velocity_change[touching_rows],
+        speed_change[touching_rows],
+    )
     directions, displacement = (
-        change / speed_change[:, None],
-        with_contacts[0, rows] - without_contacts[0, rows],
+        velocity_change / speed_change[:, None],
+        with_contacts[0, touching_rows] - without_contacts[0, touching_rows],
     )
     elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
-    points = with_contacts[0, rows] - elapsed[:, None] * with_contacts[1, rows]
+    points = (
+        with_contacts[0, touching_rows]
+        - elapsed[:, None] * with_contacts[1, touching_rows]
+    )
     contact_counts = np.bincount(owners, minlength=bodies.count)[owners]
-    inverse_masses = 1.0 / masses[rows]
+    inverse_masses = 1.0 / masses[touching_rows]
     body_inverse_masses = bodies.inverse_masses(t, owners, points, directions)
     fraction = (
         inverse_masses / (inverse_masses + contact_counts * body_inverse_masses)
     )[:, None]
-    result = with_contacts.copy()
-    result[:, rows] = without_contacts[:, rows] + fraction * np.stack(
-        [displacement, change]
-    )
-    impulses = -masses[rows, None] * fraction * change
+    new_state = with_contacts.copy()
+    new_state[:, touching_rows] = without_contacts[
+        :, touching_rows
+    ] + fraction * np.stack([displacement, velocity_change])
+    impulses = -masses[touching_rows, None] * fraction * velocity_change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.impulses, owners, pushes)
     np.add.at(wrenches.delayed, owners, elapsed[:, None] * pushes)
-    return result, wrenches
+    return new_state, wrenches

@@ -21,8 +21,8 @@ class Poses:
     """World poses at sample times, interpolated between and held outside.
 
     Attributes:
-        times: Ascending ``(T,)`` [s]; a single one for a fixed collider.
-        origins: ``(T, 3)`` [m].
+        times: Sample times ``(T,)`` [s], ascending; a single one for a fixed collider.
+        origins: Origins of the local frame ``(T, 3)`` [m].
         rotations: Quaternions ``(T, 4)``, x y z w, of any length above 0.
 
     >>> Poses([0, 1], [[0, 0, 0], [2, 0, 0]], [[0, 0, 0, 1]] * 2).at(0.25).tolist()
@@ -64,21 +64,23 @@ class Poses:
         array([[0.5, 0.5, 0. , 0. , 0. , 0. , 1. ],
                [0. , 1. , 0. , 0. , 0. , 0. , 1. ]])
         """
-        keys, rows = self.sample_times, self.rows
-        key_indices = np.searchsorted(keys, times, side="right") - 1
+        key_times, rows = self.sample_times, self.rows
+        key_indices = np.searchsorted(key_times, times, side="right") - 1
         poses: FloatArray = rows[np.maximum(key_indices, 0)]
-        between = (key_indices >= 0) & (key_indices + 1 < len(keys))
-        i = key_indices[between]
+        is_between = (key_indices >= 0) & (key_indices + 1 < len(key_times))
+        i = key_indices[is_between]
         if len(i):
             before, after = rows[i], rows[i + 1]
-            fraction = (times[between] - keys[i]) / (keys[i + 1] - keys[i])
+            fraction = (times[is_between] - key_times[i]) / (
+                key_times[i + 1] - key_times[i]
+            )
             displacement = (after[:, :3] - before[:, :3]) * fraction[:, None]
-            poses[between, :3] = before[:, :3] + displacement
-            poses[between, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
+            poses[is_between, :3] = before[:, :3] + displacement
+            poses[is_between, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
         return poses
 
     def to_world(self, points: FloatArray) -> FloatArray:
-        """Return A local points in world space at sample times ``(T, A, 3)`` [m]."""
+        """Return local points in world space at all sample times ``(T, A, 3)`` [m]."""
         offsets = so3.rotate(self.rows[:, None, 3:], points)
         return np.asarray(self.rows[:, None, :3] + offsets, np.float64)
 
@@ -151,9 +153,9 @@ class Collider(Contact, Checked):
         return replace(self, shape=replace(self.shape, closed=True))
 
     def pose(self, t: float) -> FloatArray:
-        """Return its pose ``(7,)`` at a time [s]; during a teleport, that before it."""
-        keys = self.poses.sample_times
-        i = int(np.searchsorted(keys, t, side="right")) - 1
+        """Return its pose ``(7,)`` at a time [s]; in a teleport, the pose before it."""
+        key_times = self.poses.sample_times
+        i = int(np.searchsorted(key_times, t, side="right")) - 1
         if 0 <= i < len(self.teleports) and self.teleports[i]:
             row: FloatArray = self.poses.rows[i]
             return row
@@ -161,11 +163,12 @@ class Collider(Contact, Checked):
 
     def ends(self, t0: float, t1: float) -> FloatArray:
         """Return its poses ``(2, 7)`` at both ends of a step."""
-        if self.teleports.any() and self._teleported(t0, t1):
+        if self.teleports.any() and self._has_teleported(t0, t1):
             return np.stack([self.pose(t1)] * 2)
         return np.stack([self.pose(t0), self.pose(t1)])
 
-    def _teleported(self, t0: float, t1: float) -> bool:
+    def _has_teleported(self, t0: float, t1: float) -> bool:
+        """Return whether a teleport ends within a step [s]."""
         end_times = self.poses.sample_times[1:][self.teleports]
         return bool(((end_times > t0) & (end_times <= t1)).any())
 

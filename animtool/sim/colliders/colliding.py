@@ -79,8 +79,8 @@ class Collided:
     """Particles at the end of a step, after contact.
 
     Attributes:
-        points: ``(N, 3)`` [m].
-        velocities: ``(N, 3)`` [m/s].
+        points: Positions ``(N, 3)`` [m].
+        velocities: Velocities ``(N, 3)`` [m/s].
         contacts: The last contact of each particle.
     """
 
@@ -221,10 +221,11 @@ class Colliders(Sequence[Collider]):
         For surfaces and bodies, the highest so far.
         """
         body_speeds = (system.fastest for system in self.bodies)
-        return max(self._fastest, self.surfaces.fastest, *body_speeds)
+        return max(self._max_speed, self.surfaces.fastest, *body_speeds)
 
     @cached_property
-    def _fastest(self) -> float:
+    def _max_speed(self) -> float:
+        """Return the highest speed of a rigid collider, teleports excluded [m/s]."""
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
@@ -232,6 +233,7 @@ class Colliders(Sequence[Collider]):
         return [*self._teleport_warnings(), *self.surfaces.notices()]
 
     def _teleport_warnings(self) -> list[Fault]:
+        """Return a warning for each teleport of a rigid collider."""
         return [
             _teleport_warning(collider, collider.name or f"colliders[{i}]", k)
             for i, collider in enumerate(self._colliders)
@@ -247,6 +249,7 @@ def _active_side(collider: Collider) -> int:
 
 
 def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
+    """Return a warning about a collider's teleport in interval k."""
     speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
     message = (
         f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "
@@ -298,10 +301,10 @@ def collide(
         colliders if isinstance(colliders, Colliders) else Colliders(colliders)
     )
     positions = as_floats(points, ("N", 3), "points")
-    after = np.stack(
+    end_state = np.stack(
         [positions, as_floats(velocities, (len(positions), 3), "velocities")]
     )
-    start = as_floats(before, (2, len(positions), 3), "before")
+    start_state = as_floats(before, (2, len(positions), 3), "before")
     radius_array = np.ascontiguousarray(
         np.broadcast_to(radii, len(positions)), np.float64
     )
@@ -309,55 +312,62 @@ def collide(
         np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
     )
     sheet_contacts = _stop_at_sheets(
-        collider_set, start, after, (t0, t1), radius_array, spawn_times
+        collider_set, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
     state, touches, normals = _kernels.collide_particles(
-        collider_set.arrays(t0, t1), start, after, radius_array, spawn_times, t1 - t0
+        collider_set.arrays(t0, t1),
+        start_state,
+        end_state,
+        radius_array,
+        spawn_times,
+        t1 - t0,
     )
     for rows, kinds, sheet_normals in sheet_contacts:
-        untouched = touches[rows, 0] < 0
-        touches[rows[untouched]], normals[rows[untouched]] = (
-            kinds[untouched],
-            sheet_normals[untouched],
+        is_untouched = touches[rows, 0] < 0
+        touches[rows[is_untouched]], normals[rows[is_untouched]] = (
+            kinds[is_untouched],
+            sheet_normals[is_untouched],
         )
-    contacts, kinds = touches.T.copy()
-    return Collided(state[0], state[1], Contacts(contacts, kinds, normals))
+    collider_indices, kinds = touches.T.copy()
+    return Collided(state[0], state[1], Contacts(collider_indices, kinds, normals))
 
 
 def _stop_at_sheets(
     collider_set: Colliders,
-    start: FloatArray,
-    after: FloatArray,
-    span: tuple[float, float],
+    start_state: FloatArray,
+    end_state: FloatArray,
+    interval: tuple[float, float],
     radii: FloatArray,
     spawn_times: FloatArray,
 ) -> list[tuple[IntArray, IntArray, FloatArray]]:
-    """Stop particles at sheets, changing ``after``; return the contacts of each sheet.
+    """Stop particles at sheets, changing ``end_state``; return contacts of each sheet.
 
     Rigid colliders are applied afterwards, so that they win over sheets.
     """
-    step, contacts = span[1] - span[0], []
+    step, contacts = interval[1] - interval[0], []
 
     def collide_static(
         collider: Collider,
-        begin: FloatArray,
-        end: FloatArray,
+        relative_start: FloatArray,
+        relative_end: FloatArray,
         radii: FloatArray,
-        begins: FloatArray,
+        spawn_times: FloatArray,
     ) -> Any:
-        arrays = Colliders([collider]).arrays(*span)
-        return _kernels.collide_particles(arrays, begin, end, radii, begins, step)
+        arrays = Colliders([collider]).arrays(*interval)
+        return _kernels.collide_particles(
+            arrays, relative_start, relative_end, radii, spawn_times, step
+        )
 
     for i, sheet in enumerate(collider_set.sheets if step > 0 else ()):
         result = collide_with_sheet(
-            sheet, start, after, span, radii, spawn_times, collide_static
+            sheet, start_state, end_state, interval, radii, spawn_times, collide_static
         )
         if result is None:
             continue
-        nearby, (state, touches, normals) = result
+        near_particles, (state, touches, normals) = result
         is_touching = touches[:, 0] >= 0
-        rows = nearby[is_touching]
-        after[:, rows] = state[:, is_touching]
+        rows = near_particles[is_touching]
+        end_state[:, rows] = state[:, is_touching]
         touches[is_touching, 0] = collider_set.rigid + i
         contacts.append((rows, touches[is_touching], normals[is_touching]))
     return contacts
@@ -381,9 +391,18 @@ def _offset_mesh(
 ) -> tuple[Any, ...]:
     """Return a mesh's arrays, with indices offset by those of earlier meshes."""
     points, corners = shape.weld()
-    order, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(points, corners)
+    sorted_triangles, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(
+        points, corners
+    )
     is_leaf = tree[:, :1] < 0
     tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset).astype(
         np.int32
     )
-    return points, order + np.int32(point_offset), by_corner, by_edge, bounds, tree
+    return (
+        points,
+        sorted_triangles + np.int32(point_offset),
+        by_corner,
+        by_edge,
+        bounds,
+        tree,
+    )

@@ -22,7 +22,7 @@ class JointCapsules:
     Attributes:
         joints: Index of the joint of each capsule ``(C,)``.
         ends: Both ends of the axes, in the frames of the joints ``(C, 2, 3)`` [m].
-        radii: ``(C,)`` [m].
+        radii: Radii ``(C,)`` [m].
     """
 
     joints: IntArray
@@ -35,8 +35,10 @@ class JointCapsules:
         ends = []
         for collider in rig.colliders:
             capsule = collider.capsule
-            half = np.array(capsule.axis) * (capsule.length / 2)
-            ends.append([np.array(capsule.offset) + side * half for side in (-1, 1)])
+            half_axis = np.array(capsule.axis) * (capsule.length / 2)
+            ends.append(
+                [np.array(capsule.offset) + side * half_axis for side in (-1, 1)]
+            )
         return JointCapsules(
             np.array(
                 [rig.index(collider.joint) for collider in rig.colliders], np.int64
@@ -48,12 +50,12 @@ class JointCapsules:
         )
 
     @staticmethod
-    def none() -> JointCapsules:
-        """Return an empty set."""
+    def empty() -> JointCapsules:
+        """Return a set without capsules."""
         return JointCapsules(np.zeros(0, np.int64), np.zeros((0, 2, 3)), np.zeros(0))
 
     def select(self, mask: BoolArray) -> JointCapsules:
-        """Return the capsules of a mask ``(C,)``."""
+        """Return the capsules selected by a mask ``(C,)``."""
         return JointCapsules(self.joints[mask], self.ends[mask], self.radii[mask])
 
     def __len__(self) -> int:
@@ -111,14 +113,18 @@ def rig_colliders(
         template: Collider that provides the contact material; None for the default.
     """
     capsules = JointCapsules.of(rig)
-    rows, ends = capsules.joint_poses_and_ends(world)
+    joint_rows, ends = capsules.joint_poses_and_ends(world)
     colliders = []
-    for c, radius in enumerate(capsules.world_radii(world).tolist()):
-        source, (a, b) = rig.colliders[c], ends[c]
+    for capsule_index, radius in enumerate(capsules.world_radii(world).tolist()):
+        rig_collider, (a, b) = rig.colliders[capsule_index], ends[capsule_index]
         length = float(np.linalg.norm(b - a))
-        axis = (b - a) / length if length else source.capsule.axis
+        axis = (b - a) / length if length else rig_collider.capsule.axis
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
-        poses = Poses(times, rows[:, c, :3], rows[:, c, 3:])
-        base = Collider(shape) if template is None else template
-        colliders.append(replace(base, shape=shape, poses=poses, name=source.joint))
+        poses = Poses(
+            times, joint_rows[:, capsule_index, :3], joint_rows[:, capsule_index, 3:]
+        )
+        material_source = Collider(shape) if template is None else template
+        colliders.append(
+            replace(material_source, shape=shape, poses=poses, name=rig_collider.joint)
+        )
     return colliders

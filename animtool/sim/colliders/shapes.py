@@ -93,9 +93,9 @@ class Capsule:
 
     def anchors(self) -> FloatArray:
         """Return points to measure its speed at ``(2, 3)`` [m]."""
-        half = _normalized(self.axis) * (self.length / 2)
+        half_axis = _normalized(self.axis) * (self.length / 2)
         centre = np.asarray(self.centre, np.float64)
-        return np.stack([centre - half, centre + half])
+        return np.stack([centre - half_axis, centre + half_axis])
 
     def faults(self) -> list[str]:
         """Return messages about invalid values."""
@@ -139,9 +139,8 @@ class Mesh:
         points: ``(P, 3)`` [m].
         triangles: Corners of each ``(T, 3)``; of a solid, counter-clockwise as seen
             from outside.
-        closed: Whether it is the surface of a solid, so that collisions are from
-            outside
-            only: behind a face is inside. An open mesh has no inside beyond its rim.
+        closed: Whether it is the surface of a solid: collisions are from outside only,
+            and behind a face is inside. An open mesh has no inside beyond its rim.
     """
 
     points: ArrayLike
@@ -269,25 +268,30 @@ def shape_bounds(shape: Any) -> FloatArray:
 
 
 def _normalized(direction: Vector) -> FloatArray:
+    """Return a direction as a unit vector ``(3,)``."""
     vector = np.asarray(direction, np.float64)
     return np.asarray(vector / np.linalg.norm(vector), np.float64)
 
 
 def _range_faults(shape: Any) -> list[str]:
+    """Return messages about numbers of a shape that are out of range."""
     return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 
 def _size_faults(values: Sequence[float]) -> list[str]:
-    invalid = [value for value in values if not 0 < value < np.inf]
-    return [f"its size must be above 0, not {value:g}" for value in invalid[:1]]
+    """Return a message about the first size that is not above 0."""
+    invalid_values = [value for value in values if not 0 < value < np.inf]
+    return [f"its size must be above 0, not {value:g}" for value in invalid_values[:1]]
 
 
 def _point_faults(point: Vector) -> list[str]:
-    valid = len(point) == 3 and np.isfinite(point).all()
-    return [] if valid else ["its centre must be three finite numbers"]
+    """Return a message if a centre is not three finite numbers."""
+    is_valid = len(point) == 3 and np.isfinite(point).all()
+    return [] if is_valid else ["its centre must be three finite numbers"]
 
 
 def _direction_faults(name: str, direction: Vector) -> list[str]:
+    """Return a message if a direction is not a finite, nonzero vector."""
     vector = np.asarray(direction, np.float64)
-    valid = vector.shape == (3,) and np.isfinite(vector).all() and vector.any()
-    return [] if valid else [f"its {name} must be three finite numbers, not all 0"]
+    is_valid = vector.shape == (3,) and np.isfinite(vector).all() and vector.any()
+    return [] if is_valid else [f"its {name} must be three finite numbers, not all 0"]

@@ -62,7 +62,7 @@ class Sheet(Material, Checked):
         return [fault for fault in faults if fault[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
-        """Return its shape at a time as a static collider.
+        """Return the sheet with its current points as a static collider.
 
         Args:
             points: ``(N, 3)`` [m].
@@ -102,15 +102,15 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
 
 
 def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
-    """Return a hull's points: those of the front, then of the back ``(2 N, 3)`` [m]."""
+    """Return the points of a hull: the front, then the back ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
-    area_normals = np.cross(b - a, c - a)
-    corners, weights = triangles.T.ravel(), np.tile(area_normals, (3, 1)).T
+    area_vectors = np.cross(b - a, c - a)
+    corners, weights = triangles.T.ravel(), np.tile(area_vectors, (3, 1)).T
     sums = [np.bincount(corners, component, len(points)) for component in weights]
-    normals: FloatArray = np.stack(sums, axis=1)
-    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    normals = normals / np.where(lengths > 0, lengths, 1.0) * radius
-    return np.concatenate([points + normals, points - normals])
+    offsets: FloatArray = np.stack(sums, axis=1)
+    lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
+    offsets = offsets / np.where(lengths > 0, lengths, 1.0) * radius
+    return np.concatenate([points + offsets, points - offsets])
 
 
 def hull_faces(triangles: IntArray, count: int) -> IntArray:
@@ -118,10 +118,10 @@ def hull_faces(triangles: IntArray, count: int) -> IntArray:
     edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
     strides = [count, 1]
     is_rim = ~np.isin(edges @ strides, edges[:, ::-1] @ strides)
-    first, second = edges[is_rim].T
+    edge_starts, edge_ends = edges[is_rim].T
     rim = [
-        np.stack([second, first, first + count], axis=1),
-        np.stack([second, first + count, second + count], axis=1),
+        np.stack([edge_ends, edge_starts, edge_starts + count], axis=1),
+        np.stack([edge_ends, edge_starts + count, edge_ends + count], axis=1),
     ]
     back_faces = triangles[:, ::-1] + count
     return np.concatenate([triangles, back_faces, *rim])
@@ -138,7 +138,7 @@ def collide_with_sheet(
     sheet: Sheet,
     before: FloatArray,
     after: FloatArray,
-    span: tuple[float, float],
+    interval: tuple[float, float],
     radii: FloatArray,
     spawn_times: FloatArray,
     collide_static: StaticCollision,
@@ -156,52 +156,61 @@ def collide_with_sheet(
         sheet: The surface.
         before: Positions and velocities at the start of the step ``(2, N, 3)``.
         after: Positions and velocities at its end, without contacts ``(2, N, 3)``.
-        span: Start and end of the step [s].
+        interval: Start and end of the step [s].
         radii: Radii of the particles ``(N,)`` [m].
         spawn_times: Times at which particles spawn, from the start of the step ``(N,)``
             [s].
         collide_static: Function that ends a step with contacts of static colliders.
     """
-    t0, t1 = span
+    t0, t1 = interval
     sheet.motion.forget(t0)
-    begin_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
+    start_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
     triangles = sheet.motion.triangles(t1)
-    nearby = np.flatnonzero(
+    near_particles = np.flatnonzero(
         _is_near_sheet(
-            begin_points, end_points, before[0], after[0], radii + sheet.radius
+            start_points, end_points, before[0], after[0], radii + sheet.radius
         )
     )
-    if not len(nearby) or not len(triangles):
+    if not len(near_particles) or not len(triangles):
         return None
     velocity = _displacement(
-        before[0, nearby], begin_points, end_points - begin_points, triangles
+        before[0, near_particles], start_points, end_points - start_points, triangles
     ) / (t1 - t0)
-    start_state, end_state = before[:, nearby].copy(), after[:, nearby].copy()
-    start_state[0] += velocity * (t1 - t0 - spawn_times[nearby])[:, None]
+    start_state, end_state = (
+        before[:, near_particles].copy(),
+        after[:, near_particles].copy(),
+    )
+    start_state[0] += velocity * (t1 - t0 - spawn_times[near_particles])[:, None]
     start_state[1] -= velocity
     end_state[1] -= velocity
     collider = sheet.collider(end_points, triangles)
     state, touches, normals = collide_static(
-        collider, start_state, end_state, radii[nearby], spawn_times[nearby]
+        collider,
+        start_state,
+        end_state,
+        radii[near_particles],
+        spawn_times[near_particles],
     )
     state[1] += velocity
-    return nearby, (state, touches, normals)
+    return near_particles, (state, touches, normals)
 
 
 def _is_near_sheet(
-    begin: FloatArray,
-    end: FloatArray,
-    start: FloatArray,
-    goal: FloatArray,
+    start_points: FloatArray,
+    end_points: FloatArray,
+    path_starts: FloatArray,
+    path_ends: FloatArray,
     radius: FloatArray,
 ) -> BoolArray:
     """Return a mask of paths that enter the bounding box of a sheet ``(N,)``."""
-    low = np.minimum(begin.min(axis=0), end.min(axis=0))
-    high = np.maximum(begin.max(axis=0), end.max(axis=0))
+    low = np.minimum(start_points.min(axis=0), end_points.min(axis=0))
+    high = np.maximum(start_points.max(axis=0), end_points.max(axis=0))
     # A path is a parabola: it leaves the box of its end points by at most its length.
-    margin = radius[:, None] + np.linalg.norm(goal - start, axis=1, keepdims=True)
-    above_low = np.maximum(start, goal) + margin >= low
-    below_high = np.minimum(start, goal) - margin <= high
+    margin = radius[:, None] + np.linalg.norm(
+        path_ends - path_starts, axis=1, keepdims=True
+    )
+    above_low = np.maximum(path_starts, path_ends) + margin >= low
+    below_high = np.minimum(path_starts, path_ends) - margin <= high
     return np.asarray((above_low & below_high).all(axis=1))
 
 
@@ -216,7 +225,7 @@ def _displacement(
 
     used_points = np.unique(triangles)
     nearest = used_points[cKDTree(positions[used_points]).query(points)[1]]
-    neighbours = _triangles_of_points(triangles, len(positions))[nearest]
+    neighbours = _triangles_by_point(triangles, len(positions))[nearest]
     corners = triangles[neighbours]
     a, b, c = (positions[corners[..., k]] for k in range(3))
     weights = _barycentric_weights(points[:, None], a, b, c)
@@ -228,13 +237,15 @@ def _displacement(
     return np.asarray(np.take_along_axis(candidates, nearest_triangle, axis=1)[:, 0])
 
 
-def _triangles_of_points(triangles: IntArray, count: int) -> IntArray:
+def _triangles_by_point(triangles: IntArray, count: int) -> IntArray:
     """Return the triangles of each point, padded with -1 ``(N, max_triangles)``."""
     order = np.argsort(triangles.ravel(), kind="stable")
-    corner, face = triangles.ravel()[order], order // 3
-    starts = np.searchsorted(corner, np.arange(count + 1))
+    sorted_corners, sorted_faces = triangles.ravel()[order], order // 3
+    starts = np.searchsorted(sorted_corners, np.arange(count + 1))
     neighbours = np.full((count, max(int(np.diff(starts).max()), 1)), -1)
-    neighbours[corner, np.arange(len(corner)) - starts[corner]] = face
+    neighbours[
+        sorted_corners, np.arange(len(sorted_corners)) - starts[sorted_corners]
+    ] = sorted_faces
     return neighbours
 
 

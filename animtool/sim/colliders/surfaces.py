@@ -40,36 +40,36 @@ class Surfaces:
         self.fastest = 0.0
 
     def kernel_arrays(
-        self, origin: float, cell: float, index: int, cells: int
+        self, origin: float, cell: float, first_cell: int, cell_count: int
     ) -> list[tuple[Any, ...]]:
         """Return the kernel's arrays for an interval split into equal cells.
 
         Args:
             origin: Time at which cell 0 begins [s].
             cell: Length of a cell [s].
-            index: Index of the first cell of the interval.
-            cells: Number of cells.
+            first_cell: Index of the first cell of the interval.
+            cell_count: Number of cells.
         """
         if self._origin != origin:
             self._origin = origin
             prepared = [_PreparedSheet(sheet, origin) for sheet in self._sheets]
             self._prepared = [sheet for sheet in prepared if len(sheet.faces)]
         cells_per_knot = max(1, math.floor(KNOT_INTERVAL / cell * (1 + ROUNDING)))
-        first_knot, offset = divmod(index, cells_per_knot)
-        last_knot = -(-(index + cells) // cells_per_knot)
-        indices = np.arange(first_knot, last_knot + 1)
-        knots = np.asarray(origin + indices * (cells_per_knot * cell), np.float64)
+        first_knot, offset = divmod(first_cell, cells_per_knot)
+        last_knot = -(-(first_cell + cell_count) // cells_per_knot)
+        knot_indices = np.arange(first_knot, last_knot + 1)
+        knots = np.asarray(origin + knot_indices * (cells_per_knot * cell), np.float64)
         arrays = []
-        for i, sheet in enumerate(self._prepared):
+        for sheet_index, sheet in enumerate(self._prepared):
             points = np.stack([sheet.points(t) for t in knots.tolist()])
-            self._record_speed(i, sheet.sheet, points, knots)
+            self._record_speed(sheet_index, sheet.sheet, points, knots)
             arrays.append(
                 (sheet.kernel, points, sheet.material, cells_per_knot, offset)
             )
         return arrays
 
     def _record_speed(
-        self, i: int, sheet: Sheet, points: FloatArray, knots: FloatArray
+        self, sheet_index: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
         """Record a sheet's speed, and its teleports."""
         distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
@@ -79,9 +79,9 @@ class Surfaces:
         for time in knots[1:][is_teleport].tolist():
             message = f"it moves faster than {SPEED_LIMIT:g} m/s until {time:g} s: it "
             message += "collides with nothing"
-            label = sheet.name or f"sheets[{i}]"
+            label = sheet.name or f"sheets[{sheet_index}]"
             fault = warning("SIM120", message, where=label)
-            self._teleports[i, time] = fault
+            self._teleports[sheet_index, time] = fault
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport so far (SIM120)."""
@@ -115,7 +115,7 @@ class _PreparedSheet:
             self.kernel = _kernels.MeshSurface(self.points(origin), corners)
 
     def points(self, t: float) -> FloatArray:
-        """Return the points of `faces` ``(P, 3)`` [m] at a time [s]."""
+        """Return the points of the faces ``(P, 3)`` [m] at a time [s]."""
         points = self.sheet.motion.points(t)
         if self._cached_points is None or self._cached_points[0] is not points:
             welded = np.ascontiguousarray(points[self._rows], np.float64)
@@ -135,13 +135,13 @@ def _weld(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
         points, axis=0, return_index=True, return_inverse=True
     )
     representatives = first_indices[inverse.reshape(-1)]
-    degenerate = triangles[_is_degenerate(representatives[triangles])]
-    representatives[degenerate] = degenerate
+    degenerate_triangles = triangles[_is_degenerate(representatives[triangles])]
+    representatives[degenerate_triangles] = degenerate_triangles
     corners = representatives[triangles]
-    used, corner_indices = np.unique(
+    used_points, corner_indices = np.unique(
         corners[~_is_degenerate(corners)], return_inverse=True
     )
-    return used, corner_indices.reshape(-1, 3)
+    return used_points, corner_indices.reshape(-1, 3)
 
 
 def _is_degenerate(triangles: IntArray) -> Any:

@@ -36,15 +36,17 @@ def step_doubling(base: Integrator) -> Integrator:
     def doubled_step(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> StepResult | None:
-        full = step(equations, t, y, h, None)
-        first = step(equations, t, y, h / 2, None)
-        if full is None or first is None:
+        full_step = step(equations, t, y, h, None)
+        first_half = step(equations, t, y, h / 2, None)
+        if full_step is None or first_half is None:
             return None
-        second = step(equations, t + h / 2, first.state, h / 2, first.memory)
-        if second is None:
+        second_half = step(
+            equations, t + h / 2, first_half.state, h / 2, first_half.memory
+        )
+        if second_half is None:
             return None
-        error = gain * (second.state - full.state)
-        return StepResult(second.state + error, error=error)
+        error = gain * (second_half.state - full_step.state)
+        return StepResult(second_half.state + error, error=error)
 
     return replace(
         base,

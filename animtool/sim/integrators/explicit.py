@@ -93,6 +93,7 @@ class Tableau:
 def _add_rates(
     y: FloatArray, h: float, weights: tuple[float, ...], rates: list[FloatArray]
 ) -> FloatArray:
+    """Return a state plus weighted rates times the step."""
     for weight, rate in zip(weights, rates, strict=False):
         if weight:
             y = y + (h * weight) * rate

@@ -51,16 +51,16 @@ def velocity_verlet(
     """
     x, v = y
     cached = memory if isinstance(memory, np.ndarray) else None
-    first = equations.acceleration(t, x, v) if cached is None else cached
-    halfway = v + (0.5 * h) * first
-    x_end = x + h * halfway
-    second = equations.acceleration(t + h, x_end, halfway)
-    state = np.array((x_end, halfway + (0.5 * h) * second))
-    reusable = (
+    first_acceleration = equations.acceleration(t, x, v) if cached is None else cached
+    v_half = v + (0.5 * h) * first_acceleration
+    x_end = x + h * v_half
+    second_acceleration = equations.acceleration(t + h, x_end, v_half)
+    state = np.array((x_end, v_half + (0.5 * h) * second_acceleration))
+    is_reusable = (
         equations.second_order is not None
         and not equations.second_order.velocity_dependent
     )
-    return StepResult(state, second if reusable else None)
+    return StepResult(state, second_acceleration if is_reusable else None)
 
 
 VELOCITY_VERLET = Integrator(
@@ -83,9 +83,9 @@ def position_verlet(
 ) -> StepResult:
     """Return the state after a step: half a drift, a kick, half a drift."""
     x, v = y
-    halfway = x + (0.5 * h) * v
-    v_end = v + h * equations.acceleration(t + 0.5 * h, halfway, v)
-    return StepResult(np.array((halfway + (0.5 * h) * v_end, v_end)))
+    x_half = x + (0.5 * h) * v
+    v_end = v + h * equations.acceleration(t + 0.5 * h, x_half, v)
+    return StepResult(np.array((x_half + (0.5 * h) * v_end, v_end)))
 
 
 POSITION_VERLET = Integrator(

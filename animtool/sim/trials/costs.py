@@ -28,12 +28,14 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
     >>> pareto_optimal([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
     """
-    order = sorted((cost.value, cost.error, i) for i, cost in enumerate(costs) if cost)
-    optimal, least_error = [], float("inf")
-    for _, error, i in order:
-        if error < least_error:
+    sorted_costs = sorted(
+        (cost.value, cost.error, i) for i, cost in enumerate(costs) if cost
+    )
+    optimal, min_error = [], float("inf")
+    for _, error, i in sorted_costs:
+        if error < min_error:
             optimal.append(i)
-            least_error = error
+            min_error = error
     return sorted(optimal)
 
 
@@ -50,7 +52,7 @@ def recommended_index(
     """
     chosen_cost = costs[chosen]
     # Equal error after equal work is the same run; the timing is noise.
-    chosen_run = None if chosen_cost is None else (chosen_cost.error, chosen_cost.work)
+    chosen_work = None if chosen_cost is None else (chosen_cost.error, chosen_cost.work)
     max_error = (
         accepted_error if chosen_cost is None else chosen_cost.error * EQUAL_ERROR
     )
@@ -63,7 +65,7 @@ def recommended_index(
         if cost is not None
         and cost.error <= max_error
         and cost.value <= max_cost
-        and (not cost.work or (cost.error, cost.work) != chosen_run)
+        and (not cost.work or (cost.error, cost.work) != chosen_work)
     ]
     if not candidates and chosen_cost is None:
         candidates = [
@@ -75,7 +77,7 @@ def recommended_index(
 def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
     """Return the index of the cheapest setting within an error budget [m], or None.
 
-    Of nearly equal costs, that with the least work.
+    Among nearly equal costs, the setting with the least work.
 
     >>> cheapest_index([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0

@@ -27,7 +27,7 @@ from animtool.sim.trials.trial import (
     Setting,
     Trial,
     TrialOutcome,
-    instance_reach,
+    max_instance_extent,
     observed_order,
     points_extent,
     run_distances,
@@ -72,22 +72,24 @@ def measure(
     settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
     count = len({*settings, *trial.references()[0]})
     runs = _RunCache(trial, count, progress)
-    reference, reference_outcome = _reference(trial, runs)
+    reference, reference_outcome = _find_reference(trial, runs)
     rows = _trial_rows(trial, runs, settings, reference_outcome)
     extent = (
         0.0 if reference_outcome is None else points_extent(reference_outcome.snapshots)
     )
-    reach = (
+    instance_extent = (
         0.0
         if reference_outcome is None
-        else instance_reach(reference_outcome.snapshots)
+        else max_instance_extent(reference_outcome.snapshots)
     )
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
-            rows = _ranked_by_figures(rows, reference_outcome, trial.cost)
+            rows = _rank_by_figures(rows, reference_outcome, trial.cost)
         else:
-            rows = _with_recommendation(rows, trial, reference, extent, reach, budget)
+            rows = _mark_recommended(
+                rows, trial, reference, extent, instance_extent, budget
+            )
     table = TrialTable(
         trial.name,
         trial.kind,
@@ -95,7 +97,7 @@ def measure(
         0 if reference_outcome is None else len(reference_outcome.snapshots),
         0
         if reference_outcome is None
-        else max(len(shot.points) for shot in reference_outcome.snapshots),
+        else max(len(snapshot.points) for snapshot in reference_outcome.snapshots),
         extent,
         reference,
         rows,
@@ -104,7 +106,7 @@ def measure(
         trial.cost,
         trial.unit,
         budget,
-        reach=reach,
+        reach=instance_extent,
     )
     row = table.recommended
     if row is None or row.chosen or trial.lines is None:
@@ -134,12 +136,13 @@ class _RunCache:
         return self._outcomes[setting]
 
     def _run(self, setting: Setting) -> TrialOutcome:
+        """Run a setting; short runs are repeated for their timing."""
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            repeats_timing = self._trial.cost is CostMeasure.SECONDS
+            is_repeated = self._trial.cost is CostMeasure.SECONDS
             while (
-                repeats_timing
+                is_repeated
                 and len(timings) < MAX_REPEATS
                 and sum(timings) < REPEAT_TIME
             ):
@@ -147,9 +150,10 @@ class _RunCache:
         return replace(outcome, seconds=min(timings))
 
 
-def _reference(
+def _find_reference(
     trial: Trial, runs: _RunCache
 ) -> tuple[Reference | None, TrialOutcome | None]:
+    """Return the first reference whose runs succeed, and its finest run."""
     for settings in trial.references():
         outcomes: list[TrialOutcome] = []
         for setting in settings:
@@ -160,11 +164,11 @@ def _reference(
             if outcomes[-1].status is not Status.OK:
                 break
         else:
-            return _reference_of(settings[-1], outcomes, trial.error), outcomes[-1]
+            return _build_reference(settings[-1], outcomes, trial.error), outcomes[-1]
     return None, None
 
 
-def _reference_of(
+def _build_reference(
     setting: Setting, outcomes: list[TrialOutcome], measure: ErrorMeasure
 ) -> Reference:
     """Return the reference and its error estimate, from runs of halved steps."""
@@ -174,23 +178,24 @@ def _reference_of(
         run_distances(fine_run.snapshots, coarse_run.snapshots)
         for coarse_run, fine_run in pairwise(outcomes)
     ]
-    reach = instance_reach(outcomes[-1].snapshots)
+    instance_extent = max_instance_extent(outcomes[-1].snapshots)
     coarse_error, fine_error = (
-        gap.error(measure, reach) for gap in (differences[0], differences[-1])
+        distances.error(measure, instance_extent)
+        for distances in (differences[0], differences[-1])
     )
-    extent = points_extent(outcomes[-1].snapshots) + reach
+    extent = points_extent(outcomes[-1].snapshots) + instance_extent
     order = (
         observed_order(coarse_error, fine_error)
         if fine_error > ROUNDING * extent
         else None
     )
-    sensitive = (
+    is_sensitive = (
         order is not None
         and order < MIN_ORDER
         and fine_error > INVISIBLE_ERROR * extent
     )
     factor = 1.0 if order is None else max(2**order - 1, 1.0)
-    return Reference(setting, differences[-1].scaled(1 / factor), order, sensitive)
+    return Reference(setting, differences[-1].scaled(1 / factor), order, is_sensitive)
 
 
 def _trial_rows(
@@ -199,6 +204,7 @@ def _trial_rows(
     settings: Sequence[Setting],
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
+    """Return a row for each setting; skip those far slower than the reference."""
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
@@ -230,6 +236,7 @@ def _trial_row(
     setting: Setting,
     reference_outcome: TrialOutcome | None,
 ) -> TrialRow:
+    """Return the results of a setting, compared with the reference."""
     try:
         outcome = runs.outcome(setting)
     except OptionError as refusal:
@@ -245,13 +252,13 @@ def _trial_row(
     )
     if outcome.status is not Status.OK:
         return row
-    complete = replace(
+    completed_row = replace(
         row, energy_drift=_energy_drift(outcome.energies), figures=outcome.figures
     )
     if outcome.error is not None:
-        return replace(complete, error=outcome.error, worst=outcome.worst)
+        return replace(completed_row, error=outcome.error, worst=outcome.worst)
     if reference_outcome is None:
-        return complete
+        return completed_row
     error = run_distances(reference_outcome.snapshots, outcome.snapshots)
     reason = _failure_reason(error, points_extent(reference_outcome.snapshots))
     if reason:
@@ -259,7 +266,7 @@ def _trial_row(
             row, status=Status.UNSTABLE, reason=reason, stable_step=outcome.stable_step
         )
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
-    return replace(complete, error=error, worst=worst)
+    return replace(completed_row, error=error, worst=worst)
 
 
 def _failure_reason(error: PointDistances, extent: float) -> str:
@@ -282,6 +289,7 @@ def _energy_drift(energies: Sequence[Energy] | None) -> float | None:
 
 
 def _trial_notices(trial: Trial, reference: Reference | None) -> list[Fault]:
+    """Return a warning about a missing reference or a chaotic motion."""
     if reference is None:
         message = f"{trial.name}: there is no motion to compare with: every setting "
         message += "blew up"
@@ -296,12 +304,12 @@ def _trial_notices(trial: Trial, reference: Reference | None) -> list[Fault]:
     return [warning("SIM055", message, hint)]
 
 
-def _with_recommendation(
+def _mark_recommended(
     rows: list[TrialRow],
     trial: Trial,
     reference: Reference,
     extent: float,
-    reach: float,
+    instance_extent: float,
     budget: float | None,
 ) -> list[TrialRow]:
     """Return rows with the best settings and the recommended one marked."""
@@ -311,12 +319,14 @@ def _with_recommendation(
             return rows
         return [replace(row, recommended=row.chosen) for row in rows]
     # Errors below the error estimate of the reference count as equal.
-    extent += reach
-    floor = max(reference.error.error(trial.error, reach), ROUNDING * extent)
+    extent += instance_extent
+    floor = max(reference.error.error(trial.error, instance_extent), ROUNDING * extent)
     costs = [
         None
         if row.error is None
-        else _row_cost(row, trial.cost, max(row.error.error(trial.error, reach), floor))
+        else _row_cost(
+            row, trial.cost, max(row.error.error(trial.error, instance_extent), floor)
+        )
         for row in rows
     ]
     optimal = pareto_optimal(costs)
@@ -331,7 +341,7 @@ def _with_recommendation(
     ]
 
 
-def _ranked_by_figures(
+def _rank_by_figures(
     rows: list[TrialRow], reference_outcome: TrialOutcome, measure: CostMeasure
 ) -> list[TrialRow]:
     """Return rows of a chaotic motion, with the best marked by energy, strain, depth.
@@ -372,6 +382,7 @@ def _relative_figures(
 
 
 def _row_cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:
+    """Return the cost of a row by a measure, with its error."""
     value = {
         CostMeasure.SECONDS: row.seconds,
         CostMeasure.BYTES: float(row.bytes),

@@ -35,7 +35,7 @@ class Reference:
 class TrialRow:
     """A setting and its results."""
 
-    setting: Setting  # the setting
+    setting: Setting  # setting of the run
     # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
     steps: int = 0  # number of steps
@@ -52,7 +52,7 @@ class TrialRow:
     figures: Mapping[Figure, float] = field(default_factory=dict)
     worst: str = ""  # where the largest distance is; may be empty
     chosen: bool = False  # whether the file uses it
-    best: bool = False  # whether no cheaper setting is as accurate
+    best: bool = False  # whether Pareto-optimal: no cheaper setting is as accurate
     # Whether it is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
@@ -80,7 +80,7 @@ class TrialTable:
     extent: float  # diagonal of the bounding box [m]
     # The reference; None if every fine run stopped early.
     reference: Reference | None
-    rows: list[TrialRow]  # in the order tried
+    rows: list[TrialRow]  # results of the settings, in the order tried
     notices: list[Fault] = field(default_factory=list)  # warnings
     error: ErrorMeasure = ErrorMeasure.RMS  # the error that rows are ranked by
     cost: CostMeasure = CostMeasure.SECONDS
@@ -105,7 +105,7 @@ class TrialTable:
 
     @property
     def recommended(self) -> TrialRow | None:
-        """The recommended row; None if the chosen one is best or nothing is known."""
+        """The recommended row; None if the chosen setting is best, or unknown."""
         return next((row for row in self.rows if row.recommended), None)
 
     @property

@@ -27,8 +27,8 @@ REFERENCE_FACTORS = (0.5, 0.25, 0.125)
 class Setting:
     """A method with its options."""
 
-    method: str  # an integrator or a solver
-    # Its options by name, in the notation of the scene file.
+    method: str  # name of an integrator or solver
+    # Options by name, in the notation of the scene file.
     options: tuple[tuple[str, float], ...]
     json_keys: ClassVar[str] = "method options=by_name"
 
@@ -103,7 +103,7 @@ class TrialOutcome:
 
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps
-    snapshots: Sequence[Snapshot]  # at the times reached
+    snapshots: Sequence[Snapshot]  # points at the times reached
     status: Status = Status.OK  # how it ended
     reason: str = ""  # why it stopped, empty on success
     # The largest stable step at the end [s]: 0 if none, infinite if all, None if
@@ -114,7 +114,7 @@ class TrialOutcome:
     bytes: int = 0  # size of the output; 0 without one
     # Other figures of the setting.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    # Its error, if measured directly instead of from snapshots.
+    # The setting's error, if measured directly instead of from snapshots.
     error: PointDistances | None = None
     worst: str = ""  # location of that error
 
@@ -126,7 +126,7 @@ class Trial:
     name: str
     kind: str  # `particles`, `cloth`, `ik`
     span: float  # duration, with pre-roll [s]
-    chosen: Setting  # of the file
+    chosen: Setting  # setting of the file
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
     # Candidates for the reference: each a method with successively halved steps. The
@@ -176,17 +176,22 @@ def step_settings(
 class PointDistances:
     """Distances between the points of two runs, over all times."""
 
-    largest: float  # [m]
-    rms: float  # root of the mean of squares [m]
-    median: float  # [m]
-    unmatched: float = 0.0  # fraction of points that only one of the two has [1]
+    largest: float  # largest distance [m]
+    rms: float  # root mean square distance [m]
+    median: float  # median distance [m]
+    unmatched: float = 0.0  # fraction of points in only one of the two runs [1]
     # Root mean square of angles between orientations [rad]; None without any.
     angle: float | None = None
     at: tuple[int, int] | None = None  # snapshot and point of the largest distance
     json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the error [m] with rotations, ``reach`` away from the points."""
+        """Return the error [m], rotations included.
+
+        Args:
+            measure: Distance that counts as the error.
+            reach: Distance from the points at which rotations are measured [m].
+        """
         distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
         return distance + (0.0 if self.angle is None else self.angle * reach)
 
@@ -216,7 +221,7 @@ def run_distances(
     """
     distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
-    largest_gap, at = -1.0, None
+    largest_distance, location = -1.0, None
     for k, (reference, snapshot) in enumerate(zip(truth, snapshots, strict=True)):
         a, b = reference.points, snapshot.points
         true_rotations, rotations = reference.orientations, snapshot.orientations
@@ -233,9 +238,9 @@ def run_distances(
             count += len(a)
             points = np.arange(len(a))
         point_distances = np.linalg.norm(b - a, axis=1)
-        if len(point_distances) and point_distances.max() > largest_gap:
+        if len(point_distances) and point_distances.max() > largest_distance:
             farthest = int(point_distances.argmax())
-            largest_gap, at = (
+            largest_distance, location = (
                 float(point_distances[farthest]),
                 (k, int(points[farthest])),
             )
@@ -248,7 +253,7 @@ def run_distances(
         return PointDistances(0.0, 0.0, 0.0, unmatched / max(count, 1), angle)
     largest, median = float(all_distances.max()), float(np.median(all_distances))
     return PointDistances(
-        largest, _rms(all_distances), median, unmatched / count, angle, at
+        largest, _rms(all_distances), median, unmatched / count, angle, location
     )
 
 
@@ -269,7 +274,7 @@ def points_extent(snapshots: Sequence[Snapshot]) -> float:
     return float(np.linalg.norm(high - low))
 
 
-def instance_reach(snapshots: Sequence[Snapshot]) -> float:
+def max_instance_extent(snapshots: Sequence[Snapshot]) -> float:
     """Return the largest extent of instances from their points, at any time [m]."""
     return max((snapshot.reach for snapshot in snapshots), default=0.0)
 

@@ -130,7 +130,9 @@ class AttachmentActor:
             DEPENETRATION_SPEED,
         )
         capsules = (
-            JointCapsules.of(rig) if settings.options.capsules else JointCapsules.none()
+            JointCapsules.of(rig)
+            if settings.options.capsules
+            else JointCapsules.empty()
         )
         if self._skins:
             # Joints with a skin collide with that instead of their capsules.

@@ -18,8 +18,8 @@ from animtool.sim.colliders import Colliders, collide
 from animtool.sim.colliders.bodies import (
     Wrenches,
     body_owners,
-    by_system,
     pushable_rows,
+    split_by_system,
 )
 from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import (
@@ -316,7 +316,9 @@ class Fluid:
             wrenches = [
                 Wrenches.sum([earlier.after(substep), Wrenches(*system)])
                 for earlier, system in zip(
-                    wrenches, by_system(colliders.bodies, body_impulses), strict=True
+                    wrenches,
+                    split_by_system(colliders.bodies, body_impulses),
+                    strict=True,
                 )
             ]
         return PressureResult(motion, pressures, compression, wrenches)

@@ -211,7 +211,7 @@ class SpringSimulation:
         if torn_count != self._torn_count:
             self._torn_count = torn_count
             self.intact_system = self.system.without_springs(self.system.torn(torn))
-            self._energy_watch.watch_system(self.intact_system)
+            self._energy_watch.set_system(self.intact_system)
 
     def _advance(self, cells: int) -> None:
         """Advance by at most some cells; raise if it cannot continue."""

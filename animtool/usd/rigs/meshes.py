@@ -258,7 +258,7 @@ def _author_skin(
 
 def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
-    counts = np.diff(influences.first)
+    counts = np.diff(influences.row_starts)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
     joints, weights = (
         np.zeros(is_influence.shape, np.int64),
