@@ -321,7 +321,7 @@ class PhysicsStageModel(FollowedPrimModel):
     prim: PrimPath = key("Everything below this prim is read.", "/Yard", default="/")
 
 
-# Keys of the obstacles of a system; listed in `AROUND`.
+# Keys of the obstacles of a system; listed in `COLLISION_KEYS`.
 Colliders = Annotated[
     list[SystemColliderModel],
     shared_key(

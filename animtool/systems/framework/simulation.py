@@ -110,8 +110,8 @@ class Simulation(Protocol[State]):
     With an attribute ``checked``, True, its steps raise if numbers are not finite
     (SIM102), and frames are not checked for that. Optional protocols:
     `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`, `Tried` and, as a collider of
-    others, `RigidSystem` or `Skinned`. An attribute ``step_length`` [s] overrides the
-    step.
+    others, `RigidSystem` or `HasCollisionSurface`. An attribute ``step_length`` [s]
+    overrides the step.
     """
 
     def initial(self) -> State:
