@@ -225,7 +225,9 @@ class _SceneReader:
             self.document, entry_path, stated_values, *self._rate_and_length()
         )
         location = entry_location(self.document, entry_path, spec)
-        return SceneSystem(spec.name, kind, setup, location, unit=self.units.scene_length)
+        return SceneSystem(
+            spec.name, kind, setup, location, unit=self.units.scene_length
+        )
 
     def _rate_and_length(self) -> tuple[float, float]:
         """Return the frames per second, and the length of the range [s]; 0 unknown."""

@@ -287,7 +287,10 @@ class SystemRun:
             self._entry_runs[i].run.apply_pushes()
         for i, save_code in self._save_codes.items():
             if save_code is None or code <= save_code:
-                self._saved_states[i] = float(code), self._entry_runs[i].run.apply_pushes()
+                self._saved_states[i] = (
+                    float(code),
+                    self._entry_runs[i].run.apply_pushes(),
+                )
 
     def save_states(self, folder: Path) -> None:
         """Write the states to save into the scene's folder."""

@@ -146,7 +146,9 @@ def run_entries(
     start_time = -spec.preroll
     surroundings = Surroundings.of([setup.around for setup in setups])
     colliders = surroundings.build(context.characters, context.built)
-    carriers = {name: context.built[name].body_carriers() for name in surroundings.carriers}
+    carriers = {
+        name: context.built[name].body_carriers() for name in surroundings.carriers
+    }
 
     def poses(carrier: Any) -> Poses:
         if isinstance(carrier, BodyCarrier):

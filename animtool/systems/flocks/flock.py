@@ -200,7 +200,7 @@ class FlockForces(SecondOrder):
             velocities = self._brake_velocities(h, before[1], positions, velocities)
             positions, _ = self.spacing.separate(positions)
         velocities = clamp_speeds(self.members, velocities)
-        x = limit_displacements(self.members, before[0], x, h)
+        positions = limit_displacements(self.members, before[0], positions, h)
         if self.colliders.active:
             radii = self.members.radii
             collision = collide(

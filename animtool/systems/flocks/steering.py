@@ -172,7 +172,7 @@ def limit_displacements(
     members: Members, before: FloatArray, after: FloatArray, h: float
 ) -> FloatArray:
     """Return positions ``(N, 3)`` [m] that members can reach in a time [s]."""
-    max_speeds = members.each([max_speed(entry) for entry in members.entries])
+    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
     offsets = after - before
     lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
     is_beyond = lengths > limits * (1 + ROUNDING)
