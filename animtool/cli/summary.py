@@ -161,7 +161,11 @@ def _curve_error_text(curves: Sequence[CurveReport]) -> str:
 
 
 def _precision_text(take: TakeReport) -> str:
-    return "float32 and half scales" if take.written.rounding.scales else "float32"
+    return (
+        "float32 and half scales"
+        if take.written.rounding.has_rounded_scales
+        else "float32"
+    )
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:

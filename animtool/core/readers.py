@@ -96,7 +96,7 @@ USD = Reader(
     "animtool.usd.rigs.stored:read_rig",
     "animtool.usd.takes.read:read_usd",
     ("prim_path", "take", "placement"),
-    "animtool.usd.props.prim_transforms:open_prim",
+    "animtool.usd.props.prim_transforms:prim_transform_reader",
 )
 GLTF = Reader(
     "glTF",

@@ -238,7 +238,7 @@ def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
     """Open a USD file: characters and other visible prims."""
     from animtool.usd.caches.shown import open_contents
-    from animtool.usd.rigs.mesh_read import source_meshes
+    from animtool.usd.rigs.mesh_read import read_source_meshes
 
     contents = open_contents(path, source.prim_path)
     file = OpenFile(path, contents.unit, contents.up, contents=contents)
@@ -265,7 +265,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         if not prim:
             file.takes.append(ShownTake(label, y_up, bind_matrices(y_up.rig)))
             continue
-        meshes = source_meshes(path, prim)
+        meshes = read_source_meshes(path, prim)
         file.notices += meshes.notices
         bind = meshes.bind if len(meshes.bind) else bind_matrices(y_up.rig)
         bones = contents.bone_names

@@ -43,11 +43,11 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
 
 
 def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    if prim.is_deforming and prim.changes_faces:
+    if prim.is_deforming and prim.has_changing_faces:
         draft.note(f"mesh {prim.name!r} changes its faces: only its points are drawn")
         _add_points(draft, prim, codes)
         return
-    faces = prim.faces()
+    faces = prim.local_mesh()
     if faces is None:
         draft.note(f"mesh {prim.name!r} has no valid faces: it is not drawn")
         return
@@ -145,15 +145,15 @@ def _point_stream(
 def _prim_visibility(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray
 ) -> int | None:
-    return visibility_stream(draft, prim.visible(codes))
+    return visibility_stream(draft, prim.visibility(codes))
 
 
 def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    if prim.changes_faces:
+    if prim.has_changing_faces:
         draft.note(f"the number of curves {prim.name!r} changes: points are drawn")
         _add_points(draft, prim, codes)
         return
-    counts = prim.counts()
+    counts = prim.curve_counts()
     moves = prim.is_deforming or prim.is_moving
     times = codes if moves else codes[:1]
     count = len(prim.points(float(codes[0])))
@@ -256,7 +256,7 @@ def _slot_values(
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     prototypes = prim.prototypes()
     times = (codes if prim.is_deforming or prim.is_moving else codes[:1]).tolist()
-    samples = [prim.copies(code) for code in times]
+    samples = [prim.instances(code) for code in times]
     slots = PointSlots()
     rows = [slots.take(sample.ids, sample.points) for sample in samples]
     copies = _SlotInstances.of(samples, rows, slots.count)

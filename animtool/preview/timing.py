@@ -193,7 +193,7 @@ def _range_in_stage(
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
     """Return the authored range of a stage; None for other files."""
     contents = file.contents
-    span = None if contents is None else contents.stated_span
+    span = None if contents is None else contents.authored_span
     if contents is None or span is None:
         return None
     ratio = fps / contents.fps

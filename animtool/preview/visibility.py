@@ -31,14 +31,14 @@ def add_visibility(
         timed_take.first - timed_take.shift, timed_take.stream.step, page_take.frames
     )
     codes = codes * float(contents.fps / draft.timeline.fps)
-    prim_visible = contents.visible(prim, codes)
+    prim_visible = contents.visibility(prim, codes)
     page_take.entry["visible"] = visibility_stream(draft, prim_visible)
     if not prim_visible.any():
         draft.note(
             f"{timed_take.take.name!r} is hidden in every frame: it is not drawn"
         )
     meshes = [mesh for mesh in draft.meshes if mesh["take"] == page_take.index]
-    by_mesh = contents.visible_meshes(prim, codes) if meshes else {}
+    by_mesh = contents.mesh_visibility(prim, codes) if meshes else {}
     for mesh in meshes:
         mesh_visible = by_mesh.get(mesh["name"], prim_visible)
         if not np.array_equal(mesh_visible, prim_visible):

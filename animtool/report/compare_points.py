@@ -168,20 +168,20 @@ def _sample_pairs(
     if not first_codes or not second_codes:
         yield (
             0.0,
-            source_a.at(name, None),
-            _in_axes_of_first(source_a, source_b, source_b.at(name, None)),
+            source_a.sample(name, None),
+            _in_axes_of_first(source_a, source_b, source_b.sample(name, None)),
         )
         return
     duration = float((second_codes[-1] - second_codes[0]) / source_b.fps) + 1e-9
     for code in first_codes:
         elapsed = float((code - first_codes[0]) / source_a.fps)
         if elapsed <= duration:
-            second_sample = source_b.at(
+            second_sample = source_b.sample(
                 name, second_codes[0] + elapsed * float(source_b.fps)
             )
             yield (
                 code,
-                source_a.at(name, code),
+                source_a.sample(name, code),
                 _in_axes_of_first(source_a, source_b, second_sample),
             )
 

@@ -280,7 +280,7 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
     from animtool.usd.layers.sdf import new_layer, prim_spec, save_layer
     from animtool.usd.takes.joint_writer import AnimationWriter
 
-    layer, paths = new_layer(path), RigPaths.below("/model")
+    layer, paths = new_layer(path), RigPaths.from_model("/model")
     with Sdf.ChangeBlock():
         prim_spec(layer, paths.root, "SkelRoot")
         writer = AnimationWriter(layer, paths, data.names)

@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
-from animtool.usd.rigs.layer import read_ball
+from animtool.usd.rigs.layer import read_ball_limit
 
 # What is off an axis by less is rounding of float32.
 ON_AXIS = 1e-6
@@ -63,7 +63,7 @@ def _read_joint(joint: Any, meters_per_unit: float) -> JointDescription:
     token = joint.GetAttribute("physics:axis").Get() or "X"
     axis = _on_axis(so3.rotate(frame, np.eye(3)["XYZ".index(str(token))]))
     if kind is JointType.BALL:
-        return JointDescription(name, kind, limits=read_ball(joint, axis))
+        return JointDescription(name, kind, limits=read_ball_limit(joint, axis))
     scale = math.radians(1.0) if kind is JointType.PIN else meters_per_unit
     low, high = (
         joint.GetAttribute(f"physics:{side}Limit").Get() for side in ("lower", "upper")

@@ -57,7 +57,7 @@ def job(output: Path, **fields: Any) -> UsdJob:
         rig=RIG,
         names=names,
         joints=RIG.paths(names.names),
-        paths=RigPaths.below("/hero"),
+        paths=RigPaths.from_model("/hero"),
         fps=Fraction(24),
         meters_per_unit=1.0,
     )

@@ -71,17 +71,17 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
         source_label, mapping = f"rig {rig.name!r} of the take", None
     else:
-        from animtool.usd.rigs.mesh_read import source_meshes, target_meshes
+        from animtool.usd.rigs.mesh_read import read_source_meshes, read_target_meshes
 
         if target is not None:
             assert mapping is not None
             shapes = mapping.shapes
             rig, source_label = target.skeleton.rig, str(target.path)
-            targets = target_meshes(target)
+            targets = read_target_meshes(target)
         else:
             source_label, targets = (
                 str(source),
-                source_meshes(source, options.source.prim_path, options.placement),
+                read_source_meshes(source, options.source.prim_path, options.placement),
             )
         take.notices.extend(targets.notices)
         surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)

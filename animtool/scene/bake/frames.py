@@ -424,7 +424,7 @@ class BakedTake:
             if self._recorder is not None:
                 self._recorder.record_codes(codes)
             if self.props is not None:
-                self.props.see(codes, motion)
+                self.props.record(codes, motion)
             yield codes, motion
 
 

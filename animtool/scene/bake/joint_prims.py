@@ -22,7 +22,7 @@ from animtool.scene.bake.progress import prefetch, timed
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
-from animtool.usd.rigs.skeleton import rest_record
+from animtool.usd.rigs.skeleton import build_rest_record
 from animtool.usd.takes.author import AuthoredLayers, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
@@ -98,7 +98,7 @@ def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
         fps=plan.fps,
         meters_per_unit=plan.meters_per_unit,
         target=plan.target,
-        bones=plan.options.bones,
+        show_bones=plan.options.bones,
         shot=None if plan.form is LayerForm.LIBRARY else plan.options.shot,
     )
 
@@ -126,7 +126,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
             job.rig,
             job.meters_per_unit,
             root_motion=root_motion,
-            size=1.0 if joint_map is None else joint_map.size,
+            size=1.0 if joint_map is None else joint_map.world_scale,
         )
         prefetched_blocks = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:
@@ -155,10 +155,11 @@ class _JointTake:
         if joint_map is not None:
             rig_mapping = joint_map
             blocks = (
-                (codes, rig_mapping.at(codes, motion)) for codes, motion in blocks
+                (codes, rig_mapping.map_placed_motion(codes, motion))
+                for codes, motion in blocks
             )
-            if (joint_map.source < 0).any():
-                is_mapped_joint = joint_map.source >= 0
+            if (joint_map.source_joints < 0).any():
+                is_mapped_joint = joint_map.source_joints >= 0
         if options.sparse:
             all_blocks = list(blocks)
             is_moving_joint = moving_joints(
@@ -183,15 +184,15 @@ class _JointTake:
             plan.start,
             step,
             frames=frames,
-            written_joints=is_mapped_joint,
+            joint_mask=is_mapped_joint,
             shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
             props=self._run.props,
-            to_rig=None if joint_map is None else joint_map.to_rig,
-            reduced=self._reduce_samples is not None,
-            rest_record=rest_record(plan.stream.rig, rig) if joint_map is None else {},
+            rig_from_take=None if joint_map is None else joint_map.rig_from_take,
+            is_reduced=self._reduce_samples is not None,
+            rest_record=build_rest_record(plan.stream.rig, rig) if joint_map is None else {},
         )
         return take, blocks
 
@@ -223,7 +224,7 @@ def _reduce_samples(
     tolerance = plan.options.reduce
     assert tolerance is not None
     # Tolerances are converted to the rig's numbers, which its stage may scale.
-    size = 1.0 if plan.mapping is None else plan.mapping.size
+    size = 1.0 if plan.mapping is None else plan.mapping.world_scale
     joint_tolerances = {
         name: max_distance / size for name, max_distance in plan.options.reduce_at
     }

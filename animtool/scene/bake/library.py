@@ -145,11 +145,11 @@ def _reorder_joints(
 
     def blocks() -> Iterator[Motion]:
         for block in source_blocks:
-            yield joint_map.apply(block)
+            yield joint_map.map_motion(block)
 
     reordered_stream = replace(stream, rig=reordered_rig, blocks=blocks())
     if curve is not None:
-        reordered_stream.curve = lambda times: joint_map.apply(curve(times))
+        reordered_stream.curve = lambda times: joint_map.map_motion(curve(times))
     return reordered_stream
 
 

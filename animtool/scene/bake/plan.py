@@ -347,7 +347,7 @@ def _check_props(plan: BakePlan) -> None:
 
     stage = None if plan.target is None else plan.target.stage
     for take_tracks in tracks:
-        check_props(take_tracks, plan.paths, stage, library=bool(plan.takes[0].name))
+        check_props(take_tracks, plan.paths, stage, is_library=bool(plan.takes[0].name))
 
 
 def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
@@ -410,7 +410,7 @@ def _joint_map(
         target,
         options.strip_namespace,
         force_fit=options.force_fit,
-        converted=over_rig,
+        converted_take=over_rig,
     )
     if joint_map.fit is not None:
         over_rig.stream.details["fit"] = round(joint_map.fit.score, 4)

@@ -48,7 +48,7 @@ from animtool.usd.caches.point_cache import (
 from animtool.usd.caches.writer import Block, CachedMesh, PointSpace
 from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import layer_span
-from animtool.usd.props.placement import prop_placements
+from animtool.usd.props.placement import build_prop_placements
 from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import STRAND_WIDTH
 
@@ -77,7 +77,7 @@ class PointStream:
         ):
             mapped_motion = motion
             if character.mapping is not None:
-                mapped_motion = character.mapping.at(codes, motion)
+                mapped_motion = character.mapping.map_placed_motion(codes, motion)
             world = mapped_motion.world(character.rig)
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
@@ -268,13 +268,13 @@ def _author_props(
     """Write the props of the take to a layer; return their prims."""
     assert run.props is not None
     joint_map = plan.takes[0].mapping
-    placements = prop_placements(
+    placements = build_prop_placements(
         job.paths,
         plan.target,
         None,
         job.meters_per_unit,
         up,
-        to_rig=None if joint_map is None else joint_map.to_rig,
+        rig_from_take=None if joint_map is None else joint_map.rig_from_take,
     )
     props, notices = author_props(layer, run.props, placements, plan.output)
     plan.notices.extend(notices)
@@ -334,7 +334,7 @@ def _layer_job(
         span,
         plan.meters_per_unit,
         plan.target.up,
-        normals=plan.options.normals is not False,
+        has_normals=plan.options.normals is not False,
         target=target,
         shot=plan.options.shot,
     )

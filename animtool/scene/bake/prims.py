@@ -60,7 +60,8 @@ class MeshReport:
 # Keys of the rounding errors of a take.
 _ERROR = (
     "{take=written.name+ meters=written.rounding.error relative=relative_error "
-    "joint=error_joint frame=written.rounding.code half_scales=written.rounding.scales}"
+    "joint=error_joint frame=written.rounding.code "
+    "half_scales=written.rounding.has_rounded_scales}"
 )
 
 
@@ -311,7 +312,7 @@ class BakePlan:
         name, *other_names = {take.stream.rig.name: None for take in self.takes}
         if other_names and self.output != STDOUT:
             name = self.output.stem
-        return RigPaths.below(model_path(self.options.prim_path, name))
+        return RigPaths.from_model(model_path(self.options.prim_path, name))
 
     def report(
         self,

@@ -175,9 +175,11 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     from animtool.usd.rigs.target import open_target
 
     placement = open_target(layer, job.bake.prim_path).placement()
-    if placement.uneven or placement.stands.is_identity:
+    if placement.unsupported_reason or placement.heading_placement.is_identity:
         return stream
-    notice = placement_notice(rig, str(job.source), kept=False, over=placement.stands)
+    notice = placement_notice(
+        rig, str(job.source), kept=False, over=placement.heading_placement
+    )
     return replace(unplace_take(stream), notices=stream.notices + notice)
 
 

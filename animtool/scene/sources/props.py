@@ -119,7 +119,7 @@ def _metered_track(
         nonlocal shear_reported
         with meter.running(stage), entry.location.located():
             samples = source.track.sample(times)
-        shear = source.shear()
+        shear = source.max_shear()
         if shear > VISIBLE_SHEAR and not shear_reported:
             shear_reported = True
             message = f"{entry.prim} is sheared between its keys, by up to "
@@ -162,8 +162,10 @@ class _TimedProp:
         """Yield notices of the prop that do not depend on frames."""
         source, entry = self.open_prop.source, self.open_prop.entry
         note = entry.location.fault
-        if source.unstated_range:
-            message = f"{entry.prim} does not state {listed(source.unstated_range)}"
+        if source.fallback_attributes:
+            message = (
+                f"{entry.prim} does not state {listed(source.fallback_attributes)}"
+            )
             hint = "the default of USD is written"
             yield note("SCN108", message, hint, Severity.WARNING)
         if source.span is None:
@@ -174,7 +176,7 @@ class _TimedProp:
             message = f"{entry.prim} has {prop_rate}, but the output {output_rate}"
             hint = "values interpolated between its own frames are written"
             yield note("SCN110", message, hint, Severity.NOTE)
-        if source.sheared:
+        if source.has_shear:
             message = f"{entry.prim} is sheared: its transform is written as a matrix"
             hint = "a non-uniform scale is above a rotation"
             yield note("SCN111", message, hint, Severity.NOTE)

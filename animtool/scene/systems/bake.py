@@ -36,11 +36,11 @@ from animtool.usd.layers.sdf import (
 )
 from animtool.usd.props.simulated import (
     SimulatedJob,
-    chunk_simulated,
-    grow_simulated,
-    simulated_layer,
+    new_simulated_layer,
+    write_simulated,
+    write_simulated_chunks,
 )
-from animtool.usd.props.writer import overlap, prop_paths
+from animtool.usd.props.writer import paths_overlap, prop_paths
 
 if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
@@ -114,7 +114,7 @@ class SystemPrims:
     def _begin(self, draft: BakeState) -> None:
         """Create a layer that contains only systems, and its report."""
         plan, metadata = draft.plan, self.job.metadata
-        layer = simulated_layer(self.job, plan.output)
+        layer = new_simulated_layer(self.job, plan.output)
         take = WrittenTake("", metadata.span, samples=len(self.codes))
         result = UsdResult(layer_span(layer), takes=[take])
 
@@ -153,7 +153,7 @@ class SystemFrames:
     def chunk(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of ``size`` samples each, joined by a layer."""
         clips = system_clip_files(output)
-        self.files, self.written = chunk_simulated(
+        self.files, self.written = write_simulated_chunks(
             self.job, self.rows, layer, clips, size
         )
         self._end(layer)
@@ -163,7 +163,7 @@ class SystemFrames:
         if self.files:
             return save_layer(layer, path)
         with growing_layer(layer, path) as growing_file:
-            self.written = list(grow_simulated(self.job, self.rows, growing_file))
+            self.written = list(write_simulated(self.job, self.rows, growing_file))
             self._end(growing_file.layer)
         return growing_file.size
 
@@ -277,11 +277,11 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     )
     displacement: Displacement | None = None
     if plan.target is not None:
-        from animtool.usd.props.placement import matrices_inside
+        from animtool.usd.props.placement import parent_from_take
 
         joint_map, path = plan.takes[0].mapping, f"{model}/system"
-        to_rig = None if joint_map is None else joint_map.to_rig
-        displacement = partial(matrices_inside, plan.target, to_rig, path)
+        rig_from_take = None if joint_map is None else joint_map.rig_from_take
+        displacement = partial(parent_from_take, plan.target, rig_from_take, path)
     return SystemPrims(
         scene, job, plan.start, recorder=recorder, displacement=displacement
     )
@@ -296,7 +296,7 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     faults = []
     written_systems = [system for system in scene.systems if system.written]
     for system, path in zip(written_systems, job.paths, strict=True):
-        owners = [owner for prim, owner in owner_by_path.items() if overlap(path, prim)]
+        owners = [owner for prim, owner in owner_by_path.items() if paths_overlap(path, prim)]
         if not owners and target is not None and _is_foreign_prim(target, path):
             owners = ["the rig layer"]
         if owners:

@@ -89,7 +89,7 @@ class Prototype:
         source = open_mesh(self.path, self.prim, UpAxis.Y)
 
         def frame_at_code(code: float) -> MeshFrame:
-            surface = source.at(None if source.span is None else code)
+            surface = source.sample(None if source.span is None else code)
             return _frame(surface.points, surface.counts, surface.indices)
 
         return frame_at_code, source.span

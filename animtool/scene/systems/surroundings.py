@@ -62,7 +62,7 @@ class _MeshMotion:
         span = source.span or (0.0, 0.0)
         self._first, self._last = span
         self._start = self._first if frame is None else frame
-        first_frame = source.at(None if source.span is None else self._first)
+        first_frame = source.sample(None if source.span is None else self._first)
         self._count = len(first_frame.points)
         self._faces = triangulated(first_frame.counts, first_frame.indices)
         self._cached_points = lru_cache(CACHED_TIMES)(self._points)
@@ -73,7 +73,7 @@ class _MeshMotion:
         return self._cached_points(min(max(code, self._first), self._last))
 
     def _points(self, code: float) -> FloatArray:
-        points = self._source.at(None if self._source.span is None else code).points
+        points = self._source.sample(None if self._source.span is None else code).points
         if len(points) != self._count:
             message = f"it has {len(points)} points at {code:g}, but had {self._count}"
             refuse("SIM051", message)

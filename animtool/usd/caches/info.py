@@ -35,7 +35,7 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 
-# What points form, and the attribute with an entry per face or curve.
+# Noun of a prim's elements, and the attribute with one entry per element.
 _ELEMENT_COUNTS = {
     "Mesh": ("faces", "faceVertexCounts"),
     "BasisCurves": ("curves", "curveVertexCounts"),
@@ -111,12 +111,12 @@ def describe_points(path: Path) -> PointsDescription | None:
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         prims_with_points = () if has_character(stage) else point_prims(stage)
-        prims = [_point_prim(prim) for prim in prims_with_points]
+        prims = [_summarize_prim(prim) for prim in prims_with_points]
         if not prims:
             return None
         chunks = [chunk for prim in all_prims(stage) for chunk in _chunk_sets(prim)]
-        codes = [code for chunk in prims for code in (chunk.first, chunk.last)]
-        sample_codes = [code for code in codes if code is not None]
+        range_codes = [code for chunk in prims for code in (chunk.first, chunk.last)]
+        sample_codes = [code for code in range_codes if code is not None]
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         if sample_codes and not stage.HasAuthoredTimeCodeRange():
             start, end = min(sample_codes), max(sample_codes)
@@ -143,57 +143,64 @@ def animated_point_prims(path: Path) -> list[PointPrim]:
     with usd_errors(path):
         stage = open_stage(path)
         animated = (prim for prim in point_prims(stage) if PointReader(prim).times)
-        return [_point_prim(prim) for prim in animated]
+        return [_summarize_prim(prim) for prim in animated]
 
 
-def _point_prim(prim: Any) -> PointPrim:
+def _summarize_prim(prim: Any) -> PointPrim:
     reader = PointReader(prim)
-    times, copies, has = reader.times, reader.copies, reader.has
+    times, is_instancer, has_values = (
+        reader.times,
+        reader.is_instancer,
+        reader.has_value,
+    )
     codes = reader.codes
-    rows_at = time_codes_of(times)
-    counts = array_lengths(reader.attr, rows_at)
+    sample_codes = time_codes_of(times)
+    point_counts = array_lengths(reader.attr, sample_codes)
     kind = str(prim.GetTypeName())
-    pieces, name = ("meshes", "") if copies else _ELEMENT_COUNTS.get(kind, ("", ""))
-    shape = prim.GetAttribute(name) if name else None
+    element_noun, name = (
+        ("meshes", "") if is_instancer else _ELEMENT_COUNTS.get(kind, ("", ""))
+    )
+    count_attr = prim.GetAttribute(name) if name else None
     # Arrays of many samples are compressed; the lengths at both ends are enough.
-    point_counts = (
-        array_lengths(shape, time_codes_of([*times[:1], *times[1:][-1:]]))
-        if shape
+    element_counts = (
+        array_lengths(count_attr, time_codes_of([*times[:1], *times[1:][-1:]]))
+        if count_attr
         else []
     )
-    if copies:
-        point_counts = [len(prototype_paths(prim))]
+    if is_instancer:
+        element_counts = [len(prototype_paths(prim))]
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()
     return PointPrim(
         str(prim.GetPath()),
         kind,
-        _count_span(counts),
-        pieces,
-        _count_span(point_counts),
+        _min_max(point_counts),
+        element_noun,
+        _min_max(element_counts),
         len(codes),
         codes[0] if codes else None,
         codes[-1] if codes else None,
-        len({*counts} - {None}) < 2
-        and not (shape and shape.ValueMightBeTimeVarying())
-        and _same_ids(prim, times),
-        has("velocities"),
-        has("widths"),
-        has("ids"),
-        has("normals"),
-        has("orientations") or has("orientationsf"),
+        len({*point_counts} - {None}) < 2
+        and not (count_attr and count_attr.ValueMightBeTimeVarying())
+        and _has_constant_ids(prim, times),
+        has_values("velocities"),
+        has_values("widths"),
+        has_values("ids"),
+        has_values("normals"),
+        has_values("orientations") or has_values("orientationsf"),
         sorted(str(primvar.GetPrimvarName()) for primvar in primvars),
         _extent_union(
-            prim, [code for code, n in zip(rows_at, counts, strict=True) if n]
+            prim,
+            [code for code, n in zip(sample_codes, point_counts, strict=True) if n],
         ),
     )
 
 
-def _count_span(counts: Sequence[int | None]) -> tuple[int, int]:
-    counts_ = [count for count in counts if count is not None]
-    return min(counts_, default=0), max(counts_, default=0)
+def _min_max(counts: Sequence[int | None]) -> tuple[int, int]:
+    known_counts = [count for count in counts if count is not None]
+    return min(known_counts, default=0), max(known_counts, default=0)
 
 
-def _same_ids(prim: Any, times: Sequence[float]) -> bool:
+def _has_constant_ids(prim: Any, times: Sequence[float]) -> bool:
     """Return whether ids are absent, or equal at the first and last sample."""
     ids = prim.GetAttribute("ids")
     if not (ids and times):
@@ -208,8 +215,8 @@ def _extent_union(
     """Return the union of all authored extents; None if any of them is invalid."""
     attribute = prim.GetAttribute("extent")
     extents = [array_value(attribute, code) for code in codes] if attribute else []
-    pairs = [np.array(extent) for extent in extents if len(extent) == 2]
-    corners = np.array([pair for pair in pairs if pair.dtype.kind == "f"])
+    valid_extents = [np.array(extent) for extent in extents if len(extent) == 2]
+    corners = np.array([pair for pair in valid_extents if pair.dtype.kind == "f"])
     if corners.shape[1:] != (2, 3) or not np.isfinite(corners).all():
         return None
     lowest, highest = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)

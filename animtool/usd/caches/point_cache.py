@@ -33,7 +33,7 @@ from animtool.usd.layers.chunks import (
     point_clip_files,
     write_frames,
 )
-from animtool.usd.layers.finite import ValueLabels, rounded
+from animtool.usd.layers.finite import ValueLabels, round_to_float32
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     StageMetadata,
@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class CacheJob:
-    """Settings of `author_cache`."""
+    """Settings of a point cache."""
 
     output: Path  # path of the file, or `STDOUT` for usda
     paths: RigPaths
@@ -65,9 +65,8 @@ class CacheJob:
     up: UpAxis  # up axis of a stage
     surfaces: tuple[Surface, ...] = ()  # meshes of a stage
     strands: tuple[Strands, ...] = ()  # strands of a stage
-    # In a layer over a rig: whether blocks have normals; False blocks the rig's
-    # normals.
-    normals: bool = True
+    # Whether blocks have normals; if not, a layer over a rig blocks the rig's.
+    has_normals: bool = True
     target: CacheTarget | None = None  # rig below a layer; None for a stage
     shot: Shot | None = None  # shot to record in the layer
 
@@ -99,17 +98,17 @@ def round_points(
     velocities, normals = deformed.velocities, deformed.normals
     placement = space.placement
     if placement is not None:
-        linear, shift = placement[:3, :3], placement[:3, 3] * meters_per_unit
-        points = points @ linear.T + shift
+        linear, translation = placement[:3, :3], placement[:3, 3] * meters_per_unit
+        points = points @ linear.T + translation
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
-        normals = None if normals is None else _transformed_normals(normals, linear)
-    rounded_points, error, frame, vertex = rounded(
+        normals = None if normals is None else _transformednormals(normals, linear)
+    rounded_points, error, frame, vertex = round_to_float32(
         points, meters_per_unit, ValueLabels("points", "point"), codes
     )
 
     def to_float32(name: str, values: FloatArray, unit: float) -> Float32Array:
-        return rounded(values, unit, ValueLabels(name, "point"), codes)[0]
+        return round_to_float32(values, unit, ValueLabels(name, "point"), codes)[0]
 
     extent = to_float32("extent", extents, meters_per_unit)
     values = {"points": rounded_points, "extent": _padded_extents(extent, space.margin)}
@@ -127,10 +126,10 @@ def _padded_extents(extents: Float32Array, margin: float) -> Float32Array:
         return extents + np.array([[-margin], [margin]], np.float32)
 
 
-def _transformed_normals(normals: FloatArray, linear: FloatArray) -> FloatArray:
-    transformed_ = normals @ np.linalg.inv(linear)
-    length = np.linalg.norm(transformed_, axis=-1, keepdims=True)
-    return np.asarray(transformed_ / np.where(length > 0, length, 1.0))
+def _transformednormals(normals: FloatArray, linear: FloatArray) -> FloatArray:
+    transformed = normals @ np.linalg.inv(linear)
+    length = np.linalg.norm(transformed, axis=-1, keepdims=True)
+    return np.asarray(transformed / np.where(length > 0, length, 1.0))
 
 
 def author_cache(
@@ -150,7 +149,7 @@ def author_cache(
         _author_prims(layer, job)
         write_frames(blocks, layer_writer, reports)
         for writer in writers:
-            writer.finish(rest=job.target is None)
+            writer.finish(with_defaults=job.target is None)
         author_metadata(
             layer, cache_metadata(job, layer_writer.first, layer_writer.last)
         )
@@ -162,23 +161,23 @@ def author_cache(
 def _author_prims(layer: Any, job: CacheJob) -> None:
     """Author everything except the points."""
     if job.target is not None:
-        job.target.author(layer, normals=job.normals)
+        job.target.author(layer, with_normals=job.has_normals)
         return
     author_model(layer, job.paths.model)
     prim_spec(layer, job.paths.root, "Xform")
     unit = job.meters_per_unit
-    author_meshes(layer, job.surfaces, job.paths, {}, unit, bound=False)
-    author_strands(layer, job.strands, job.paths, {}, unit, bound=False)
+    author_meshes(layer, job.surfaces, job.paths, {}, unit, with_bindings=False)
+    author_strands(layer, job.strands, job.paths, {}, unit, with_bindings=False)
 
 
 def cache_metadata(job: CacheJob, first: float, last: float) -> StageMetadata:
     """Return the layer metadata of a cache, with its frame range."""
     frames = job.frames or (Fraction(first), Fraction(last))
-    default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
+    default_prim = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
-    return StageMetadata(default, FrameSpan(*frames, job.fps), unit, up, job.shot)
+    return StageMetadata(default_prim, FrameSpan(*frames, job.fps), unit, up, job.shot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,7 +195,9 @@ class ChunkedCache:
         return [*files, output]
 
 
-def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCache:
+def write_chunks(
+    job: CacheJob, blocks: Iterator[Block], chunk_bytes: int
+) -> ChunkedCache:
     """Write the points of a cache in chunk files.
 
     Files appear under their names only after all are written, the layer last.
@@ -209,11 +210,11 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
     def chunk(path: Path, number: int) -> AbstractContextManager[list[PointWriter]]:
         return _chunk_writers(
-            job, path, reports, with_rest=number == 0 and job.target is None
+            job, path, reports, with_defaults=number == 0 and job.target is None
         )
 
     files = point_clip_files(job.output)
-    with ChunkedWriter(files, size, len(chunked_meshes), chunk) as chunks:
+    with ChunkedWriter(files, chunk_bytes, len(chunked_meshes), chunk) as chunks:
         write_frames(blocks, chunks, chunked_meshes)
     metadata = cache_metadata(job, chunks.starts[0], chunks.last)
     with Sdf.ChangeBlock():
@@ -231,17 +232,17 @@ def write_chunks(job: CacheJob, blocks: Iterator[Block], size: int) -> ChunkedCa
 
     is_animated = any(report.samples for report in reports)
     defaults = job.target is None and is_animated
-    chunks.join(layer, job.paths.root, metadata, declare, defaults=defaults)
+    chunks.join(layer, job.paths.root, metadata, declare, use_defaults=defaults)
     if job.target is not None:
-        job.target.check(layer, points=False)
+        job.target.check(layer, has_points=False)
     return ChunkedCache(layer, reports, chunks)
 
 
 @contextmanager
 def _chunk_writers(
-    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, with_rest: bool
+    job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, with_defaults: bool
 ) -> Iterator[list[PointWriter]]:
-    """Return the writers of one chunk file, optionally with default points."""
+    """Yield the writers of one chunk file; save it on exit."""
     layer = new_layer(path)
     for mesh in job.meshes:
         prim_spec(layer, mesh, over=True)
@@ -249,14 +250,14 @@ def _chunk_writers(
     yield writers
     with Sdf.ChangeBlock():
         for writer in writers:
-            writer.release(rest=with_rest)
+            writer.sample_all(with_defaults=with_defaults)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
     with replacement_path(path) as temporary:
         export_layer(layer, temporary, path)
 
 
 class _ChunkedMesh:
-    """A mesh of the combining layer, and its report."""
+    """A mesh of the layer that combines the chunks, and its report."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)

@@ -31,21 +31,21 @@ from animtool.usd.rigs.prims import (
     nearest_prim,
     number_rows,
     open_stage,
-    placing_times,
+    transform_times,
     up_axis,
 )
 
-# Half-float quaternions deviate from unit length by this.
+# Tolerance of a quaternion's length; half-float ones are within it.
 UNIT_TOLERANCE = 5e-3
 
 
 class PointReader:
-    """The points of a PointBased prim, or the positions of a PointInstancer."""
+    """Reads the points of a PointBased prim or the positions of a PointInstancer."""
 
     def __init__(self, prim: Any) -> None:
         self.prim = prim
-        self.copies = bool(prim.IsA(UsdGeom.PointInstancer))
-        self.attr = prim.GetAttribute("positions" if self.copies else "points")
+        self.is_instancer = bool(prim.IsA(UsdGeom.PointInstancer))
+        self.attr = prim.GetAttribute("positions" if self.is_instancer else "points")
 
     @property
     def times(self) -> list[float]:
@@ -55,18 +55,18 @@ class PointReader:
     @property
     def codes(self) -> list[float]:
         """Time codes at which points or transforms have samples."""
-        return sorted({*self.times, *placing_times(self.prim)})
+        return sorted({*self.times, *transform_times(self.prim)})
 
-    def has(self, name: str) -> bool:
+    def has_value(self, name: str) -> bool:
         """Return whether the prim authors values of an attribute."""
         attribute = self.prim.GetAttribute(name)
         return bool(attribute and attribute.HasAuthoredValue())
 
-    def at(self, time: Any) -> FloatArray:
+    def points_at(self, time: Any) -> FloatArray:
         """Return the points at a time ``(N, 3)``, in local space and stage units."""
         return number_rows(self.attr, 3, time)
 
-    def count(self) -> int:
+    def point_count(self) -> int:
         """Return the number of points at the earliest time."""
         return len(self.attr.Get(Usd.TimeCode.EarliestTime()) or ())
 
@@ -93,7 +93,7 @@ def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def time_codes_of(times: Sequence[float]) -> list[Any]:
-    """Return samples as time codes; the default time code without samples."""
+    """Return times as `Usd.TimeCode` values; only the default code for none."""
     return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
 
 
@@ -149,7 +149,7 @@ def _has_points(prim: Any) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class PointSample:
-    """Points and other values of a prim at one time code, world space."""
+    """Points, ids and instance transforms of a prim at a time code, world space."""
 
     points: FloatArray  # (N, 3) [m]
     ids: IntArray | None  # (N,); None without ids
@@ -188,7 +188,7 @@ class PointSource:
         """Return the time codes of a prim's samples; empty if it is static."""
         return [float(code) for code in self._readers[name].codes]
 
-    def at(self, name: str, code: float | None) -> PointSample:
+    def sample(self, name: str, code: float | None) -> PointSample:
         """Return the sample of a prim at a time code; None is the default time.
 
         Instances without orientations or scales have identity ones.
@@ -199,8 +199,8 @@ class PointSource:
         """
         reader = self._readers[name]
         time = Usd.TimeCode.Default() if code is None else Usd.TimeCode(code)
-        prim, location = reader.prim, PrimLocation.of(self._path, reader.prim)
-        points_local, matrix = reader.at(time), reader.world_from_prim(time)
+        prim, location = reader.prim, PrimLocation.from_prim(self._path, reader.prim)
+        points_local, matrix = reader.points_at(time), reader.world_from_prim(time)
         if not (np.isfinite(points_local).all() and np.isfinite(matrix).all()):
             location.fail("USD265", "points are not finite")
         points = transform_points(points_local, matrix) * self.unit
@@ -208,26 +208,30 @@ class PointSource:
 
         def array_rows(*names: str, width: int = 0) -> Any:
             """Return rows of an attribute, integers without a width; None if absent."""
-            attr = next((prim.GetAttribute(n) for n in names if reader.has(n)), None)
+            attr = next(
+                (prim.GetAttribute(n) for n in names if reader.has_value(n)), None
+            )
             if attr is None:
                 return None
             rows = (
                 number_rows(attr, width, time) if width else integer_array(attr, time)
             )
             if not len(rows) == len(array_value(attr, time)) in {0, count}:
-                location.at(attr).fail("USD269", f"{len(rows)} for {count} points")
+                location.at_prim(attr).fail("USD269", f"{len(rows)} for {count} points")
             return rows if len(rows) else None
 
         ids = array_rows("ids")
-        if not reader.copies:
+        if not reader.is_instancer:
             return PointSample(points, ids)
         orientations = array_rows("orientationsf", "orientations", width=4)
         if orientations is None:
             orientations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        sizes = np.linalg.norm(orientations, axis=1, keepdims=True)
-        if not (np.abs(sizes - 1) < UNIT_TOLERANCE).all():
+        lengths = np.linalg.norm(orientations, axis=1, keepdims=True)
+        if not (np.abs(lengths - 1) < UNIT_TOLERANCE).all():
             location.fail("USD288", "a quaternion is not of length 1")
-        orientations = so3.multiply(decompose(matrix[None])[1][0], orientations / sizes)
+        orientations = so3.multiply(
+            decompose(matrix[None])[1][0], orientations / lengths
+        )
         scales = array_rows("scales", width=3)
         if scales is None:
             scales = np.ones((count, 3))
@@ -258,7 +262,7 @@ class StaticMesh:
 
 def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
     """Return a mesh at its earliest time sample."""
-    return open_mesh(path, prim, up).at(None)
+    return open_mesh(path, prim, up).sample(None)
 
 
 class MeshSource:
@@ -277,14 +281,17 @@ class MeshSource:
         times = self._reader.codes
         self.span = (float(times[0]), float(times[-1])) if times else None
 
-    def at(self, code: float | None) -> StaticMesh:
+    def sample(self, code: float | None) -> StaticMesh:
         """Return the mesh at a time code; None is the earliest sample.
 
         Raises:
             OptionError: The value is invalid (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
-        points, (counts, indices) = self._reader.at(time), self._reader.faces(time)
+        points, (counts, indices) = (
+            self._reader.points_at(time),
+            self._reader.faces(time),
+        )
         _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
         world = self._reader.world_from_prim(time)
         world_points = transform_points(points, world) * self._unit
@@ -302,13 +309,13 @@ def open_mesh(path: Path, prim: str, up: UpAxis) -> MeshSource:
     """Return a mesh source that can be sampled over time."""
     with usd_errors(path):
         stage = open_stage(path)
-        mesh = find_prim(stage, prim)
-        if mesh is None or not mesh.IsA(UsdGeom.Mesh):
-            problem = "no prim" if mesh is None else "no mesh"
-            hint = nearest_prim(stage, prim) if mesh is None else None
+        mesh_prim = find_prim(stage, prim)
+        if mesh_prim is None or not mesh_prim.IsA(UsdGeom.Mesh):
+            problem = "no prim" if mesh_prim is None else "no mesh"
+            hint = nearest_prim(stage, prim) if mesh_prim is None else None
             message = f"{path.name} holds {problem} {excerpt(prim)}"
             raise OptionError(Fault("SIM051", message, hint=hint))
-        return MeshSource(stage, mesh, up)
+        return MeshSource(stage, mesh_prim, up)
 
 
 def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:

@@ -37,11 +37,11 @@ from animtool.usd.rigs.prims import (
     find_skeletons,
     number_rows,
     open_stage,
-    prim_below,
+    search_root,
     self_and_ancestors,
     up_axis,
 )
-from animtool.usd.rigs.skinned import is_bones, skinned_prims
+from animtool.usd.rigs.skinned import is_bone_mesh, skinned_prims
 
 _IMPLICIT_SHAPES = (
     UsdGeom.Cube,
@@ -66,11 +66,11 @@ class ShownMesh:
 
 
 class ShownPrim:
-    """A prim with points, or an implicit shape, over time.
+    """A visible prim with points, or an implicit shape, over time.
 
     Attributes:
         name: Path below the default prim.
-        kind: ``mesh``, ``curves``, ``points`` or ``copies``.
+        kind: ``mesh``, ``curves``, ``points`` or ``instances``.
     """
 
     def __init__(self, stage: StageContents, prim: Any, name: str, kind: str) -> None:
@@ -95,7 +95,7 @@ class ShownPrim:
         return False
 
     @cached_property
-    def changes_faces(self) -> bool:
+    def has_changing_faces(self) -> bool:
         """Whether its topology changes over time."""
         names = ("faceVertexIndices", "faceVertexCounts", "curveVertexCounts")
         attributes = (self.prim.GetAttribute(name) for name in names)
@@ -111,15 +111,15 @@ class ShownPrim:
         """Return its points in the world, Y up ``(N, 3)`` [m]."""
         time = Usd.TimeCode(code)
         world_points = transform_points(
-            self._reader.at(time), self._reader.world_from_prim(time)
+            self._reader.points_at(time), self._reader.world_from_prim(time)
         )
         return self._stage.to_y_up(world_points * self._stage.meters)
 
-    def faces(self) -> ShownMesh | None:
+    def local_mesh(self) -> ShownMesh | None:
         """Return its local mesh at the earliest time; None if invalid."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
-            points = self._reader.at(time)
+            points = self._reader.points_at(time)
             counts, indices = self._reader.faces(time)
             if mesh_fault(points, counts, indices):
                 return None
@@ -134,7 +134,7 @@ class ShownPrim:
             points_meters, counts, indices, self.color, double_sided, vertex_colors
         )
 
-    def counts(self) -> IntArray:
+    def curve_counts(self) -> IntArray:
         """Return the number of points of each curve ``(C,)``."""
         counts = UsdGeom.Curves(self.prim).GetCurveVertexCountsAttr()
         return np.array(counts.Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
@@ -166,10 +166,10 @@ class ShownPrim:
         red, green, blue = rows.mean(axis=0).clip(0, 1).round(4).tolist()
         return red, green, blue
 
-    def copies(self, code: float) -> PointSample:
+    def instances(self, code: float) -> PointSample:
         """Return its instances in world space, Y up."""
         source = self._stage.source
-        sample = source.at(self.name, code)
+        sample = source.sample(self.name, code)
         up_rotation = self._stage.up_rotation
         assert sample.orientations is not None
         rotations = sample.orientations
@@ -192,10 +192,10 @@ class ShownPrim:
             meshes = []
             for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
                 kind = _prim_kind(prim)
-                if kind != "mesh" or is_bones(prim):
+                if kind != "mesh" or is_bone_mesh(prim):
                     continue
                 shown_prim = ShownPrim(self._stage, prim, "", kind)
-                faces = shown_prim.faces()
+                faces = shown_prim.local_mesh()
                 if faces is not None:
                     meshes.append(
                         (faces, _relative_transform(prim, root, self._stage.meters))
@@ -203,7 +203,7 @@ class ShownPrim:
             prototypes.append(meshes)
         return prototypes
 
-    def visible(self, codes: FloatArray) -> BoolArray:
+    def visibility(self, codes: FloatArray) -> BoolArray:
         """Return whether it is visible at each time code ``(F,)``."""
         return _is_visible(self.prim, codes)
 
@@ -226,7 +226,7 @@ class StageContents:
         meters: Length unit of the stage [m].
         up: Up axis of the stage.
         fps: Time codes per second.
-        turn: Rotation from its up axis to Y; None for no rotation.
+        up_rotation: Rotation from its up axis to Y; None for no rotation.
     """
 
     def __init__(self, path: Path, stage: Any, root_path: str) -> None:
@@ -236,7 +236,7 @@ class StageContents:
         self.fps = rate_from_float(stage.GetTimeCodesPerSecond())
         up_rotation = up_from_up(UpAxis.Y, self.up)
         self.up_rotation = None if up_rotation is None else np.array(up_rotation)
-        self._relative_transform = root_path
+        self._root_path = root_path
 
     @property
     def unit(self) -> str:
@@ -278,7 +278,7 @@ class StageContents:
         shown_prims = []
         for prim in self._visible_prims():
             kind, path = _prim_kind(prim), prim.GetPath()
-            if not kind or path in skinned_paths or is_bones(prim):
+            if not kind or path in skinned_paths or is_bone_mesh(prim):
                 continue
             if any(path.HasPrefix(prototype) for prototype in prototypes):
                 continue
@@ -288,23 +288,26 @@ class StageContents:
         return shown_prims
 
     def _visible_prims(self) -> Iterator[Any]:
-        root_prim = self.stage.GetPrimAtPath(self._relative_transform)
+        root_prim = self.stage.GetPrimAtPath(self._root_path)
         purposes = {UsdGeom.Tokens.default_, UsdGeom.Tokens.render}
         for prim in Usd.PrimRange(root_prim, Usd.TraverseInstanceProxies()):
-            image = UsdGeom.Imageable(prim)
-            if not image or image.ComputePurpose() not in purposes:
+            imageable = UsdGeom.Imageable(prim)
+            if not imageable or imageable.ComputePurpose() not in purposes:
                 continue
-            attr = image.GetVisibilityAttr()
-            always = attr and not attr.ValueMightBeTimeVarying()
-            if always and image.ComputeVisibility() == UsdGeom.Tokens.invisible:
+            attr = imageable.GetVisibilityAttr()
+            is_constant = attr and not attr.ValueMightBeTimeVarying()
+            if (
+                is_constant
+                and imageable.ComputeVisibility() == UsdGeom.Tokens.invisible
+            ):
                 continue
             yield prim
 
-    def visible(self, path: str, codes: FloatArray) -> BoolArray:
+    def visibility(self, path: str, codes: FloatArray) -> BoolArray:
         """Return whether a prim is visible at each time code ``(F,)``."""
         return _is_visible(self.stage.GetPrimAtPath(path), codes)
 
-    def visible_meshes(self, path: str, codes: FloatArray) -> dict[str, BoolArray]:
+    def mesh_visibility(self, path: str, codes: FloatArray) -> dict[str, BoolArray]:
         """Return visibility by mesh name for the meshes of a Skeleton."""
         skeleton = UsdSkel.Skeleton(self.stage.GetPrimAtPath(path))
         return {
@@ -313,7 +316,7 @@ class StageContents:
         }
 
     def is_animation(self) -> bool:
-        """Whether the stage has a joint animation but no Skeleton."""
+        """Return whether the stage has a joint animation but no Skeleton."""
         prims = all_prims(self.stage)
         return not find_skeletons(self.stage) and any(
             prim.IsA(UsdSkel.Animation) for prim in prims
@@ -322,7 +325,7 @@ class StageContents:
     @cached_property
     def bone_names(self) -> set[str]:
         """Names of meshes that visualize the bones of skeletons."""
-        return {str(p.GetName()) for p in all_prims(self.stage) if is_bones(p)}
+        return {str(p.GetName()) for p in all_prims(self.stage) if is_bone_mesh(p)}
 
     def surfaces_to_y_up(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
         """Return meshes rotated to Y up; skinned ones follow their joints."""
@@ -364,7 +367,7 @@ class StageContents:
         ]
 
     @property
-    def stated_span(self) -> tuple[Fraction, Fraction] | None:
+    def authored_span(self) -> tuple[Fraction, Fraction] | None:
         """Authored start and end time codes of the stage; None if not authored."""
         if not self.stage.HasAuthoredTimeCodeRange():
             return None
@@ -387,21 +390,21 @@ def open_contents(path: Path, prim_path: str | None = None) -> StageContents:
     note_input(path)
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        root_path = "/" if prim_path is None else prim_below(stage, prim_path)
+        root_path = "/" if prim_path is None else search_root(stage, prim_path)
         return StageContents(path, stage, root_path)
 
 
 def _is_visible(prim: Any, codes: FloatArray) -> BoolArray:
     """Return whether a prim is visible at each time code ``(F,)``."""
-    image, invisible_token = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
+    imageable, invisible_token = UsdGeom.Imageable(prim), UsdGeom.Tokens.invisible
     if not any(
         UsdGeom.Imageable(ancestor).GetVisibilityAttr().ValueMightBeTimeVarying()
         for ancestor in self_and_ancestors(prim)
         if UsdGeom.Imageable(ancestor)
     ):
-        return np.full(len(codes), image.ComputeVisibility() != invisible_token)
+        return np.full(len(codes), imageable.ComputeVisibility() != invisible_token)
     times = [Usd.TimeCode(code) for code in codes.tolist()]
-    return np.array([image.ComputeVisibility(t) != invisible_token for t in times])
+    return np.array([imageable.ComputeVisibility(t) != invisible_token for t in times])
 
 
 def _prim_kind(prim: Any) -> str:

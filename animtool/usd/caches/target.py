@@ -33,7 +33,7 @@ class TargetMesh:
     name: str  # name in the rig
     path: str  # prim path in a layer over the rig
     space: PointSpace  # space of its points, in the rig's unit
-    normals: bool  # whether it has normals that a cache can replace
+    has_normals: bool  # whether it has normals that a cache can replace
     blocked_attributes: tuple[
         str, ...
     ]  # attributes that are invalid for deformed points
@@ -63,7 +63,7 @@ class CacheTarget:
         """Up axis of the stage."""
         return self.rig.up
 
-    def author(self, layer: Any, *, normals: bool) -> None:
+    def author(self, layer: Any, *, with_normals: bool) -> None:
         """Write overs on the SkelRoot, the meshes and the strands."""
         # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
         root = prim_spec(layer, self.rig.paths.root, "Xform", over=True)
@@ -72,55 +72,57 @@ class CacheTarget:
         for mesh in self.prims:
             spec = prim_spec(layer, mesh.path, over=True)
             blocked = mesh.blocked_attributes
-            if mesh.normals and not normals:
+            if mesh.has_normals and not with_normals:
                 blocked += ("normals",)
             for name in blocked:
                 kind = Sdf.ValueTypeNames.Normal3fArray
                 attribute_spec(spec, name, kind, Sdf.ValueBlock())
 
-    def check(self, layer: Any, *, points: bool = True) -> None:
-        """Compose the layer with its rig, and verify that its points are the strongest.
+    def check(self, layer: Any, *, has_points: bool = True) -> None:
+        """Check that the layer's points are the strongest opinions over its rig.
 
-        ``points`` says whether the layer itself has the points.
+        ``has_points`` says whether the layer itself has the points.
         """
         stage = compose_over_rig(self.rig, layer)
         root = stage.GetPrimAtPath(self.rig.paths.root)
-        hidden_meshes = []
+        overridden_paths = []
         if root.IsA(UsdSkel.Root):
-            hidden_meshes.append(str(root.GetPath()))
+            overridden_paths.append(str(root.GetPath()))
         for mesh in self.prims:
             prim = stage.GetPrimAtPath(mesh.path)
             if prim.IsInstanceProxy():
-                hidden_meshes.append(mesh.path)
-            if not points:
+                overridden_paths.append(mesh.path)
+            if not has_points:
                 continue
             attr = prim.GetAttribute("points")
             stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime())
-            if mesh.path not in hidden_meshes and (
+            if mesh.path not in overridden_paths and (
                 not stack or stack[0].layer != layer
             ):
-                hidden_meshes.append(mesh.path)
-        if hidden_meshes:
+                overridden_paths.append(mesh.path)
+        if overridden_paths:
             message = "the rig's own opinions are stronger than the cache at "
-            message += listed(hidden_meshes)
+            message += listed(overridden_paths)
             hint = "a layer cannot reach into instances"
             where = str(self.rig.path)
             raise OutputError(Fault("USD042", message, where, (), hint))
 
 
 def open_cache_target(
-    rig: RigTarget, counts: Mapping[str, int], curves: Mapping[str, tuple[int, ...]]
+    rig: RigTarget,
+    point_counts: Mapping[str, int],
+    curve_shapes: Mapping[str, tuple[int, ...]],
 ) -> CacheTarget:
-    """Match the meshes and strands of a rig by the names of a cache."""
-    at = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
-    skeleton = UsdSkel.Skeleton(at)
-    root = UsdSkel.Root.Find(at).GetPrim()
-    bound = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
+    """Return the rig's meshes and strands that a cache overrides, matched by name."""
+    skeleton_prim = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
+    skeleton = UsdSkel.Skeleton(skeleton_prim)
+    root = UsdSkel.Root.Find(skeleton_prim).GetPrim()
+    prims_by_name = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
     faults, meshes, strands = [], [], []
-    for name, count in counts.items():
-        if name not in bound:
+    for name, count in point_counts.items():
+        if name not in prims_by_name:
             continue
-        mesh = UsdGeom.Mesh(bound[name])
+        mesh = UsdGeom.Mesh(prims_by_name[name])
         faults += _mesh_mismatches(mesh, name, count, rig) + _animated_ancestors(
             mesh, skeleton, rig
         )
@@ -129,22 +131,22 @@ def open_cache_target(
         entry.name: (entry, source)
         for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
     }
-    for name, shape in curves.items():
+    for name, curve_shape in curve_shapes.items():
         if name not in attachments:
             continue
         entry, source = attachments[name]
         basis_curves = UsdGeom.BasisCurves(source)
         faults += _curve_mismatch(
-            basis_curves, entry, shape, rig
+            basis_curves, entry, curve_shape, rig
         ) + _animated_ancestors(basis_curves, skeleton, rig)
         strands.append(_target_strands(basis_curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
-    unknown = [name for name in counts if name not in bound]
-    unknown += [name for name in curves if name not in attachments]
+    unknown = [name for name in point_counts if name not in prims_by_name]
+    unknown += [name for name in curve_shapes if name not in attachments]
     subject = "meshes or strands of the take are not in the rig layer"
     notices = _count_notice("USD141", unknown, subject, "they are skipped", rig.path)
-    deformed_paths = {bound[mesh.name].GetPath() for mesh in meshes}
+    deformed_paths = {prims_by_name[mesh.name].GetPath() for mesh in meshes}
     deformed_paths |= {attachments[entry.name][1].GetPath() for entry in strands}
     notices += _static_mesh_notice(root, deformed_paths, rig.path)
     notices += _normals_notice([*meshes, *strands], rig.path)
@@ -152,31 +154,33 @@ def open_cache_target(
 
 
 def _mesh_mismatches(mesh: Any, name: str, count: int, rig: RigTarget) -> list[Fault]:
-    points = PointReader(mesh.GetPrim()).count()
-    if points == count:
+    rig_count = PointReader(mesh.GetPrim()).point_count()
+    if rig_count == count:
         return []
-    message = f"mesh {name!r} has {points} points here, but {count} in the take's rig"
+    message = (
+        f"mesh {name!r} has {rig_count} points here, but {count} in the take's rig"
+    )
     hint = "the cache would not match its faces"
-    return [PrimLocation.of(rig.path, mesh).fault("USD041", message, hint)]
+    return [PrimLocation.from_prim(rig.path, mesh).fault("USD041", message, hint)]
 
 
 def _curve_mismatch(
-    curves: Any, entry: Attachment, shape: tuple[int, ...], rig: RigTarget
+    curves: Any, entry: Attachment, take_shape: tuple[int, ...], rig: RigTarget
 ) -> list[Fault]:
     assert entry.points is not None
     rig_shape = entry.points.load().shape[:2]
-    if rig_shape == shape:
+    if rig_shape == take_shape:
         return []
     message = (
         f"{entry.name!r} has {rig_shape[0]} strands of {rig_shape[1]} points here, but "
     )
-    message += f"{shape[0]} of {shape[1]} in the take's rig"
+    message += f"{take_shape[0]} of {take_shape[1]} in the take's rig"
     hint = "the cache would not match its curves"
-    return [PrimLocation.of(rig.path, curves).fault("USD041", message, hint)]
+    return [PrimLocation.from_prim(rig.path, curves).fault("USD041", message, hint)]
 
 
 def _animated_ancestors(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]:
-    at, faults = PrimLocation.of(rig.path, mesh), []
+    location, faults = PrimLocation.from_prim(rig.path, mesh), []
     ancestor = mesh.GetPrim()
     while ancestor.GetPath().HasPrefix(Sdf.Path("/")) and ancestor:
         if skeleton.GetPath().HasPrefix(ancestor.GetPath()):
@@ -184,7 +188,7 @@ def _animated_ancestors(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]
         xform = UsdGeom.Xformable(ancestor)
         if xform and xform.TransformMightBeTimeVarying():
             message = f"{ancestor.GetPath()} is animated below the skeleton"
-            faults.append(at.fault("USD043", message))
+            faults.append(location.fault("USD043", message))
         ancestor = ancestor.GetParent()
     return faults
 
@@ -192,14 +196,16 @@ def _animated_ancestors(mesh: Any, skeleton: Any, rig: RigTarget) -> list[Fault]
 def _target_mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetMesh:
     binding = UsdSkel.BindingAPI(mesh.GetPrim())
     is_skinned = binding.GetJointIndicesPrimvar().HasAuthoredValue()
-    normals = mesh.GetNormalsAttr().HasAuthoredValue()
-    normals_follow = normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+    has_normals = mesh.GetNormalsAttr().HasAuthoredValue()
+    has_vertex_normals = (
+        has_normals and mesh.GetNormalsInterpolation() == UsdGeom.Tokens.vertex
+    )
     return TargetMesh(
         name,
         rig.on_layer(mesh.GetPath()),
         PointSpace(_space_matrix(mesh, skeleton) if is_skinned else None),
-        normals_follow,
-        _unusable_normals(mesh, normals_follow=normals_follow),
+        has_vertex_normals,
+        _unusable_normals(mesh, has_vertex_normals=has_vertex_normals),
     )
 
 
@@ -212,7 +218,7 @@ def _target_strands(
         rig.on_layer(curves.GetPath()),
         PointSpace(_space_matrix(curves, skeleton), max(widths) / 2),
         False,
-        _unusable_normals(curves, normals_follow=False),
+        _unusable_normals(curves, has_vertex_normals=False),
     )
 
 
@@ -226,10 +232,10 @@ def _space_matrix(mesh: Any, skeleton: Any) -> FloatArray | None:
     )
 
 
-def _unusable_normals(mesh: Any, *, normals_follow: bool) -> tuple[str, ...]:
-    """Return authored normals that would not fit the animated points."""
+def _unusable_normals(mesh: Any, *, has_vertex_normals: bool) -> tuple[str, ...]:
+    """Return the names of authored normals that do not fit animated points."""
     names = []
-    if mesh.GetNormalsAttr().HasAuthoredValue() and not normals_follow:
+    if mesh.GetNormalsAttr().HasAuthoredValue() and not has_vertex_normals:
         names.append("normals")
     primvar = mesh.GetPrim().GetAttribute("primvars:normals")
     if primvar and primvar.HasAuthoredValue():

@@ -1,4 +1,4 @@
-"""Writer of PointBased prims: attributes, and blocks of their frames.
+"""Writes PointBased prims: their attributes, and blocks of frames.
 
 Both deformed and simulated points are blocks of named values; one table has the types
 of all attributes.
@@ -75,7 +75,7 @@ ATTRIBUTES = {
 
 
 def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
-    """Return how an attribute is written; primvars by the shape of their values.
+    """Return the USD type of an attribute; for primvars, based on their values.
 
     ``name`` is one that `split_attribute` parses.
     """
@@ -162,7 +162,7 @@ class Block:
 
 @dataclass(frozen=True, slots=True)
 class PointSpace:
-    """Space in which the points of a mesh are written."""
+    """Space that the points of a mesh are written in."""
 
     # mesh_from_skeleton in the layer's unit ``(4, 4)``; None if the spaces are equal.
     placement: FloatArray | None = None
@@ -198,17 +198,17 @@ class CachedMesh:
 def attribute_labels(report: CachedMesh, name: str) -> ValueLabels:
     """Return labels for messages about an attribute's values."""
     names = () if name == "extent" else report.names
-    of = "body" if names else "point"
+    noun = "body" if names else "point"
     location = ".".join(split_attribute(report.path, name))
-    return ValueLabels(location, "" if "." in name else of, names)
+    return ValueLabels(location, "" if "." in name else noun, names)
 
 
 class PointWriter:
     """Writes blocks of frames of one existing prim to a layer.
 
-    Animated attributes have samples, static ones a default. With `every`, each frame of
-    existing attributes is a sample, as for simulated prims; with `first`, the first
-    frame is also the default.
+    Animated attributes get samples, static ones a default. With `every_frame`, each
+    frame is a sample, as for simulated prims; with `with_default`, the first frame is
+    also the default.
     """
 
     def __init__(
@@ -216,12 +216,16 @@ class PointWriter:
         layer: Any,
         report: CachedMesh,  # report with the path of the prim
         *,
-        every: bool = False,
-        first: bool = True,
+        every_frame: bool = False,
+        with_default: bool = True,
         on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
-        self._every, self._first, self._on_added = every, first, on_added
+        self._every_frame, self._with_default, self._on_added = (
+            every_frame,
+            with_default,
+            on_added,
+        )
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
@@ -235,7 +239,7 @@ class PointWriter:
             self._on_added(block.bytes)
 
     def _attribute_writer(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
-        if not self._every:
+        if not self._every_frame:
             return empty_attribute(self._prim_spec, name)
         labels = attribute_labels(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
@@ -243,8 +247,8 @@ class PointWriter:
         return SampleWriter(
             attr,
             make,
-            every=True,
-            first=self._first,
+            every_frame=True,
+            with_default=self._with_default,
             noun=labels.noun,
             names=labels.names,
         )
@@ -253,40 +257,41 @@ class PointWriter:
     def _prim_spec(self) -> Any:
         return self._layer.GetPrimAtPath(self._report.path)
 
-    def release(self, *, rest: bool) -> None:
-        """Sample every attribute, whether it changes or not.
+    def sample_all(self, *, with_defaults: bool) -> None:
+        """Write samples of every attribute, even of constant ones.
 
-        ``rest`` also authors defaults, except velocities: the mesh without a time.
+        ``with_defaults`` also authors defaults, except of velocities.
         """
         for name, channel in self._channels.items():
-            channel.release()
-            if rest and name != "velocities":
-                channel.rest()
+            channel.start_sampling()
+            if with_defaults and name != "velocities":
+                channel.author_default()
 
-    def finish(self, *, rest: bool) -> None:
-        """Author constant values as defaults, and report what is sampled.
+    def finish(self, *, with_defaults: bool) -> None:
+        """Author constant values as defaults; report the sampled attributes.
 
-        ``rest`` also authors defaults of sampled attributes; a rig already has them.
+        ``with_defaults`` also authors defaults of sampled attributes; a rig already has
+        them.
         """
         channels, report = self._channels, self._report
         velocities = channels.pop("velocities", None)
-        is_animated = bool(channels) and channels["points"].sampled
+        is_animated = bool(channels) and channels["points"].has_samples
         if velocities is not None:
             if is_animated:
                 # UsdGeomPointBased uses velocities only if points have samples at the
                 # same times.
-                velocities.release()
+                velocities.start_sampling()
                 channels["velocities"] = velocities
             else:
                 remove_attribute(self._prim_spec, "velocities")
         for name, channel in channels.items():
-            if rest and name != "velocities":
-                channel.rest()
+            if with_defaults and name != "velocities":
+                channel.author_default()
         no_velocities = np.zeros((0, 3), np.float32)
         for channel in channels.values():
             channel.finish(no_velocities)
         report.sampled = [
-            name for name, channel_ in channels.items() if channel_.sampled
+            name for name, writer in channels.items() if writer.has_samples
         ]
         if not is_animated:
             report.samples = report.bytes = 0
@@ -307,7 +312,7 @@ def remove_attribute(spec: Any, name: str) -> None:
 
 
 class FramePrim(Protocol):
-    """Interface of a prim that frame forms write to."""
+    """Interface of a prim writer that a `FrameForm` fills."""
 
     unit: float  # unit of the layer [m]
     rotation: FloatArray  # orientation of the prim in the layer (4,)
@@ -320,7 +325,7 @@ class FramePrim(Protocol):
     def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
 
-    def narrowed(
+    def to_float32(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
         """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
@@ -333,21 +338,21 @@ FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "Transform
 
 
 class FrameForm(Generic[FrameT]):
-    """How one type of frame is written: prim, attributes and values."""
+    """Maps one frame type to a prim type, its attributes and their values."""
 
     type_name: ClassVar[str]
     sampled: ClassVar[tuple[str, ...]]  # attributes of every frame, in order
     points: ClassVar[str] = "points"  # attribute name of the points
 
-    def shape(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
+    def topology(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
         """Return the integer topology attributes of a frame."""
         return {}
 
-    def tears(self, frame: FrameT) -> bool:  # noqa: ARG002
+    def can_tear(self, frame: FrameT) -> bool:  # noqa: ARG002
         """Return whether the topology may change between frames."""
         return False
 
-    def kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
+    def attribute_kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
         attribute_kinds = {name: ATTRIBUTES[name] for name in self.sampled}
@@ -356,10 +361,10 @@ class FrameForm(Generic[FrameT]):
         }
         return {**attribute_kinds, "extent": ATTRIBUTES["extent"]}
 
-    def divide(self, spec: Any, frame: FrameT) -> None:
+    def author_children(self, spec: Any, frame: FrameT) -> None:
         """Create the child prims that have samples."""
 
-    def describe(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
+    def author_constants(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
         """Author the constant attributes of the prim."""
 
     def values(
@@ -370,13 +375,13 @@ class FrameForm(Generic[FrameT]):
 
 
 def bounds(
-    points: Float32Array, margin: float | FloatArray | Float32Array
+    points: Float32Array, padding: float | FloatArray | Float32Array
 ) -> Float32Array:
-    """Return padded bounds ``(2, 3)`` of points; zeros without points."""
+    """Return the padded bounds of points ``(2, 3)``; zeros without points."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
-    if isinstance(margin, float):
-        lowest, highest = points.min(axis=0) - margin, points.max(axis=0) + margin
+    if isinstance(padding, float):
+        lowest, highest = points.min(axis=0) - padding, points.max(axis=0) + padding
     else:
-        lowest, highest = (points - margin).min(axis=0), (points + margin).max(axis=0)
+        lowest, highest = (points - padding).min(axis=0), (points + padding).max(axis=0)
     return np.stack([lowest, highest]).astype(np.float32)

@@ -25,7 +25,7 @@ from animtool.usd.layers.faults import (
     transform_attributes,
     unknown_joint_faults,
 )
-from animtool.usd.rigs.skinned import is_shown_mesh
+from animtool.usd.rigs.skinned import is_rig_mesh
 
 _TARGET_SCHEMAS = {
     "skel:animationSource": UsdSkel.Animation,
@@ -51,7 +51,7 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
                 continue
             for target in relationship.GetTargets():
                 target_prim = subject.stage.GetPrimAtPath(target)
-                if not target_prim and subject.alone:
+                if not target_prim and subject.has_only_overs:
                     continue
                 if (
                     target_prim
@@ -76,7 +76,7 @@ def _check_target(
         yield finding("USD208", relationship.GetPath(), message)
 
 
-# |cos| of half the angle above which two quaternions count as the same rotation.
+# Two quaternions are the same rotation if |cos| of their half angle is above this.
 MIN_SAME_COSINE = 0.7
 
 
@@ -103,16 +103,16 @@ def _check_transforms(
         if not attr.HasAuthoredValue():
             continue
         width = 4 if name == "rotations" else 3
-        array = subject.sampled(attr)
+        array = subject.sampled_array(attr)
         yield from _check_counts("USD200", attr, array, len(joints), "joints")
-        rows_, values = array.rows(len(joints), width)
-        not_finite = np.asarray(~np.isfinite(values).all(axis=-1))
-        if len(rows_) == len(array.counts) and not not_finite.any():
-            subject.finite.add(attr.GetPath())
-        if not_finite.any():
-            yield _non_finite_fault(attr, array, rows_, not_finite, joints)
+        sample_indices, values = array.rows(len(joints), width)
+        is_non_finite = np.asarray(~np.isfinite(values).all(axis=-1))
+        if len(sample_indices) == len(array.counts) and not is_non_finite.any():
+            subject.finite_paths.add(attr.GetPath())
+        if is_non_finite.any():
+            yield _non_finite_fault(attr, array, sample_indices, is_non_finite, joints)
         elif name == "rotations" and len(values):
-            yield from _check_rotations(attr, array, rows_, values, joints)
+            yield from _check_rotations(attr, array, sample_indices, values, joints)
 
 
 def _check_counts(
@@ -121,8 +121,10 @@ def _check_counts(
     is_wrong_count = array.counts != expected
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
-        have = "no value" if count < 0 else counted(count, "value")
-        message = f"{have} for {expected} {noun} {samples_text(array, is_wrong_count)}"
+        count_text = "no value" if count < 0 else counted(count, "value")
+        message = (
+            f"{count_text} for {expected} {noun} {samples_text(array, is_wrong_count)}"
+        )
         yield finding(code, attr.GetPath(), message)
 
 
@@ -130,20 +132,20 @@ def _non_finite_fault(
     attr: Any,
     array: SampledArray,
     sample_indices: Any,
-    not_finite: BoolArray,
+    is_non_finite: BoolArray,
     names: list[str],
 ) -> Fault:
-    rows = not_finite.any(axis=1)
-    first_row = int(np.flatnonzero(not_finite[np.flatnonzero(rows)[0]])[0])
+    rows = is_non_finite.any(axis=1)
+    first_element = int(np.flatnonzero(is_non_finite[np.flatnonzero(rows)[0]])[0])
     samples = samples_text(array, sample_indices[rows])
-    message = f"{excerpt(names[first_row])} is not finite {samples}"
+    message = f"{excerpt(names[first_element])} is not finite {samples}"
     return finding("USD202", attr.GetPath(), message)
 
 
 def _check_weights(
     subject: StageSubject, attr: Any, shapes: list[str]
 ) -> Iterator[Fault]:
-    array = subject.sampled(attr)
+    array = subject.sampled_array(attr)
     yield from _check_counts("USD206", attr, array, len(shapes), "blendShapes")
     sample_indices, values = array.rows(len(shapes), 1)
     not_finite = ~np.isfinite(values[..., 0])
@@ -178,14 +180,14 @@ def _check_rotations(
 
 
 def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
-    """Check that a Skeleton has its animation's joints, and meshes its shapes."""
+    """Check that joints and shapes of animations exist in Skeletons and meshes."""
     shapes: dict[Any, set[str]] = {}
     bindings: dict[Any, Any] = {}
     for prim in subject.prims:
         binding = UsdSkel.BindingAPI(prim)
         names = token_array(binding.GetBlendShapesAttr())
-        skeleton = prim.IsA(UsdSkel.Skeleton)
-        if not (names or skeleton):
+        is_skeleton = prim.IsA(UsdSkel.Skeleton)
+        if not (names or is_skeleton):
             continue
         source = binding.GetInheritedAnimationSource()
         if not source and names:
@@ -200,13 +202,17 @@ def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
             continue
         bindings[source.GetPath()] = source
         shapes.setdefault(source.GetPath(), set()).update(names)
-        if skeleton:
+        if is_skeleton:
             joints = token_array(UsdSkel.Skeleton(prim).GetJointsAttr())
             attr = UsdSkel.Animation(source).GetJointsAttr()
             yield from unknown_joint_faults(attr, joints, prim.GetPath())
     for path, source in bindings.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
         unknown = [name for name in token_array(attr) if name not in shapes[path]]
-        if unknown and not subject.alone and any(map(is_shown_mesh, subject.prims)):
+        if (
+            unknown
+            and not subject.has_only_overs
+            and any(map(is_rig_mesh, subject.prims))
+        ):
             message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
             yield finding("USD210", attr.GetPath(), message)

@@ -20,7 +20,7 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
-from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
+from animtool.usd.checks.skinned_bounds import SkinnedBounds, find_overhang
 from animtool.usd.checks.subject import (
     AnyArray,
     SampledArray,
@@ -52,7 +52,7 @@ _INSTANCE_ATTRIBUTES = (
 
 def check_extents(subject: StageSubject) -> Iterator[Fault]:
     """Check that prims have an extent equal to the one USD computes."""
-    if subject.alone:
+    if subject.has_only_overs:
         return
     for prim in subject.prims:
         if not prim.IsA(UsdGeom.Boundable) or not prim.IsDefined():
@@ -71,7 +71,7 @@ def check_extents(subject: StageSubject) -> Iterator[Fault]:
             yield finding(
                 "USD250", prim.GetPath(), f"this {prim.GetTypeName()} has no extent"
             )
-        elif not prim.IsA(UsdSkel.Root) or _joints_below(prim):
+        elif not prim.IsA(UsdSkel.Root) or _has_joints(prim):
             # Without joints, USD computes a point at the origin, or infinite bounds.
             yield from _compare_extents(subject, boundable, attr, source)
 
@@ -90,26 +90,26 @@ def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
         has_points = any(
             descendant.IsA(UsdGeom.PointBased) for descendant in descendants
         )
-        if not skeletons or not (has_points or _joints_below(prim)):
+        if not skeletons or not (has_points or _has_joints(prim)):
             return None
         animations = [
             UsdSkel.BindingAPI(descendant).GetInheritedAnimationSource()
             for descendant in skeletons
         ]
-        sources = [
+        animation_schemas = [
             UsdSkel.Animation(descendant) for descendant in animations if descendant
         ]
         return [
             attr
-            for descendant in sources
+            for descendant in animation_schemas
             if descendant
             for attr in transform_attributes(descendant).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).attr
         # Extents of meshes with animated points are checked together with the points.
-        sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
-        return [attr] if attr.HasAuthoredValue() and not sampled_points else None
+        has_sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
+        return [attr] if attr.HasAuthoredValue() and not has_sampled_points else None
     if prim.IsA(UsdGeom.PointInstancer):
         return _instance_sources(subject, UsdGeom.PointInstancer(prim))
     return None
@@ -135,19 +135,19 @@ def _instance_sources(subject: StageSubject, instancer: Any) -> list[Any] | None
     return sources if instancer.GetPositionsAttr() in sources else None
 
 
-def _joints_below(root: Any) -> bool:
+def _has_joints(skel_root: Any) -> bool:
     """Return whether a Skeleton below a SkelRoot has joints."""
     return any(
         token_array(UsdSkel.Skeleton(prim).GetJointsAttr())
-        for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())
+        for prim in Usd.PrimRange(skel_root, Usd.TraverseInstanceProxies())
         if prim.IsA(UsdSkel.Skeleton)
     )
 
 
 def _compare_extents(
-    subject: StageSubject, boundable: Any, attr: Any, source: list[Any]
+    subject: StageSubject, boundable: Any, attr: Any, sources: list[Any]
 ) -> Iterator[Fault]:
-    array = subject.sampled(attr)
+    array = subject.sampled_array(attr)
     is_wrong_count = array.counts != 2
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
@@ -156,25 +156,25 @@ def _compare_extents(
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
     animated_times = sorted(
-        {time for attribute in source for time in subject.times(attribute)}
+        {time for attribute in sources for time in subject.times(attribute)}
     )
-    sampled_extents = extents if array.animated else None
+    sampled_extents = extents if array.is_animated else None
     times = (
         array.times
         if sampled_extents is not None
         else np.array(animated_times or [np.nan])
     )
-    joint_bounds = _joint_bounds(subject, boundable, source, times)
-    exact = sampled_extents is not None or not animated_times
+    bounds_from_joints = _joint_bounds(subject, boundable, sources, times)
+    is_exact = sampled_extents is not None or not animated_times
     candidates, outliers = _spaced_indices(len(times)), None
-    if joint_bounds is not None:
-        excess, _ = bounds_difference(extents, joint_bounds, exact=exact)
+    if bounds_from_joints is not None:
+        excess, _ = bounds_difference(extents, bounds_from_joints, must_equal=is_exact)
         outliers = np.flatnonzero(~(excess <= 0))
         candidates = np.sort(
             outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED_SAMPLES]]
         )
     skinned_root = _SkinnedRoot(boundable)
-    faulty = []
+    faulty_samples = []
     for i in candidates.tolist():
         code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
         usd_extent = _computed_extent(boundable, code)
@@ -187,20 +187,20 @@ def _compare_extents(
             # Without points USD computes empty bounds, and any extent is correct.
             continue
         extent = extents[i : i + 1] if sampled_extents is not None else extents
-        excess, distance = bounds_difference(extent, bounds, exact=exact)
-        if excess[0] > 0 and not skinned_root.holds(code, extent, bounds):
-            faulty.append((i, distance[0]))
-    if not faulty:
+        excess, distance = bounds_difference(extent, bounds, must_equal=is_exact)
+        if excess[0] > 0 and not skinned_root.is_valid_extent(code, extent, bounds):
+            faulty_samples.append((i, distance[0]))
+    if not faulty_samples:
         return
-    frames = np.array([i for i, _ in faulty])
-    if outliers is not None and len(faulty) == len(candidates):
+    frames = np.array([i for i, _ in faulty_samples])
+    if outliers is not None and len(faulty_samples) == len(candidates):
         # The samples that USD computed have the largest deviations.
         frames = outliers
-    largest, position = max((gap, -i) for i, gap in faulty)
-    sampled_at = SampledArray(times, [], np.zeros(len(times), np.int64))
+    largest, position = max((gap, -i) for i, gap in faulty_samples)
+    sample_times = SampledArray(times, [], np.zeros(len(times), np.int64))
     or_more = " or more" if outliers is None and len(candidates) < len(times) else ""
-    prefix = "off by" if exact else "what moves exceeds it by"
-    message = f"{prefix} {largest:.3g}{or_more} {samples_text(sampled_at, frames)}"
+    prefix = "off by" if is_exact else "what moves exceeds it by"
+    message = f"{prefix} {largest:.3g}{or_more} {samples_text(sample_times, frames)}"
     if len(frames) > 1:
         message += f", most at {frame_label(times[-position])}"
     if skinned_root.bounds is not None:
@@ -219,13 +219,15 @@ class _SkinnedRoot:
         """Bounds of its points; None for other prims."""
         return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
 
-    def holds(self, code: Any, extent: FloatArray, computed: FloatArray) -> bool:
-        """Return whether an extent is USD's, widened by points outside it."""
-        point_bounds = None if self.bounds is None else self.bounds.at(code)
+    def is_valid_extent(
+        self, code: Any, extent: FloatArray, computed: FloatArray
+    ) -> bool:
+        """Return whether an extent is USD's, extended to contain all skinned points."""
+        point_bounds = None if self.bounds is None else self.bounds.at_time(code)
         if point_bounds is None:
             return False
         expected = joined_bounds(computed[0], point_bounds)[None]
-        return bool(bounds_difference(extent, expected, exact=True)[0][0] <= 0)
+        return bool(bounds_difference(extent, expected, must_equal=True)[0][0] <= 0)
 
 
 def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
@@ -240,28 +242,27 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Describe how far skinned points leave the extents of a SkelRoot, and when."""
-    result = overhang(root, extents, times.tolist())
+    worst = find_overhang(root, extents, times.tolist())
     # Overhangs within rounding do not count, as in `bounds_difference`.
     magnitude = float(np.abs(extents).max(initial=0.0))
-    if result is None or result[0] <= 1e-6 * (1 + magnitude):
+    if worst is None or worst[0] <= 1e-6 * (1 + magnitude):
         return "; no skinned point exceeds it"
-    largest, code, is_complete = result
-    at = "" if np.isnan(code) else f" at time code {frame_label(code)}"
+    largest_distance, code, is_complete = worst
+    time_text = "" if np.isnan(code) else f" at time code {frame_label(code)}"
     or_more = "" if is_complete else " or more"
-    return f"; skinned points exceed it by {largest:.4g}{or_more}{at}"
+    return f"; skinned points exceed it by {largest_distance:.4g}{or_more}{time_text}"
 
 
 def bounds_difference(
-    extents: FloatArray, bounds: FloatArray, *, exact: bool
+    extents: FloatArray, bounds: FloatArray, *, must_equal: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far extents differ from bounds: beyond the tolerance, and in total.
+    """Return the distance of extents from bounds: beyond the tolerance, and in total.
 
-    The first is at most 0 within the tolerance.
-
-    ``extents`` ``(F, 2, 3)``, ``bounds`` ``(F, 2, 3)``.
+    The first is at most 0 within the tolerance. Both inputs are ``(F, 2, 3)``. With
+    ``must_equal``, extents that are too large differ as well.
     """
     gaps = np.stack([extents[:, 0] - bounds[:, 0], bounds[:, 1] - extents[:, 1]])
-    distances = (np.abs(gaps) if exact else gaps).max(axis=(0, 2))
+    distances = (np.abs(gaps) if must_equal else gaps).max(axis=(0, 2))
     sizes = np.linalg.norm(bounds[:, 1] - bounds[:, 0], axis=1)
     magnitudes = np.abs(bounds).max(axis=(1, 2))
     return distances - EXTENT_TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
@@ -276,14 +277,14 @@ def _computed_extent(boundable: Any, code: Any) -> Any:
 
 
 def _spaced_indices(count: int) -> IntArray:
-    """Return up to `MAX_ASKED` evenly spaced indices below a count."""
+    """Return up to `MAX_COMPUTED_SAMPLES` evenly spaced indices below a count."""
     return np.unique(
         np.linspace(0, count - 1, min(count, MAX_COMPUTED_SAMPLES)).astype(np.int64)
     )
 
 
 def _joint_bounds(
-    subject: StageSubject, boundable: Any, source: list[Any], times: FloatArray
+    subject: StageSubject, boundable: Any, sources: list[Any], times: FloatArray
 ) -> FloatArray | None:
     """Return the joint bounds of a one-skeleton SkelRoot per sample ``(F, 2, 3)``.
 
@@ -292,18 +293,18 @@ def _joint_bounds(
     """
     root = boundable.GetPrim()
     if (
-        len(source) != 3
+        len(sources) != 3
         or not root.IsA(UsdSkel.Root)
         or len(times) <= MAX_COMPUTED_SAMPLES
     ):
         return None
-    skeletons = [p for p in Usd.PrimRange(root) if p.IsA(UsdSkel.Skeleton)]
+    skeletons = [prim for prim in Usd.PrimRange(root) if prim.IsA(UsdSkel.Skeleton)]
     if len(skeletons) != 1 or skeletons[0].GetParent() != root:
         return None
     if UsdGeom.Xformable(skeletons[0]).GetXformOpOrderAttr().Get():
         return None
     skeleton = UsdSkel.Skeleton(skeletons[0])
-    locals_ = _local_transforms(subject, skeleton, source, times)
+    locals_ = _local_transforms(subject, skeleton, sources, times)
     if locals_ is None:
         return None
     joints = token_array(skeleton.GetJointsAttr())
@@ -312,44 +313,44 @@ def _joint_bounds(
     first_extent = _computed_extent(boundable, code)
     if first_extent is None:
         return None
-    pad = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]
-    padded: FloatArray = bounds + pad
+    padding = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]
+    padded: FloatArray = bounds + padding
     return padded
 
 
 def _local_transforms(
-    subject: StageSubject, skeleton: Any, source: list[Any], times: FloatArray
+    subject: StageSubject, skeleton: Any, sources: list[Any], times: FloatArray
 ) -> tuple[AnyArray, AnyArray, AnyArray] | None:
     """Return local translations, rotations and scales ``(F or 1, J, …)``."""
     joints = token_array(skeleton.GetJointsAttr())
     parents = joint_parents(joints)
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     animated_joints = token_array(
-        UsdSkel.Animation(source[0].GetPrim()).GetJointsAttr()
+        UsdSkel.Animation(sources[0].GetPrim()).GetJointsAttr()
     )
     columns = np.array(
         [joints.index(n) if n in joints else -1 for n in animated_joints], np.int64
     )
-    complete = (
+    is_complete = (
         len(animated_joints) == len(joints)
         and (columns == np.arange(len(joints))).all()
     )
     if (parents >= np.arange(len(joints))).any() or (columns < 0).any():
         return None
-    if not complete and len(rest) != len(joints):
+    if not is_complete and len(rest) != len(joints):
         return None
-    rest_components = () if complete else decompose(rest)
+    rest_components = () if is_complete else decompose(rest)
     components = []
-    for component, (attr, width) in enumerate(zip(source, (3, 4, 3), strict=True)):
-        array = subject.sampled(attr)
+    for component, (attr, width) in enumerate(zip(sources, (3, 4, 3), strict=True)):
+        array = subject.sampled_array(attr)
         if (array.counts != len(animated_joints)).any() or not len(array.times):
             return None
-        if array.animated and not np.array_equal(array.times, times):
+        if array.is_animated and not np.array_equal(array.times, times):
             return None
         values = array.rows(len(animated_joints), width)[1]
         if not np.isfinite(values).all():
             return None
-        if not complete:
+        if not is_complete:
             all_joints = np.repeat(
                 rest_components[component][None], len(values), axis=0
             )

@@ -29,13 +29,14 @@ def check_types(subject: StageSubject) -> Iterator[Fault]:
     Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
     for attr in subject.attributes:
-        type_name, expected_type = (
+        authored_type, expected_type = (
             attr.GetPropertyStack()[0].typeName,
             _expected_type(attr),
         )
-        if expected_type is not None and type_name.type != expected_type.type:
+        if expected_type is not None and authored_type.type != expected_type.type:
             message = (
-                f"it is {type_name}, but its schema has {expected_type}; there may be "
+                f"it is {authored_type}, but its schema has {expected_type}; "
+                "there may be "
                 "more errors"
             )
             yield finding("USD280", attr.GetPath(), message)
@@ -92,7 +93,7 @@ def check_uniform(subject: StageSubject) -> Iterator[Fault]:
             yield finding("USD211", attr.GetPath(), message)
 
 
-# Codes of checks that already cover one kind of attribute.
+# Codes of checks that report non-finite values of specific attributes.
 COVERED_CODES = frozenset(
     {"USD202", "USD225", "USD233", "USD235", "USD243", "USD265", "USD271", "USD272"}
 )
@@ -158,24 +159,26 @@ def _layer_problems(
         spec = layer.GetObjectAtPath(path)
         if spec is None:
             continue
-        skipped = NON_NUMERIC_FIELDS
+        ignored_fields = NON_NUMERIC_FIELDS
         if path == Sdf.Path.absoluteRootPath:
-            skipped = skipped | RATE_FIELDS | (ROOT_FIELDS if is_root else set())
+            ignored_fields = (
+                ignored_fields | RATE_FIELDS | (ROOT_FIELDS if is_root else set())
+            )
             for i, offset in enumerate(layer.subLayerOffsets):
                 if problem := _data_problem(offset, f"subLayerOffsets[{i}]"):
                     yield path, problem
         for key in spec.ListInfoKeys():
-            if key not in skipped and (
+            if key not in ignored_fields and (
                 problem := _data_problem(spec.GetInfo(key), key)
             ):
                 yield path, problem
-        floats = isinstance(spec, Sdf.AttributeSpec) and float_letter(spec.typeName)
-        if floats and (problem := _attribute_problem(subject, layer, spec)):
+        has_floats = isinstance(spec, Sdf.AttributeSpec) and float_letter(spec.typeName)
+        if has_floats and (problem := _attribute_problem(subject, layer, spec)):
             yield path, problem
 
 
 def _data_problem(value: Any, name: str) -> str:
-    """Return the fault of a metadata value; empty if valid."""
+    """Describe the problem of a metadata value; empty if valid."""
     if isinstance(value, Mapping):
         problems = (_data_problem(item, f"{name}:{key}") for key, item in value.items())
         return next(filter(None, problems), "")
@@ -196,7 +199,7 @@ def _data_problem(value: Any, name: str) -> str:
 
 
 def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
-    """Return the fault of an attribute's values; empty if valid."""
+    """Describe the problem of an attribute's values; empty if valid."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
@@ -207,24 +210,24 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     times = [] if _is_covered(subject, path) else layer.ListTimeSamplesForPath(path)
     if not all(map(math.isfinite, times)):
         problems.append("the time of a sample is not finite")
-    query, bad_count, first_problem = layer.QueryTimeSample, 0, ""
+    query_sample, non_finite_count, first_problem = layer.QueryTimeSample, 0, ""
     for time in times:
-        numbers = floats_of(query(path, time))
+        numbers = floats_of(query_sample(path, time))
         if numbers is None or _is_allowed(subject, spec, numbers):
             continue
-        bad_count += 1
+        non_finite_count += 1
         if not first_problem:
             element = _element_index(numbers)
             number = _non_finite_number(numbers)
             first_problem = f"it is {number} at time code {time:.10g}{element}"
-    if bad_count > 1:
-        first_problem += f", and in {counted(bad_count - 1, 'more sample')}"
+    if non_finite_count > 1:
+        first_problem += f", and in {counted(non_finite_count - 1, 'more sample')}"
     return "; ".join(filter(None, (*problems, first_problem)))
 
 
 def _is_covered(subject: StageSubject, path: Any) -> bool:
-    """Return whether another check already covers the attribute's only samples."""
-    if path not in subject.finite:
+    """Return whether another check covers all samples of an attribute."""
+    if path not in subject.finite_paths:
         return False
     stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
     counts: list[int] = [spec.layer.GetNumTimeSamplesForPath(path) for spec in stack]
@@ -252,13 +255,15 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
     if fallback_values is None:
         # An attribute of a schema that the prim does not apply, as some exporters
         # write.
-        return any(name.fullmatch(path.name) for name in _attributes_with_infinity())
+        return any(
+            pattern.fullmatch(path.name) for pattern in _infinite_fallback_patterns()
+        )
     return not _is_finite(fallback_values)
 
 
 @cache
-def _attributes_with_infinity() -> tuple[re.Pattern[str], ...]:
-    """Return attributes whose schema fallback is infinite."""
+def _infinite_fallback_patterns() -> tuple[re.Pattern[str], ...]:
+    """Return name patterns of attributes with an infinite schema fallback."""
     registry, names = Usd.SchemaRegistry(), set()
     for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
         name = Usd.SchemaRegistry.GetSchemaTypeName(schema)

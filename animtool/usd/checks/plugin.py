@@ -16,7 +16,7 @@ from animtool.usd.checks.run import ANIMTOOL_KEYWORD, check_stage
 
 # Same name as in plugInfo.json; `register` also works without that file.
 PLUGIN_NAME = "animtool.usd.checks.plugin:Checks"
-NAME = "animtool:Checks"
+VALIDATOR_NAME = "animtool:Checks"
 
 _ERROR_TYPES = {
     Severity.ERROR: UsdValidation.ValidationErrorType.Error,
@@ -28,14 +28,16 @@ _ERROR_TYPES = {
 def register() -> Any:
     """Return our validator, registered with USD on first use."""
     registry = UsdValidation.ValidationRegistry()
-    for name in (PLUGIN_NAME, NAME):
+    for name in (PLUGIN_NAME, VALIDATOR_NAME):
         if registry.HasValidator(name):
             return registry.GetOrLoadValidatorByName(name)
     metadata = UsdValidation.ValidatorMetadata(
-        name=NAME, keywords=[ANIMTOOL_KEYWORD], doc="Checks of animtool for USD stages."
+        name=VALIDATOR_NAME,
+        keywords=[ANIMTOOL_KEYWORD],
+        doc="Checks of animtool for USD stages.",
     )
     registry.RegisterStageValidator(metadata, validate)
-    return registry.GetOrLoadValidatorByName(NAME)
+    return registry.GetOrLoadValidatorByName(VALIDATOR_NAME)
 
 
 def validate(stage: Any, _times: Any) -> list[Any]:

@@ -34,7 +34,7 @@ def check_points(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _point_samples(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
-    """Return the samples of points without their arrays, and their bounds."""
+    """Return the counts and bounds of all point samples, without their arrays."""
     times = subject.times(attr)
     codes = time_codes_of(times)
     query = Usd.AttributeQuery(attr)
@@ -60,7 +60,7 @@ def _check_finite(
         message = f"points are not finite {samples_text(array, is_bad)}"
         yield finding("USD265", attr.GetPath(), message)
     elif (array.counts >= 0).all():
-        subject.finite.add(attr.GetPath())
+        subject.finite_paths.add(attr.GetPath())
 
 
 def _check_topology(
@@ -73,12 +73,12 @@ def _check_topology(
             return
         value = indices.Get()
         min_points = int(np.array(value).max(initial=-1)) + 1 if value else 0
-        too_few = (points.counts < min_points) & (points.counts >= 0)
-        if too_few.any():
-            count = points.counts[np.flatnonzero(too_few)[0]]
+        has_too_few = (points.counts < min_points) & (points.counts >= 0)
+        if has_too_few.any():
+            count = points.counts[np.flatnonzero(has_too_few)[0]]
             message = (
                 f"{count} points for faces that refer to {min_points} "
-                f"{samples_text(points, too_few)}"
+                f"{samples_text(points, has_too_few)}"
             )
             yield finding("USD264", attr.GetPath(), message)
             return
@@ -102,15 +102,15 @@ def _check_velocities(
     attr = geometry.GetVelocitiesAttr()
     if not attr.HasAuthoredValue():
         return
-    survey, bounds = _point_samples(subject, attr)
-    yield from _check_finite(subject, attr, survey, bounds)
+    velocities, bounds = _point_samples(subject, attr)
+    yield from _check_finite(subject, attr, velocities, bounds)
     index = {time: i for i, time in enumerate(points.times.tolist())}
-    for i, time in enumerate(survey.times.tolist()):
+    for i, time in enumerate(velocities.times.tolist()):
         expected_count = points.counts[index.get(time, 0)]
-        if survey.counts[i] not in {0, expected_count}:
+        if velocities.counts[i] not in {0, expected_count}:
             message = (
-                f"{survey.counts[i]} velocities for {expected_count} points "
-                f"{samples_text(survey, np.array([i]))}"
+                f"{velocities.counts[i]} velocities for {expected_count} points "
+                f"{samples_text(velocities, np.array([i]))}"
             )
             yield finding("USD266", attr.GetPath(), message)
             return
@@ -121,28 +121,30 @@ def _check_extent(
 ) -> Iterator[Fault]:
     """Compare the bounds of a mesh's animated points with its extent."""
     prim, attr = geometry.GetPrim(), geometry.GetExtentAttr()
-    if not points.animated or not prim.IsA(UsdGeom.Mesh) or subject.alone:
+    if not points.is_animated or not prim.IsA(UsdGeom.Mesh) or subject.has_only_overs:
         return
     if not attr.HasAuthoredValue():
         message = f"this {prim.GetTypeName()} has none, but its points move"
         yield finding("USD250", prim.GetPath(), message)
         return
-    array = subject.sampled(attr)
+    array = subject.sampled_array(attr)
     if (array.counts != 2).any():
         message = f"not two corners {samples_text(array, array.counts != 2)}"
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
-    if array.animated:
+    if array.is_animated:
         # Between samples, an extent keeps the value of the previous sample.
-        previous = np.searchsorted(array.times, points.times, side="right") - 1
-        extents = extents[np.clip(previous, 0, None)]
-    excess, distance = bounds_difference(extents, bounds, exact=array.animated)
+        previous_sample = np.searchsorted(array.times, points.times, side="right") - 1
+        extents = extents[np.clip(previous_sample, 0, None)]
+    excess, distance = bounds_difference(extents, bounds, must_equal=array.is_animated)
     if (excess > 0).any():
-        worst = int(np.nanargmax(np.where(excess > 0, distance, 0.0)))
-        message = f"off by {distance[worst]:.3g} {samples_text(points, excess > 0)}"
+        worst_sample = int(np.nanargmax(np.where(excess > 0, distance, 0.0)))
+        message = (
+            f"off by {distance[worst_sample]:.3g} {samples_text(points, excess > 0)}"
+        )
         if np.count_nonzero(excess > 0) > 1:
-            message += f", most at {frame_label(points.times[worst])}"
+            message += f", most at {frame_label(points.times[worst_sample])}"
         yield finding("USD251", attr.GetPath(), message)
 
 
@@ -157,17 +159,17 @@ def check_instancers(subject: StageSubject) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
     for instancer in subject.of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
-        indices = subject.sampled(instancer.GetProtoIndicesAttr())
+        indices = subject.sampled_array(instancer.GetProtoIndicesAttr())
         yield from _check_prototypes(subject, instancer, indices)
         for name in _INSTANCE_ARRAYS:
             attr = prim.GetAttribute(name)
             if not attr or not attr.HasAuthoredValue():
                 continue
-            array = subject.sampled(attr)
+            array = subject.sampled_array(attr)
             yield from _check_lengths(attr, array, indices)
             if name != "ids":
                 yield from _check_numbers(
-                    attr, array, unit=name.startswith("orientations")
+                    attr, array, must_be_unit=name.startswith("orientations")
                 )
 
 
@@ -177,7 +179,7 @@ def _check_prototypes(
     relationship = instancer.GetPrototypesRel()
     targets = relationship.GetForwardedTargets()
     missing_targets = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
-    if missing_targets and not subject.alone:
+    if missing_targets and not subject.has_only_overs:
         yield finding(
             "USD287",
             relationship.GetPath(),
@@ -193,13 +195,13 @@ def _check_prototypes(
         for array, count in zip(indices.arrays, indices.counts, strict=True)
     ]
     lowest, highest = np.array(index_ranges, np.int64).reshape(-1, 2).T
-    is_bad = (lowest < 0) | (highest >= len(targets))
-    if is_bad.any() and not (subject.alone and not targets):
-        worst = index_ranges[int(np.argmax(is_bad))]
-        index = worst[0] if worst[0] < 0 else worst[1]
+    is_out_of_range = (lowest < 0) | (highest >= len(targets))
+    if is_out_of_range.any() and not (subject.has_only_overs and not targets):
+        worst_range = index_ranges[int(np.argmax(is_out_of_range))]
+        index = worst_range[0] if worst_range[0] < 0 else worst_range[1]
         message = (
             f"{index} is outside the {len(targets)} prototypes "
-            f"{samples_text(indices, is_bad)}"
+            f"{samples_text(indices, is_out_of_range)}"
         )
         yield finding("USD287", instancer.GetProtoIndicesAttr().GetPath(), message)
 
@@ -210,12 +212,12 @@ def _check_lengths(
     """Compare array lengths with protoIndices at each sample."""
     if not len(indices.counts):
         return
-    previous = np.zeros(len(array.counts), np.int64)
-    if indices.animated and array.animated:
-        previous = np.searchsorted(indices.times, array.times, side="right") - 1
-    expected = indices.counts[np.clip(previous, 0, None)]
-    optional = not attr.GetName().startswith("positions")
-    is_bad = (array.counts != expected) & ~(optional & (array.counts <= 0))
+    previous_sample = np.zeros(len(array.counts), np.int64)
+    if indices.is_animated and array.is_animated:
+        previous_sample = np.searchsorted(indices.times, array.times, side="right") - 1
+    expected = indices.counts[np.clip(previous_sample, 0, None)]
+    is_optional = not attr.GetName().startswith("positions")
+    is_bad = (array.counts != expected) & ~(is_optional & (array.counts <= 0))
     if is_bad.any():
         i = int(np.argmax(is_bad))
         samples = samples_text(array, is_bad)
@@ -223,16 +225,20 @@ def _check_lengths(
         yield finding("USD269", attr.GetPath(), message)
 
 
-def _check_numbers(attr: Any, samples: SampledArray, *, unit: bool) -> Iterator[Fault]:
-    not_finite, is_not_unit = np.zeros((2, len(samples.counts)), bool)
+def _check_numbers(
+    attr: Any, samples: SampledArray, *, must_be_unit: bool
+) -> Iterator[Fault]:
+    is_non_finite, is_not_unit = np.zeros((2, len(samples.counts)), bool)
     for i, array in enumerate(samples.arrays):
         values = np.array(array, np.float64) if samples.counts[i] > 0 else np.zeros(0)
-        not_finite[i] = not np.isfinite(values).all()
-        if unit and not not_finite[i] and len(values):
-            sizes = np.linalg.norm(values.reshape(-1, 4), axis=1)
-            is_not_unit[i] = bool((np.abs(sizes - 1) > UNIT_TOLERANCE).any())
-    if not_finite.any():
-        message = f"{attr.GetName()} are not finite {samples_text(samples, not_finite)}"
+        is_non_finite[i] = not np.isfinite(values).all()
+        if must_be_unit and not is_non_finite[i] and len(values):
+            lengths = np.linalg.norm(values.reshape(-1, 4), axis=1)
+            is_not_unit[i] = bool((np.abs(lengths - 1) > UNIT_TOLERANCE).any())
+    if is_non_finite.any():
+        message = (
+            f"{attr.GetName()} are not finite {samples_text(samples, is_non_finite)}"
+        )
         yield finding("USD265", attr.GetPath(), message)
     if is_not_unit.any():
         message = (

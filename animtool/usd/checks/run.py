@@ -44,9 +44,9 @@ from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.sdf import find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
-# Keyword of our validator in UsdValidation, which need not run twice.
+# Keyword of animtool's validator in UsdValidation, so that it does not run twice.
 ANIMTOOL_KEYWORD = "animtool"
-# USD validators that our checks cover, and with more detail.
+# USD validators whose findings our checks report with more detail.
 _COVERED_CHECKS = {
     "usdValidation:CompositionErrorTest",
     "usdUtilsValidators:MissingReferenceValidator",
@@ -91,12 +91,12 @@ def _fault(error: Any) -> Fault:
     if code is None:
         code = _CODES_BY_FAMILY.get(validator.partition(":")[0], "USD286")
     kinds = UsdValidation.ValidationErrorType
-    note = Severity.NOTE if error.GetType() == kinds.Info else None
+    severity = Severity.NOTE if error.GetType() == kinds.Info else None
     text = " ".join(error.GetMessage().split()).rstrip(".")
     # The file is named before the message, and so is what a known code is about.
     text = re.sub(r"Stage with root layer <[^>]*>", "the stage", text)
     message = text if validator in _CODES_BY_VALIDATOR else f"{validator}: {text}"
-    return finding(code, _error_location(error), message, note)
+    return finding(code, _error_location(error), message, severity)
 
 
 def _error_location(error: Any) -> str:
@@ -143,7 +143,7 @@ class Inspection:
     faults: list[Fault]  # findings in the layer and the layers it composes
     # Its animations, for rules on motion.
     takes: list[AnimationTake] = field(default_factory=list)
-    alone: bool = False  # whether the layer has no rig: it is part of a stage
+    has_only_overs: bool = False  # whether the rig is in another file
 
 
 def inspect_layer(path: Path | str) -> Inspection:
@@ -165,7 +165,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     except FormatError as error:
         return Inspection(list(error.faults))
     faults = [replace(fault, path=str(path)) for fault in _distinct_faults(findings)]
-    return Inspection(faults, takes, subject.alone)
+    return Inspection(faults, takes, subject.has_only_overs)
 
 
 def check_layer(path: Path | str) -> list[Fault]:
@@ -174,7 +174,7 @@ def check_layer(path: Path | str) -> list[Fault]:
 
 
 def check_stage(stage: Any) -> list[Fault]:
-    """Return the findings of our own checks on a stage."""
+    """Return the findings of animtool's checks on a stage."""
     return _distinct_faults(_faults(StageSubject(stage)))
 
 
@@ -186,9 +186,9 @@ def _faults(subject: StageSubject) -> list[Fault]:
             fault for check in SAMPLE_CHECKS for fault in _run_check(check, subject)
         ]
     covered_locations = {fault.where for fault in faults if fault.code in COVERED_CODES}
-    everywhere = _run_check(check_finite, subject)
+    finite_faults = _run_check(check_finite, subject)
     return faults + [
-        fault for fault in everywhere if fault.where not in covered_locations
+        fault for fault in finite_faults if fault.where not in covered_locations
     ]
 
 
@@ -225,13 +225,13 @@ def _distinct_faults(faults: list[Fault]) -> list[Fault]:
     Per code and location the first message is kept: a validator of USD may repeat a
     finding of ours.
     """
-    reported_foreign: dict[tuple[str, str | None], bool] = {}
+    reported: dict[tuple[str, str | None], bool] = {}
     distinct_faults = []
     for fault in faults:
-        foreign = fault.message.partition(":")[0].lower().startswith("usd")
+        is_from_usd = fault.message.partition(":")[0].lower().startswith("usd")
         key = (fault.code, fault.where)
-        if foreign and key in reported_foreign and not reported_foreign[key]:
+        if is_from_usd and key in reported and not reported[key]:
             continue
-        reported_foreign.setdefault(key, foreign)
+        reported.setdefault(key, is_from_usd)
         distinct_faults.append(fault)
     return distinct_faults

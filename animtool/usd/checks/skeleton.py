@@ -21,7 +21,7 @@ from animtool.usd.layers.faults import (
     matrix_array,
     token_array,
 )
-from animtool.usd.rigs.rest_pose import collapsed_bones, rest_faults
+from animtool.usd.rigs.rest_pose import collapsed_bone_faults, rest_faults
 
 
 def check_physics(subject: StageSubject) -> Iterator[Fault]:
@@ -42,10 +42,10 @@ def _check_bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
             message = f"{counted(len(bodies), 'target')} instead of one"
             yield finding("USD270", relationship.GetPath(), message)
         for target in bodies:
-            if not subject.stage.GetPrimAtPath(target) and not subject.alone:
+            if not subject.stage.GetPrimAtPath(target) and not subject.has_only_overs:
                 message = f"{target} does not exist"
                 yield finding("USD270", relationship.GetPath(), message)
-    if not targets and not subject.alone and joint.GetPrim().IsDefined():
+    if not targets and not subject.has_only_overs and joint.GetPrim().IsDefined():
         yield finding("USD270", joint.GetPath(), "neither body0 nor body1 is named")
 
 
@@ -81,7 +81,7 @@ def _check_limits(prim: Any) -> Iterator[Fault]:
             )
             yield from _check_pair(prim, low_name, high_name, reversible=True)
     yield from _check_pair(
-        prim, "physics:minDistance", "physics:maxDistance", free=-1.0
+        prim, "physics:minDistance", "physics:maxDistance", unlimited=-1.0
     )
     for body in "01":
         yield from _check_numbers(prim, f"physics:coneAngle{body}Limit")
@@ -96,25 +96,27 @@ def _check_numbers(prim: Any, name: str) -> Iterator[Fault]:
 
 def _check_pair(
     prim: Any,
-    lower: str,
-    upper: str,
+    lower_name: str,
+    upper_name: str,
     *,
     reversible: bool = False,
-    free: float | None = None,
+    unlimited: float | None = None,
 ) -> Iterator[Fault]:
-    yield from _check_numbers(prim, lower)
-    yield from _check_numbers(prim, upper)
-    attributes = [prim.GetAttribute(name) for name in (lower, upper)]
+    yield from _check_numbers(prim, lower_name)
+    yield from _check_numbers(prim, upper_name)
+    attributes = [prim.GetAttribute(name) for name in (lower_name, upper_name)]
     lower_value, upper_value = (attr.Get() if attr else None for attr in attributes)
     if (
         lower_value is None
         or upper_value is None
         or reversible
-        or free in {lower_value, upper_value}
+        or unlimited in {lower_value, upper_value}
     ):
         return
     if lower_value > upper_value:
-        message = f"{lower.rpartition(':')[2]} {lower_value:g} is above {upper_value:g}"
+        message = (
+            f"{lower_name.rpartition(':')[2]} {lower_value:g} is above {upper_value:g}"
+        )
         yield finding("USD271", attributes[0].GetPath(), message)
 
 
@@ -139,9 +141,9 @@ def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
         yield from _check_order(skeleton, joints)
         yield from rest_faults(skeleton, joints)
         yield from _check_bind(
-            skeleton, joints, skins=skeleton.GetPath() in bound_skeletons
+            skeleton, joints, is_skinned=skeleton.GetPath() in bound_skeletons
         )
-        yield from _skel_root(skeleton)
+        yield from _check_skel_root(skeleton)
 
 
 def _check_order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
@@ -159,40 +161,48 @@ def _check_order(skeleton: Any, joints: list[str]) -> Iterator[Fault]:
         yield finding("USD222", path, message)
 
 
-def _check_bind(skeleton: Any, joints: list[str], *, skins: bool) -> Iterator[Fault]:
-    faults = list(bind_faults(skeleton, joints, skins=skins))
+def _check_bind(
+    skeleton: Any, joints: list[str], *, is_skinned: bool
+) -> Iterator[Fault]:
+    faults = list(bind_faults(skeleton, joints, is_skinned=is_skinned))
     yield from faults
     bind = matrix_array(skeleton.GetBindTransformsAttr())
     rest = matrix_array(skeleton.GetRestTransformsAttr())
-    complete = not faults and len(bind) == len(rest) == len(joints)
-    if complete and np.isfinite(rest).all():
-        yield from _swapped_transforms(skeleton, joints, rest, bind, skins)
-        yield from collapsed_bones(skeleton, joints)
+    is_complete = not faults and len(bind) == len(rest) == len(joints)
+    if is_complete and np.isfinite(rest).all():
+        yield from _check_swapped(skeleton, joints, rest, bind, is_skinned)
+        yield from collapsed_bone_faults(skeleton, joints)
 
 
-def _swapped_transforms(
-    skeleton: Any, joints: list[str], rest: FloatArray, bind: FloatArray, skins: bool
+def _check_swapped(
+    skeleton: Any,
+    joints: list[str],
+    rest: FloatArray,
+    bind: FloatArray,
+    is_skinned: bool,
 ) -> Iterator[Fault]:
     """Detect rest and bind transforms that are swapped."""
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         return
-    world = rest.copy()
+    rest_in_skeleton = rest.copy()
     for joint, parent in enumerate(parents.tolist()):
         if parent >= 0:
-            world[joint] = rest[joint] @ world[parent]
-    eye = np.zeros_like(bind) + np.eye(4)
-    if _nearly_equal(world, bind) or _nearly_equal(world, eye):
+            rest_in_skeleton[joint] = rest[joint] @ rest_in_skeleton[parent]
+    identity = np.zeros_like(bind) + np.eye(4)
+    if _nearly_equal(rest_in_skeleton, bind) or _nearly_equal(
+        rest_in_skeleton, identity
+    ):
         return
     path = skeleton.GetBindTransformsAttr().GetPath()
-    if skins and _nearly_equal(bind, eye):
+    if is_skinned and _nearly_equal(bind, identity):
         message = (
             f"all {len(bind)} are identity, but the joints have other rest positions"
         )
         yield finding("USD227", path, message)
         return
     inverse = np.asarray(np.linalg.inv(bind), np.float64)
-    if _nearly_equal(world, inverse):
+    if _nearly_equal(rest_in_skeleton, inverse):
         message = f"all {len(bind)} are the inverse of the joints' rest transforms"
         yield finding("USD228", path, message)
     elif _nearly_equal(rest, inverse):
@@ -200,11 +210,13 @@ def _swapped_transforms(
         yield finding("USD228", skeleton.GetRestTransformsAttr().GetPath(), message)
 
 
-def _nearly_equal(a: FloatArray, b: FloatArray) -> bool:
-    return bool(np.abs(a - b).max() <= TRANSFORM_TOLERANCE * max(np.abs(a).max(), 1.0))
+def _nearly_equal(left: FloatArray, right: FloatArray) -> bool:
+    return bool(
+        np.abs(left - right).max() <= TRANSFORM_TOLERANCE * max(np.abs(left).max(), 1.0)
+    )
 
 
-def _skel_root(skeleton: Any) -> Iterator[Fault]:
+def _check_skel_root(skeleton: Any) -> Iterator[Fault]:
     prim = skeleton.GetPrim()
     if prim.IsDefined() and not UsdSkel.Root.Find(prim):
         yield finding(

@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.faults import duplicate_tokens, singular, token_array
+from animtool.usd.layers.faults import duplicate_tokens, is_singular, token_array
 from animtool.usd.rigs.prims import self_and_ancestors
 
 # Tolerance of weight sums; text files with three digits and eight influences are within
@@ -31,9 +31,9 @@ def check_skins(subject: StageSubject) -> Iterator[Fault]:
         binding = UsdSkel.BindingAPI(prim)
         indices = binding.GetJointIndicesPrimvar()
         weights = binding.GetJointWeightsPrimvar()
-        have = [bool(p) and p.HasAuthoredValue() for p in (indices, weights)]
-        if any(have) and has_points(prim):
-            yield from _check_influences(prim, binding, indices, weights, have)
+        has_values = [bool(p) and p.HasAuthoredValue() for p in (indices, weights)]
+        if any(has_values) and has_points(prim):
+            yield from _check_influences(prim, binding, indices, weights, has_values)
         yield from _check_geom_bind(binding.GetGeomBindTransformAttr())
 
 
@@ -64,14 +64,16 @@ def _check_influences(
 
 def _check_joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Fault]:
     skeleton_query = binding.GetInheritedSkeleton()
-    skeleton = token_array(skeleton_query.GetJointsAttr()) if skeleton_query else []
+    skeleton_joints = (
+        token_array(skeleton_query.GetJointsAttr()) if skeleton_query else []
+    )
     joint_names = _bound_joints(prim)
-    unknown = [name for name in joint_names if name not in set(skeleton)]
-    if skeleton and unknown:
+    unknown = [name for name in joint_names if name not in set(skeleton_joints)]
+    if skeleton_joints and unknown:
         message = f"{counted(len(unknown), 'joint')} that {skeleton_query.GetPath()} "
         message += f"does not have: {listed(unknown)}"
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
-    count = len(joint_names or skeleton)
+    count = len(joint_names or skeleton_joints)
     out_of_range = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
     if len(out_of_range):
         path = f"{prim.GetPath()}.primvars:skel:jointIndices"
@@ -92,27 +94,29 @@ def _bound_joints(prim: Any) -> list[str]:
 
 
 def _count_mismatch(
-    prim: Any, indices: Any, weights: Any, count: int, weight_count: int
+    prim: Any, indices: Any, weights: Any, index_count: int, weight_count: int
 ) -> str:
-    """Return the mismatch of counts as text; empty if they agree."""
+    """Describe a mismatch of influence counts; empty if they agree."""
     sizes = indices.GetElementSize(), weights.GetElementSize()
-    kinds = indices.GetInterpolation(), weights.GetInterpolation()
-    if sizes[0] != sizes[1] or kinds[0] != kinds[1]:
+    interpolations = indices.GetInterpolation(), weights.GetInterpolation()
+    if sizes[0] != sizes[1] or interpolations[0] != interpolations[1]:
         return (
-            f"jointIndices have elementSize {sizes[0]} ({kinds[0]}), "
-            f"jointWeights {sizes[1]} ({kinds[1]})"
+            f"jointIndices have elementSize {sizes[0]} ({interpolations[0]}), "
+            f"jointWeights {sizes[1]} ({interpolations[1]})"
         )
-    if kinds[0] not in {"constant", "vertex"}:
-        return f"interpolation {kinds[0]}; allowed: constant, vertex"
-    rows = 1 if kinds[0] == "constant" else point_count(prim)
-    expected_length = count if rows is None else rows * sizes[0]
+    if interpolations[0] not in {"constant", "vertex"}:
+        return f"interpolation {interpolations[0]}; allowed: constant, vertex"
+    rows = 1 if interpolations[0] == "constant" else point_count(prim)
+    expected_length = index_count if rows is None else rows * sizes[0]
     if (
-        count != expected_length
+        index_count != expected_length
         or weight_count != expected_length
-        or count % max(sizes[0], 1)
+        or index_count % max(sizes[0], 1)
     ):
-        amount = "" if rows is None else f" for {rows} x {sizes[0]}"
-        return f"{count} jointIndices and {weight_count} jointWeights{amount}"
+        expected_text = "" if rows is None else f" for {rows} x {sizes[0]}"
+        return (
+            f"{index_count} jointIndices and {weight_count} jointWeights{expected_text}"
+        )
     return ""
 
 
@@ -125,7 +129,7 @@ def point_count(prim: Any) -> int | None:
     """Return the number of points of a prim; None if its type has none."""
     if not prim.IsA(UsdGeom.PointBased):
         return None
-    return PointReader(prim).count()
+    return PointReader(prim).point_count()
 
 
 def _check_weight_values(prim: Any, weights: FloatArray, size: int) -> Iterator[Fault]:
@@ -158,7 +162,7 @@ def _check_geom_bind(attr: Any) -> Iterator[Fault]:
     matrix = np.array(value, np.float64)[None]
     if not np.isfinite(matrix).all():
         yield finding("USD235", attr.GetPath(), "it is not finite")
-    elif singular(matrix)[0]:
+    elif is_singular(matrix)[0]:
         determinant = np.linalg.det(matrix[0, :3, :3])
         message = f"it has no inverse: its determinant is {determinant:.3g}"
         yield finding("USD235", attr.GetPath(), message)
@@ -207,10 +211,10 @@ def _offset_rows(attr: Any) -> FloatArray:
     return np.array(value or (), np.float64).reshape(-1, 3)
 
 
-def _check_shape(shape: Any, points: int | None) -> Iterator[Fault]:
+def _check_shape(shape: Any, vertex_count: int | None) -> Iterator[Fault]:
     offsets = _offset_rows(shape.GetOffsetsAttr())
     indices = np.array(shape.GetPointIndicesAttr().Get() or (), np.int64)
-    expected_count = len(indices) or points
+    expected_count = len(indices) or vertex_count
     path = shape.GetOffsetsAttr().GetPath()
     inbetweens = list(shape.GetInbetweens())
     normal_offsets = [_offset_rows(shape.GetNormalOffsetsAttr())]
@@ -222,11 +226,13 @@ def _check_shape(shape: Any, points: int | None) -> Iterator[Fault]:
             (normal_count if expected_count is None else expected_count, 3)
         )
     if expected_count is not None and len(offsets) != expected_count:
-        counted_as = "pointIndices" if len(indices) else "points"
+        count_source = "pointIndices" if len(indices) else "points"
         yield finding(
-            "USD240", path, f"{len(offsets)} offsets for {expected_count} {counted_as}"
+            "USD240",
+            path,
+            f"{len(offsets)} offsets for {expected_count} {count_source}",
         )
-    yield from _check_indices(shape, indices, points)
+    yield from _check_indices(shape, indices, vertex_count)
     yield from _check_finite(shape.GetOffsetsAttr(), offsets)
     all_offsets = [
         offsets,
@@ -241,13 +247,13 @@ def _check_shape(shape: Any, points: int | None) -> Iterator[Fault]:
 
 
 def _check_indices(
-    shape: Any, indices: IntArray, points: int | None
+    shape: Any, indices: IntArray, vertex_count: int | None
 ) -> Iterator[Fault]:
     path = shape.GetPointIndicesAttr().GetPath()
-    last_index = np.iinfo(np.int64).max if points is None else points - 1
+    last_index = np.iinfo(np.int64).max if vertex_count is None else vertex_count - 1
     out_of_range = indices[(indices < 0) | (indices > last_index)]
     if len(out_of_range):
-        range_end = "" if points is None else f" to {last_index}"
+        range_end = "" if vertex_count is None else f" to {last_index}"
         message = f"{len(out_of_range)} of {len(indices)} are not in 0{range_end}, "
         message += f"the first is {out_of_range[0]}"
         yield finding("USD241", path, message)
@@ -276,20 +282,22 @@ def _check_normals(attr: Any, expected: int) -> Iterator[Fault]:
     yield from _check_finite(attr, rows)
 
 
-def _check_inbetweens(steps: list[Any], expected: int) -> Iterator[Fault]:
+def _check_inbetweens(inbetweens: list[Any], expected: int) -> Iterator[Fault]:
     names_by_weight: dict[float, str] = {}
-    for step in steps:
-        attr, weight = step.GetAttr(), step.GetWeight()
+    for inbetween in inbetweens:
+        attr, weight = inbetween.GetAttr(), inbetween.GetWeight()
         rows = _offset_rows(attr)
-        normals_only = not len(rows) and len(_offset_rows(step.GetNormalOffsetsAttr()))
+        normals_only = not len(rows) and len(
+            _offset_rows(inbetween.GetNormalOffsetsAttr())
+        )
         if len(rows) != expected and not normals_only:
             message = f"{len(rows)} offsets for {expected}"
             yield finding("USD240", attr.GetPath(), message)
         yield from _check_finite(attr, rows)
-        yield from _check_normals(step.GetNormalOffsetsAttr(), expected)
+        yield from _check_normals(inbetween.GetNormalOffsetsAttr(), expected)
         if weight is None or not np.isfinite(weight) or weight in {0.0, 1.0}:
-            have = "no weight" if weight is None else f"weight {weight:g}"
-            yield finding("USD244", attr.GetPath(), have)
+            weight_text = "no weight" if weight is None else f"weight {weight:g}"
+            yield finding("USD244", attr.GetPath(), weight_text)
         elif weight in names_by_weight:
             message = f"weight {weight:g}, as {excerpt(names_by_weight[weight])}"
             yield finding("USD244", attr.GetPath(), message)

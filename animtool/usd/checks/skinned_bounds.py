@@ -1,4 +1,4 @@
-"""Exact bounds of the points that a SkelRoot skins, as UsdSkel poses them.
+"""Exact bounds of the skinned points below a SkelRoot, as UsdSkel deforms them.
 
 `ComputeExtentFromPlugins` uses the joints and a padding from the rest pose, which
 skinned points may exceed.
@@ -16,7 +16,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.usd.caches.reader import PointReader, transform_points
 
-# Maximum number of points posed to find the largest of many samples.
+# Maximum number of points deformed to find the largest overhang of all samples.
 MAX_SKINNED_POINTS = 20_000_000
 
 
@@ -36,41 +36,41 @@ class SkinnedBounds:
     def __init__(self, root: Any) -> None:
         self._root = root
         try:
-            self._bindings_ = _skeleton_bindings(root)
+            self._bindings = _skeleton_bindings(root)
         except Tf.ErrorException:
-            self._bindings_ = []
+            self._bindings = []
 
     @property
-    def points(self) -> int:
+    def point_count(self) -> int:
         """Number of points."""
         return sum(
             len(skinned_prim.points)
-            for _, prims in self._bindings_
+            for _, prims in self._bindings
             for skinned_prim in prims
         )
 
-    def at(self, code: Any) -> FloatArray | None:
+    def at_time(self, code: Any) -> FloatArray | None:
         """Return the bounds ``(2, 3)`` at a time code; None without skinned points.
 
         Also None if UsdSkel cannot skin: other checks report invalid influences.
         """
         try:
-            return self._at(code)
+            return self._compute_bounds(code)
         except Tf.ErrorException:
             return None
 
-    def _at(self, code: Any) -> FloatArray | None:
+    def _compute_bounds(self, code: Any) -> FloatArray | None:
         xforms = UsdGeom.XformCache(code)
         prim_bounds = []
-        for skeleton, prims in self._bindings_:
+        for skeleton, prims in self._bindings:
             transforms = skeleton.ComputeSkinningTransforms(code) if prims else None
             for skinned_prim in prims:
-                posed_points, holder = _posed_points(
+                posed_points, space_prim = _posed_points(
                     skinned_prim, skeleton, transforms, code
                 )
                 if posed_points is None:
                     continue
-                matrix, _ = xforms.ComputeRelativeTransform(holder, self._root)
+                matrix, _ = xforms.ComputeRelativeTransform(space_prim, self._root)
                 root_points = transform_points(
                     posed_points, np.array(matrix, np.float64)
                 )
@@ -82,7 +82,7 @@ class SkinnedBounds:
         return bounds if np.isfinite(bounds).all() else None
 
 
-def overhang(
+def find_overhang(
     root: Any, extents: FloatArray, times: Sequence[float]
 ) -> tuple[float, float, bool] | None:
     """Return the largest distance of skinned points outside extents, and where.
@@ -95,7 +95,7 @@ def overhang(
         times: Their time codes; NaN alone is the default.
     """
     bounds = SkinnedBounds(root)
-    max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.points, 1))
+    max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.point_count, 1))
     count = len(times)
     sample_indices = np.unique(
         np.linspace(0, count - 1, min(count, max_samples)).astype(int)
@@ -104,7 +104,7 @@ def overhang(
     for i in sample_indices.tolist():
         time = times[i]
         code = Usd.TimeCode.Default() if np.isnan(time) else Usd.TimeCode(time)
-        point_bounds = bounds.at(code)
+        point_bounds = bounds.at_time(code)
         if point_bounds is None:
             continue
         lowest, highest = extents[i if len(extents) > 1 else 0]
@@ -153,7 +153,7 @@ def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:
 def _posed_points(
     skinned_prim: _SkinnedPrim, skeleton: Any, transforms: Any, code: Any
 ) -> tuple[FloatArray | None, Any]:
-    """Return the posed points of a prim ``(N, 3)``, and the prim of their space."""
+    """Return the deformed points of a prim ``(N, 3)`` and the prim of their space."""
     query, points = skinned_prim.query, type(skinned_prim.points)(skinned_prim.points)
     animation = skeleton.GetAnimQuery()
     if skinned_prim.shapes is not None and animation:

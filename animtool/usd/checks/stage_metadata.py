@@ -28,19 +28,21 @@ def check_assets(subject: StageSubject) -> Iterator[Fault]:
     """Check that asset paths are relative and resolve."""
     for layer in subject.stage.GetUsedLayers():
         absolute_paths = [
-            p for p in layer.GetCompositionAssetDependencies() if _is_absolute(p)
+            asset
+            for asset in layer.GetCompositionAssetDependencies()
+            if _is_absolute(asset)
         ]
         for path in absolute_paths:
-            owner = _referencing_prim(layer, path)
+            prim_path = _referencing_prim(layer, path)
             message = f"{layer.GetDisplayName()} refers to {excerpt(path, 80)}"
-            yield finding("USD262", owner, message)
+            yield finding("USD262", prim_path, message)
     for attr in subject.attributes:
         kind = attr.GetTypeName()
         if kind in {Sdf.ValueTypeNames.Asset, Sdf.ValueTypeNames.AssetArray}:
-            yield from _asset_values(attr, attr.Get())
+            yield from _check_asset_values(attr, attr.Get())
 
 
-def _asset_values(attr: Any, value: Any) -> Iterator[Fault]:
+def _check_asset_values(attr: Any, value: Any) -> Iterator[Fault]:
     for asset in [value] if isinstance(value, Sdf.AssetPath) else value or ():
         if _is_absolute(asset.path):
             message = f"it refers to {excerpt(asset.path, 80)}"
@@ -52,11 +54,11 @@ def _asset_values(attr: Any, value: Any) -> Iterator[Fault]:
 
 
 def _is_absolute(path: str) -> bool:
-    path_ = path.removeprefix("file://")
+    plain_path = path.removeprefix("file://")
     return (
-        path_ != path
-        or PurePosixPath(path_).is_absolute()
-        or PureWindowsPath(path_).is_absolute()
+        plain_path != path
+        or PurePosixPath(plain_path).is_absolute()
+        or PureWindowsPath(plain_path).is_absolute()
     )
 
 
@@ -79,7 +81,7 @@ def _referencing_prim(layer: Any, asset: str) -> str:
     return paths[-1]
 
 
-ROOT = "/"
+ROOT_PATH = "/"
 RATE_FIELDS = ("framesPerSecond", "timeCodesPerSecond")
 # Length units with a name in UsdGeom [m].
 COMMON_UNITS = tuple(
@@ -94,7 +96,7 @@ TIME_TOLERANCE = 1e-6
 def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
     """Check that frame rates of layers are positive.
 
-    If one is not, USD may hang on questions about samples.
+    Otherwise USD may hang when it looks up samples.
     """
     for layer in _composed_layers(subject):
         for name in RATE_FIELDS:
@@ -103,7 +105,7 @@ def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
             rate = layer.pseudoRoot.GetInfo(name)
             if not (rate > 0 and math.isfinite(rate)):
                 message = f"{name} of {layer.GetDisplayName()} is {rate:g}"
-                yield finding("USD253", ROOT, message)
+                yield finding("USD253", ROOT_PATH, message)
 
 
 def _composed_layers(subject: StageSubject) -> Iterator[Any]:
@@ -120,11 +122,11 @@ def check_rates(subject: StageSubject) -> Iterator[Fault]:
         for attr in subject.attributes
     ):
         message = f"no {' and no '.join(unauthored_rates)}, but there is motion"
-        yield finding("USD252", ROOT, message)
-    yield from _layer_rates(subject)
+        yield finding("USD252", ROOT_PATH, message)
+    yield from _check_layer_rates(subject)
 
 
-def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
+def _check_layer_rates(subject: StageSubject) -> Iterator[Fault]:
     root = subject.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
     for layer in _composed_layers(subject):
@@ -144,7 +146,7 @@ def _layer_rates(subject: StageSubject) -> Iterator[Fault]:
                 f"{layer.GetDisplayName()} {rate_text}: its {len(times)} sample times "
                 f"are scaled by {rate / layer_rate:.6g}"
             )
-            yield finding("USD257", ROOT, message)
+            yield finding("USD257", ROOT_PATH, message)
 
 
 def check_range(subject: StageSubject) -> Iterator[Fault]:
@@ -152,13 +154,13 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     stage = subject.stage
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(start) and math.isfinite(end)):
-        yield finding("USD254", ROOT, f"the range is {span_label(start, end)}")
+        yield finding("USD254", ROOT_PATH, f"the range is {span_label(start, end)}")
         return
     names = ("startTimeCode", "endTimeCode")
     unauthored_names = [name for name in names if not stage.HasAuthoredMetadata(name)]
     if start > end and not unauthored_names:
         yield finding(
-            "USD254", ROOT, f"start {frame_label(start)}, end {frame_label(end)}"
+            "USD254", ROOT_PATH, f"start {frame_label(start)}, end {frame_label(end)}"
         )
         return
     spans = {
@@ -173,7 +175,7 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     if unauthored_names:
         message = f"no {' and no '.join(unauthored_names)}; samples are at "
         message += span_label(first_sample, last_sample)
-        yield finding("USD255", ROOT, message)
+        yield finding("USD255", ROOT_PATH, message)
         return
     # Motion blur samples lie within a frame of either end.
     paths_outside = [
@@ -182,7 +184,9 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         if span[0] <= start - 1 + TIME_TOLERANCE or span[1] >= end + 1 - TIME_TOLERANCE
     ]
     if not paths_outside:
-        yield from _between_frames(subject, start, end, (first_sample, last_sample))
+        yield from _check_off_frame_ends(
+            subject, start, end, (first_sample, last_sample)
+        )
     else:
         first_code, last_code = spans[paths_outside[0]]
         suffix = (
@@ -198,33 +202,33 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         yield finding("USD256", paths_outside[0], message)
 
 
-def _between_frames(
-    subject: StageSubject, start: float, end: float, samples: tuple[float, float]
+def _check_off_frame_ends(
+    subject: StageSubject, start: float, end: float, sample_span: tuple[float, float]
 ) -> Iterator[Fault]:
     """Yield a fault if the range starts or ends between frames without a sample."""
     ends = {"starts": start, "ends": end}
-    off_frame = {
+    off_frame_ends = {
         verb: code
         for verb, code in ends.items()
         if abs(code - round(code)) > TIME_TOLERANCE
     }
-    if not off_frame:
+    if not off_frame_ends:
         return
     sample_times = {
         round(t, 6) for attr in subject.attributes for t in subject.times(attr)
     }
     unsampled_ends = [
         f"{verb} at {frame_label(code)}"
-        for verb, code in off_frame.items()
+        for verb, code in off_frame_ends.items()
         if round(code, 6) not in sample_times
     ]
     if unsampled_ends:
         message = f"the range {' and '.join(unsampled_ends)}, but samples are at "
-        yield finding("USD289", ROOT, message + span_label(*samples))
+        yield finding("USD289", ROOT_PATH, message + span_label(*sample_span))
 
 
 def _is_shared(prim: Any) -> bool:
-    """Return whether sharers of an animation start at different offsets."""
+    """Return whether characters share an animation with different time offsets."""
     return bool(stored_data(prim).get("shared"))
 
 
@@ -241,11 +245,11 @@ def check_units(subject: StageSubject) -> Iterator[Fault]:
         UsdGeom.LinearUnitsAre(unit, common_unit) for common_unit in COMMON_UNITS
     )
     if not (is_common or any("metersPerUnit" in fault.message for fault in faults)):
-        yield finding("USD267", ROOT, f"metersPerUnit is {unit:g}")
-    yield from _differing_units(stage)
+        yield finding("USD267", ROOT_PATH, f"metersPerUnit is {unit:g}")
+    yield from _check_sublayer_units(stage)
 
 
-def _differing_units(stage: Any) -> Iterator[Fault]:
+def _check_sublayer_units(stage: Any) -> Iterator[Fault]:
     root = stage.GetRootLayer()
     for layer in stage.GetLayerStack(includeSessionLayers=False):
         for name in ("metersPerUnit", "upAxis"):
@@ -259,4 +263,4 @@ def _differing_units(stage: Any) -> Iterator[Fault]:
                     f"{name} of the stage is {root_value}, but that of the sublayer "
                     f"{layer.GetDisplayName()} is {layer_value}"
                 )
-                yield finding("USD268", ROOT, message)
+                yield finding("USD268", ROOT_PATH, message)

@@ -1,4 +1,4 @@
-"""Input of the checks: a stage, its prims and samples, each read once."""
+"""Stage contents for the checks: prims and samples, each read once."""
 
 from __future__ import annotations
 
@@ -42,15 +42,15 @@ class SampledArray:
         return indices, values.reshape(len(indices), count, width)
 
     @property
-    def animated(self) -> bool:
+    def is_animated(self) -> bool:
         """Whether it has time samples."""
         return not np.isnan(self.times).any()
 
 
 def samples_text(array: SampledArray, selected: BoolArray | IntArray) -> str:
-    """Return text that lists samples, given a mask or indices ``(F,)``."""
+    """Describe which samples are selected by a mask or indices ``(F,)``."""
     indices = np.flatnonzero(selected) if selected.dtype == np.bool_ else selected
-    if not array.animated:
+    if not array.is_animated:
         return "in the default"
     text = f"at time code {array.times[indices[0]]:g}"
     if len(indices) == 1:
@@ -60,17 +60,17 @@ def samples_text(array: SampledArray, selected: BoolArray | IntArray) -> str:
 
 @dataclass
 class StageSubject:
-    """A stage under inspection."""
+    """A stage, with its prims and samples cached for the checks."""
 
     stage: Any  # a `Usd.Stage`
     # Paths of attributes whose samples are all known to be finite.
-    finite: set[Any] = field(default_factory=set)
+    finite_paths: set[Any] = field(default_factory=set)
     _sampled_arrays: dict[Any, SampledArray] = field(default_factory=dict)
     _times: dict[Any, list[float]] = field(default_factory=dict)
 
     @cached_property
     def prims(self) -> list[Any]:
-        """Active prims including overs; one of each set of equal instances."""
+        """Active prims including overs; equal instances only once."""
         predicate = Usd.PrimIsActive & Usd.PrimIsLoaded & ~Usd.PrimIsAbstract
         pseudo_root = self.stage.GetPseudoRoot()
         prims, visited = [], set()
@@ -89,7 +89,7 @@ class StageSubject:
         return [a for prim in self.prims for a in prim.GetAuthoredAttributes()]
 
     @property
-    def alone(self) -> bool:
+    def has_only_overs(self) -> bool:
         """Whether the rig is in another file: every root prim is an over."""
         roots = self.stage.GetPseudoRoot().GetAllChildren()
         return bool(roots) and not any(root.IsDefined() for root in roots)
@@ -105,21 +105,21 @@ class StageSubject:
             self._times[key] = attr.GetTimeSamples()
         return self._times[key]
 
-    def sampled(self, attr: Any) -> SampledArray:
+    def sampled_array(self, attr: Any) -> SampledArray:
         """Return all samples of an array attribute, or its default if it has none.
 
         An attribute without a value has no times.
         """
         key = attr.GetPath()
         if key not in self._sampled_arrays:
-            self._sampled_arrays[key] = self.read(attr)
+            self._sampled_arrays[key] = self.read_array(attr)
         return self._sampled_arrays[key]
 
-    def read(self, attr: Any) -> SampledArray:
-        """Return the same as `sampled`, without caching."""
+    def read_array(self, attr: Any) -> SampledArray:
+        """Read all samples of an array attribute, without caching them."""
         times = self.times(attr)
         if times:
-            arrays = _arrays(attr, times)
+            arrays = _sample_values(attr, times)
         else:
             value = attr.Get()
             arrays = [] if value is None else [value]
@@ -128,8 +128,8 @@ class StageSubject:
         return SampledArray(np.array(codes), arrays, np.array(counts, np.int64))
 
 
-def _arrays(attr: Any, times: list[float]) -> list[Any]:
-    """Return the value at each sample, read from the layer: three times faster."""
+def _sample_values(attr: Any, times: list[float]) -> list[Any]:
+    """Return the value at each sample, read from the layer if possible, for speed."""
     first_code = Usd.TimeCode(times[0])
     if attr.GetResolveInfo(first_code).GetSource() == Usd.ResolveInfoSourceTimeSamples:
         for spec, offset in attr.GetPropertyStackWithLayerOffsets(first_code):

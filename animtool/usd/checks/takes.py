@@ -1,4 +1,4 @@
-"""Animations of a stage as takes, built from the samples the checks have read."""
+"""Builds takes from a stage's animations, using samples that the checks cache."""
 
 from __future__ import annotations
 
@@ -59,14 +59,16 @@ class AnimationTake:
     take: Take  # F frames, one per sample
     # Time codes of the samples in the file ``(F,)``; None without samples.
     codes: FloatArray | None
-    # The range stated by the take, or by its stage if that is about this take.
+    # Frame range authored for the take, or for the stage if this take spans it.
     frame_range: tuple[float, float] | None
     has_rest: bool  # whether the Skeleton is on the stage
     # Names of joints that influence points; None without a skinned mesh.
-    influencing: frozenset[str] | None
-    bind: FloatArray | None  # joint positions of the bind pose, world ``(J, 3)`` [m]
-    shown_rate: float | None  # framesPerSecond, if authored
-    reduced: bool  # whether redundant samples were removed
+    influencing_joints: frozenset[str] | None
+    bind_positions: (
+        FloatArray | None
+    )  # joint positions of the bind pose, world ``(J, 3)`` [m]
+    frames_per_second: float | None  # framesPerSecond, if authored
+    is_reduced: bool  # whether redundant samples were removed
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class _StageData:
     skins: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
-    def of(subject: StageSubject) -> _StageData:
+    def from_subject(subject: StageSubject) -> _StageData:
         """Return the shared data of a stage."""
         spans: dict[Any, tuple[float, float]] = {}
         for attr in subject.attributes:
@@ -111,12 +113,12 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     checks report them.
     """
     skeletons = list(subject.of_type(UsdSkel.Skeleton))
-    # Other checks look at one of several equal instances; here each one counts.
-    skeleton_of = _bound_skeletons(find_skeletons(subject.stage))
-    stage_data = _StageData.of(subject)
+    # Other checks visit equal instances once; here all of them are searched.
+    skeletons_by_animation = _bound_skeletons(find_skeletons(subject.stage))
+    stage_data = _StageData.from_subject(subject)
     takes = []
     for animation in subject.of_type(UsdSkel.Animation):
-        skeleton = skeleton_of.get(animation.GetPath())
+        skeleton = skeletons_by_animation.get(animation.GetPath())
         if skeleton is None:
             # A shared animation is not the motion of a single character.
             if stored_data(animation.GetPrim()).get("shared"):
@@ -133,17 +135,17 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 
 def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
     """Return the Skeleton that each animation is bound to."""
-    skeleton_of: dict[Any, Any] = {}
+    skeletons_by_animation: dict[Any, Any] = {}
     for skeleton in skeletons:
         binding = UsdSkel.BindingAPI(skeleton.GetPrim())
         source = binding.GetInheritedAnimationSource()
         if source:
-            skeleton_of.setdefault(source.GetPath(), skeleton)
-    return skeleton_of
+            skeletons_by_animation.setdefault(source.GetPath(), skeleton)
+    return skeletons_by_animation
 
 
 def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton that shares most joints with an animation."""
+    """Return the Skeleton with most joints of an animation, at least half of them."""
     joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
     most_joints = len(joints) // 2
@@ -163,25 +165,25 @@ def _animation_take(
 ) -> AnimationTake | None:
     joints = token_array(animation.GetJointsAttr())
     shapes = token_array(animation.GetBlendShapesAttr())
-    of_rig = _animation_rig(subject, animation, skeleton, joints, path)
-    placing_prims = animated_ancestors(skeleton.GetPrim()) if skeleton else []
+    rig_data = _animation_rig(subject, animation, skeleton, joints, path)
+    placement_attributes = animated_ancestors(skeleton.GetPrim()) if skeleton else []
     components = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in components]
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
     times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
-    times.update(t for mover in placing_prims for t in mover.GetTimeSamples())
-    stored_values, stage = stored_data(animation.GetPrim()), subject.stage
+    times.update(t for attr in placement_attributes for t in attr.GetTimeSamples())
+    stored, stage = stored_data(animation.GetPrim()), subject.stage
     codes = np.array(sorted(times), np.float64)
-    if stored_values.get("shared"):
-        # Its characters may be at other places, and outside the frames.
+    if stored.get("shared"):
+        # Its characters have time offsets, so samples may lie outside the frames.
         first_code, last_code = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         codes = np.arange(first_code, last_code + 1)
-    rows = [_attribute_rows(subject, *entry, codes) for entry in attributes]
-    motion = _build_motion(of_rig, joints, shapes, rows)
+    attribute_rows = [_attribute_rows(subject, *entry, codes) for entry in attributes]
+    motion = _build_motion(rig_data, joints, shapes, attribute_rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
-    motion_ = Motion(
+    motion_channels = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
         scale_channel(scales),
@@ -189,28 +191,30 @@ def _animation_take(
     )
     placement = NO_PLACEMENT
     if skeleton is not None:
-        placement = skeleton_placement(skeleton.GetPrim(), of_rig.rig, codes.tolist())
+        placement = skeleton_placement(skeleton.GetPrim(), rig_data.rig, codes.tolist())
     if not placement.full.is_identity:
-        roots = np.array(of_rig.rig.roots, np.int64)
-        motion_ = placed_motion(motion_, roots, placement.full).map(Channel.compact)
-    rig = replace(of_rig.rig, shapes=tuple(Shape(name) for name in shapes))
+        roots = np.array(rig_data.rig.roots, np.int64)
+        motion_channels = placed_motion(motion_channels, roots, placement.full).map(
+            Channel.compact
+        )
+    rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
-    take = Take(rig, _build_clock(subject, codes), motion_)
+    take = Take(rig, _build_clock(subject, codes), motion_channels)
     return AnimationTake(
         str(animation.GetPath()),
         take,
         codes if len(codes) else None,
         _frame_range(subject, animation, stage_data),
         skeleton is not None,
-        _influencing_joints(skeleton, of_rig, stage_data) if skeleton else None,
-        _bind_positions(skeleton, of_rig.rig, placement) if skeleton else None,
-        _shown_rate(subject.stage),
-        bool(stored_values.get("reduced") or stored_values.get("thinned")),
+        _influencing_joints(skeleton, rig_data, stage_data) if skeleton else None,
+        _bind_positions(skeleton, rig_data.rig, placement) if skeleton else None,
+        _frames_per_second(subject.stage),
+        bool(stored.get("reduced") or stored.get("thinned")),
     )
 
 
-def _shown_rate(stage: Any) -> float | None:
-    """Return the frame rate of a stage."""
+def _frames_per_second(stage: Any) -> float | None:
+    """Return the authored framesPerSecond of a stage; None if missing or invalid."""
     if not stage.HasAuthoredMetadata("framesPerSecond"):
         return None
     rate = float(stage.GetFramesPerSecond())
@@ -220,7 +224,7 @@ def _shown_rate(stage: Any) -> float | None:
 def _animation_rig(
     subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
-    """Return the rig of an animation; without Skeleton it rests at the first sample."""
+    """Return an animation's rig; without a Skeleton, its first sample is the rest."""
     if skeleton is not None and token_array(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
@@ -231,11 +235,11 @@ def _animation_rig(
         rig = Rig(name, (Joint(name, -1),), meters, up)
         return SkeletonRig(rig, [], np.ones((1, 3)))
     rest = np.tile(np.eye(4), (len(joints), 1, 1))
-    array = subject.sampled(animation.GetTranslationsAttr())
+    array = subject.sampled_array(animation.GetTranslationsAttr())
     sample_indices, values = array.rows(len(joints), 3)
     if len(sample_indices):
         rest[:, 3, :3] = values[0]
-    where = PrimLocation.of(path, animation)
+    where = PrimLocation.from_prim(path, animation)
     return rig_from_tokens(joints, rest, name, where, meters, up, {})
 
 
@@ -245,7 +249,7 @@ def _attribute_rows(
     """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
-    array = subject.sampled(attr)
+    array = subject.sampled_array(attr)
     sample_indices, rows = array.rows(count, width)
     if not len(sample_indices) or len(sample_indices) != len(array.times):
         return None
@@ -253,7 +257,7 @@ def _attribute_rows(
     if not np.isfinite(values).all():
         return None
     frames = max(len(codes), 1)
-    if not array.animated or len(values) == 1:
+    if not array.is_animated or len(values) == 1:
         return np.repeat(values[:1], frames, axis=0)
     if np.array_equal(array.times, codes):
         return values
@@ -270,13 +274,13 @@ def _attribute_rows(
 
 
 def _build_motion(
-    skeleton_rig: SkeletonRig,
+    rig_data: SkeletonRig,
     joints: list[str],
     shapes: list[str],
     rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
-    """Return T, R and S of every joint, and the weights; None if invalid."""
-    rig = skeleton_rig.rig
+    """Return translations, rotations, scales and weights; None if invalid."""
+    rig = rig_data.rig
     weights = rows[3]
     if (joints and any(row is None for row in rows[:3])) or (
         not joints and weights is None
@@ -288,9 +292,9 @@ def _build_motion(
     rests = (
         rig.rest_translations / rig.meters_per_unit,
         rig.rest_rotations,
-        skeleton_rig.rest_scales,
+        rig_data.rest_scales,
     )
-    index = {token: i for i, token in enumerate(skeleton_rig.tokens)}
+    index = {token: i for i, token in enumerate(rig_data.tokens)}
     columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
         with_rest(rest, row, columns, frames)
@@ -312,10 +316,9 @@ def _build_clock(subject: StageSubject, codes: FloatArray) -> Clock:
 def _frame_range(
     subject: StageSubject, animation: Any, stage_data: _StageData
 ) -> tuple[float, float] | None:
-    """Return the range of an animation, else the stage's if it covers all of them.
+    """Return the frame range of an animation, or of its stage.
 
-    If another prim of the stage has samples over a longer time, the stage's range is
-    not about this animation.
+    The stage's range does not apply if other prims have samples over a longer time.
     """
     authored_range = take_range(animation)
     if authored_range is not None:
@@ -357,7 +360,7 @@ def _influencing_joints(
 
 
 def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
-    """Yield the indices of joints with nonzero weight."""
+    """Yield the indices of the joints with a nonzero weight."""
     joint_indices = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
     if len(weights) == len(joint_indices):
@@ -370,11 +373,11 @@ def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
 def _bind_positions(
     skeleton: Any, rig: Rig, placement: SkeletonPlacement
 ) -> FloatArray | None:
-    """Return the joint positions of the bind pose; None if invalid."""
+    """Return the world joint positions of the bind pose; None if invalid."""
     matrices = matrix_array(skeleton.GetBindTransformsAttr())
     if len(matrices) != len(rig.joints) or not np.isfinite(matrices).all():
         return None
     # Identity matrices are reported by another check.
     if (matrices == np.eye(4)).all():
         return None
-    return placement.rest.points(matrices[:, 3, :3] * rig.meters_per_unit)
+    return placement.rest_placement.points(matrices[:, 3, :3] * rig.meters_per_unit)

@@ -30,8 +30,8 @@ def check_value_clips(subject: StageSubject) -> Iterator[Fault]:
 def _check_clip_set(
     prim: Any, name: str, clip_set: dict[str, Any], where: str
 ) -> Iterator[Fault]:
-    template = "templateAssetPath" in clip_set and "assetPaths" not in clip_set
-    if template:
+    is_template = "templateAssetPath" in clip_set and "assetPaths" not in clip_set
+    if is_template:
         yield from _check_template(prim, name, clip_set, where)
     layers = []
     for asset in clip_set.get("assetPaths", ()):
@@ -40,7 +40,7 @@ def _check_clip_set(
             message = f"clip {excerpt(asset.path, 80)} does not exist"
             yield finding("USD276", where, message)
         layers.append(layer)
-    if not template:
+    if not is_template:
         yield from _check_active(clip_set, len(layers), where)
     yield from _check_times(clip_set, where)
     target = str(clip_set.get("primPath", ""))
@@ -59,7 +59,7 @@ def _check_clip_set(
 
 
 def _open_layer(prim: Any, asset: Any) -> Any:
-    """Return the layer of an asset, anchored where the clips are authored."""
+    """Return the layer of an asset, relative to the layer that authors the clips."""
     for spec in prim.GetPrimStack():
         if spec.HasInfo("clips"):
             path = asset.resolvedPath or Sdf.ComputeAssetPathRelativeToLayer(
@@ -71,31 +71,33 @@ def _open_layer(prim: Any, asset: Any) -> Any:
     return None
 
 
-def _time_pairs(clip_set: dict[str, Any], key: str) -> FloatArray:
+def _parse_time_pairs(clip_set: dict[str, Any], key: str) -> FloatArray:
     return np.array(clip_set.get(key) or (), np.float64).reshape(-1, 2)
 
 
 def _check_active(clip_set: dict[str, Any], count: int, where: str) -> Iterator[Fault]:
-    active = _time_pairs(clip_set, "active")
-    if not len(active):
+    active_pairs = _parse_time_pairs(clip_set, "active")
+    if not len(active_pairs):
         yield finding("USD277", where, f"no active for {counted(count, 'clip')}")
         return
-    unknown = [n for n in active[:, 1] if not (0 <= n < count and n == math.floor(n))]
-    if unknown:
-        message = f"active refers to clip {unknown[0]:g} of {count}"
+    unknown_clips = [
+        n for n in active_pairs[:, 1] if not (0 <= n < count and n == math.floor(n))
+    ]
+    if unknown_clips:
+        message = f"active refers to clip {unknown_clips[0]:g} of {count}"
         yield finding("USD277", where, message)
-    if (np.diff(active[:, 0]) <= 0).any():
+    if (np.diff(active_pairs[:, 0]) <= 0).any():
         yield finding("USD277", where, "the times of active do not ascend")
-    idle = sorted(
-        set(range(count)) - {int(n) for n in active[:, 1] if math.isfinite(n)}
+    idle_clips = sorted(
+        set(range(count)) - {int(n) for n in active_pairs[:, 1] if math.isfinite(n)}
     )
-    if idle and not unknown:
-        message = f"clips that are never active: {listed(idle)}"
+    if idle_clips and not unknown_clips:
+        message = f"clips that are never active: {listed(idle_clips)}"
         yield finding("USD278", where, message)
 
 
 def _check_times(clip_set: dict[str, Any], where: str) -> Iterator[Fault]:
-    times = _time_pairs(clip_set, "times")
+    times = _parse_time_pairs(clip_set, "times")
     if not np.isfinite(times).all() or (np.diff(times[:, 0]) < 0).any():
         yield finding("USD277", where, "the stage times of times do not ascend")
 
@@ -113,14 +115,17 @@ def _check_template(
         message = "templateStartTime, templateEndTime or templateStride is not a number"
         yield finding("USD277", where, message)
         return
-    expected = math.floor((end - start) / stride + 1e-9) + 1
-    have = len(Usd.ClipsAPI(prim).ComputeClipAssetPaths(name))
-    if have == 0:
-        message = f"none of the {expected} clips of {excerpt(template, 80)} exists"
-        yield finding("USD276", where, message)
-    elif have < expected:
+    expected_count = math.floor((end - start) / stride + 1e-9) + 1
+    count = len(Usd.ClipsAPI(prim).ComputeClipAssetPaths(name))
+    if count == 0:
         message = (
-            f"{expected - have} of {expected} clips of {excerpt(template, 80)} are "
+            f"none of the {expected_count} clips of {excerpt(template, 80)} exists"
+        )
+        yield finding("USD276", where, message)
+    elif count < expected_count:
+        message = (
+            f"{expected_count - count} of {expected_count} clips of "
+            f"{excerpt(template, 80)} are "
         )
         yield finding("USD278", where, message + "not there")
 
@@ -169,13 +174,16 @@ def _check_spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""
-    properties = [None if x is None else _sampled_properties(x, target) for x in layers]
+    properties = [
+        None if layer is None else _sampled_properties(layer, target)
+        for layer in layers
+    ]
     all_properties = set().union(*(p for p in properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):
         return
-    for number, names in enumerate(properties):
+    for clip_index, names in enumerate(properties):
         missing_names = sorted(all_properties - names) if names is not None else []
         if missing_names:
-            message = f"clip {number} has no samples of {listed(missing_names)}"
+            message = f"clip {clip_index} has no samples of {listed(missing_names)}"
             yield finding("USD278", where, message)
             return

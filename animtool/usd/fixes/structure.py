@@ -17,11 +17,11 @@ from animtool.usd.fixes.target import (
     Edit,
     FixTarget,
     NotFixableError,
-    rewrite,
+    rewrite_arrays,
 )
 from animtool.usd.layers.faults import token_array
 from animtool.usd.rigs.prims import self_and_ancestors
-from animtool.usd.rigs.rest_pose import relative_bind
+from animtool.usd.rigs.rest_pose import local_bind_transforms
 
 # Tolerance of weight sums in float32.
 ROUNDING = 1e-6
@@ -37,10 +37,10 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
         raise NotFixableError("the weights are indexed")
 
     def edit() -> Change:
-        changed = total = 0
+        changed_points = point_count = 0
 
         def divide_by_sums(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal changed, total
+            nonlocal changed_points, point_count
             new_arrays = []
             for array in arrays:
                 rows = array.astype(np.float64).reshape(-1, size)
@@ -48,17 +48,20 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
                 if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                     raise NotFixableError("a point has no weights")
                 is_off = np.abs(weight_sums - 1) > ROUNDING
-                changed, total = (
-                    changed + int(is_off.sum()),
-                    total + len(rows),
+                changed_points, point_count = (
+                    changed_points + int(is_off.sum()),
+                    point_count + len(rows),
                 )
                 rows = rows / np.where(is_off, weight_sums, 1.0)
                 new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
             return new_arrays
 
-        _, _, largest = rewrite(spec, divide_by_sums)
-        text = f"divides the weights of {changed} of {counted(total, 'point')} "
-        return Change(f"{text}by their sums", largest)
+        _, _, largest_change = rewrite_arrays(spec, divide_by_sums)
+        text = (
+            f"divides the weights of {changed_points} of "
+            f"{counted(point_count, 'point')} "
+        )
+        return Change(f"{text}by their sums", largest_change)
 
     return edit
 
@@ -112,7 +115,7 @@ def author_unit_scales(target: FixTarget, fault: Fault) -> Edit:
 
 
 def author_rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
-    """Author restTransforms from the bind transforms relative to the parents."""
+    """Author restTransforms computed from bindTransforms."""
     prim = target.prim(fault)
     skeleton = UsdSkel.Skeleton(prim)
     joints = token_array(skeleton.GetJointsAttr())
@@ -120,7 +123,7 @@ def author_rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
         raise NotFixableError(
             "the number of rest transforms differs from the number of joints"
         )
-    rest = relative_bind(skeleton, joints)
+    rest = local_bind_transforms(skeleton, joints)
     if rest is None:
         raise NotFixableError("there are no bind transforms to compute them from")
     spec = target.prim_spec(prim)
@@ -139,7 +142,7 @@ def author_rest_from_bind(target: FixTarget, fault: Fault) -> Edit:
 
 
 def replace_by_default(target: FixTarget, fault: Fault) -> Edit:
-    """Replace equal time samples by a default."""
+    """Replace equal time samples by a default value."""
     spec = target.attribute(fault)
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
@@ -163,21 +166,25 @@ EXTENT = "extent"
 def author_computed_extent(target: FixTarget, fault: Fault) -> Edit:
     """Author `UsdGeom.Boundable.ComputeExtentFromPlugins` at every sample.
 
-    The extent of a SkelRoot is widened to contain its skinned points.
-
-    An extent in another file is overridden here: that file may be right without the
-    motion of this one.
+    The extent of a SkelRoot is widened to contain its skinned points. An extent
+    authored in another file is overridden, since that file lacks this motion.
     """
     prim = target.prim(fault)
     if not prim.IsA(UsdGeom.Boundable):
         raise NotFixableError("the prim has no extent")
-    varies = any(ancestor.HasVariantSets() for ancestor in self_and_ancestors(prim))
-    if varies and _layer_spec(target, prim) is None:
+    has_variants = any(
+        ancestor.HasVariantSets() for ancestor in self_and_ancestors(prim)
+    )
+    if has_variants and _layer_spec(target, prim) is None:
         raise NotFixableError("a variant sets the motion; author it in each variant")
 
     def edit() -> Change:
         change = _author_extent(target, prim)
-        roots = (p for p in self_and_ancestors(prim.GetParent()) if p.IsA(UsdSkel.Root))
+        roots = (
+            ancestor
+            for ancestor in self_and_ancestors(prim.GetParent())
+            if ancestor.IsA(UsdSkel.Root)
+        )
         for root in roots:
             # UsdSkel pads joint bounds by the extents of the meshes below.
             if root.GetAttribute(EXTENT).HasAuthoredValue():
@@ -199,7 +206,7 @@ def _author_extent(target: FixTarget, prim: Any) -> Change:
     new_extents = [_extent_with_skin(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
         return _largest_change(old_extents, new_extents)
-    spec = _layer_spec(target, prim) or _extents_hint_spec(target, prim)
+    spec = _layer_spec(target, prim) or _create_extent_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
         for time, value in zip(times, new_extents, strict=False):
@@ -210,13 +217,13 @@ def _author_extent(target: FixTarget, prim: Any) -> Change:
 
 
 def _layer_spec(target: FixTarget, prim: Any) -> Any:
-    """Return the extent's root layer spec if it is the strongest opinion."""
+    """Return the root layer's extent spec if it is the strongest opinion, else None."""
     attr = prim.GetAttribute(EXTENT)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()
     return stack[0] if stack and stack[0].layer == target.layer else None
 
 
-def _extents_hint_spec(target: FixTarget, prim: Any) -> Any:
+def _create_extent_spec(target: FixTarget, prim: Any) -> Any:
     spec = Sdf.CreatePrimInLayer(target.layer, prim.GetPath())
     attribute = spec.attributes.get(EXTENT)
     return attribute or Sdf.AttributeSpec(spec, EXTENT, Sdf.ValueTypeNames.Float3Array)
@@ -225,14 +232,14 @@ def _extents_hint_spec(target: FixTarget, prim: Any) -> Any:
 def _extent_with_skin(
     boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None
 ) -> Any:
-    """Return the extent USD computes, widened by skinned points outside it."""
+    """Return the extent that USD computes, widened to contain the skinned points."""
     try:
         extent = UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
     except Tf.ErrorException:
         extent = None
     if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
-    point_bounds = None if skinned_bounds is None else skinned_bounds.at(code)
+    point_bounds = None if skinned_bounds is None else skinned_bounds.at_time(code)
     if point_bounds is None:
         return Vt.Vec3fArray(extent)
     # Rounded outwards, so that no point is outside.
@@ -245,10 +252,10 @@ def _extent_with_skin(
 
 
 def _largest_change(old_values: list[Any], new_values: list[Any]) -> Change:
-    pairs = [
+    changes = [
         np.abs(np.array(old_value, np.float64) - np.array(new_value, np.float64)).max()
         for old_value, new_value in zip(old_values, new_values, strict=True)
         if old_value is not None and len(old_value) == 2
     ]
     text = f"computes the extent at {counted(len(new_values), 'sample')}"
-    return Change(text, float(max(pairs)) if pairs else None)
+    return Change(text, float(max(changes)) if changes else None)

@@ -1,11 +1,11 @@
-"""Table of USD codes with a safe fix, and the edit of each.
+"""Table of finding codes with a safe fix, and the function that makes each edit.
 
 Does not need pxr.
 """
 
 from __future__ import annotations
 
-# In the order of application: times first, since extents follow from all the others.
+# In order of application: times first, extents last, as they depend on all others.
 EDITS_BY_CODE = {
     "MOT216": "animtool.usd.fixes.timing:snap_to_frames",
     "USD252": "animtool.usd.fixes.timing:author_rates",

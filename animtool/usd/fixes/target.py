@@ -1,4 +1,4 @@
-"""The layer edited by fixes, and copies of it in other files.
+"""The layer that fixes edit, and copies of it in other files.
 
 The layer is edited under its own name, so that its dependencies resolve as before; its
 file stays unchanged, and the layer is reloaded from it at the end.
@@ -30,7 +30,7 @@ from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
 # Maps the arrays of an attribute, in time order, to their replacements.
-Rewrite: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]
+ArrayTransform: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]
 
 
 class NotFixableError(Exception):
@@ -52,7 +52,7 @@ class Change:
         return f"{self.text}; largest change {self.largest:.3g} {self.unit}".rstrip()
 
 
-# Applies a fix to the layer of its target.
+# Applies one fix and returns what changed.
 Edit: TypeAlias = Callable[[], Change]
 
 
@@ -74,7 +74,7 @@ class FixTarget:
         return prim
 
     def attribute(self, fault: Fault) -> Any:
-        """Return the root layer spec with an attribute's values."""
+        """Return the root layer's spec of an attribute's strongest values."""
         self.prim(fault)
         attr = self.stage.GetAttributeAtPath(fault.where)
         if not attr:
@@ -89,21 +89,23 @@ class FixTarget:
     def prim_spec(self, prim: Any) -> Any:
         """Return the spec of a prim in the root layer."""
         stack = prim.GetPrimStack()
-        local = [spec for spec in stack if spec.layer == self.layer]
-        if local:
-            return local[0]
+        local_specs = [spec for spec in stack if spec.layer == self.layer]
+        if local_specs:
+            return local_specs[0]
         self.require_local(stack[0])
         return stack[0]
 
     def require_local(self, spec: Any) -> None:
-        """Raise if a spec is in another file."""
+        """Raise `NotFixableError` if a spec is in another file."""
         if spec.layer != self.layer:
             name = spec.layer.GetDisplayName()
             raise NotFixableError(f"the value is in {name}; fix that file")
 
 
-def rewrite(spec: Any, rewrite_arrays_: Rewrite) -> tuple[int, int, float]:
-    """Replace the changed arrays of an attribute spec, shape by shape.
+def rewrite_arrays(
+    spec: Any, transform_arrays: ArrayTransform
+) -> tuple[int, int, float]:
+    """Transform the arrays of an attribute spec, and write those that change.
 
     Returns the number of changed arrays, the number of all arrays, and the largest
     change of a number.
@@ -113,11 +115,13 @@ def rewrite(spec: Any, rewrite_arrays_: Rewrite) -> tuple[int, int, float]:
     values = [layer.QueryTimeSample(path, t) for t in times] or [spec.default]
     if any(isinstance(value, Sdf.ValueBlock) for value in values):
         raise NotFixableError("samples are blocked")
-    old = [np.array(value) for value in values]
-    new = rewrite_arrays_(old)
+    old_arrays = [np.array(value) for value in values]
+    new_arrays = transform_arrays(old_arrays)
     changed_count, largest = 0, 0.0
     with Sdf.ChangeBlock():
-        for i, (old_array, new_array) in enumerate(zip(old, new, strict=True)):
+        for i, (old_array, new_array) in enumerate(
+            zip(old_arrays, new_arrays, strict=True)
+        ):
             if np.array_equal(old_array, new_array):
                 continue
             changed_count += 1
@@ -129,7 +133,7 @@ def rewrite(spec: Any, rewrite_arrays_: Rewrite) -> tuple[int, int, float]:
                 layer.SetTimeSample(path, times[i], array)
             else:
                 spec.default = array
-    return changed_count, len(old), largest
+    return changed_count, len(old_arrays), largest
 
 
 # Raises NotFixableError if the fix would not be safe.
@@ -138,7 +142,7 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class EditedLayer:
-    """A layer with edited content in memory.
+    """A layer whose content is edited in memory.
 
     Attributes:
         target: The stage and the layer.
@@ -147,7 +151,7 @@ class EditedLayer:
     def __init__(self, layer: Any, path: Path) -> None:
         self.target = FixTarget(open_composed(layer, path), layer)
 
-    def edit_of(self, fault: Fault) -> Edit:
+    def find_edit(self, fault: Fault) -> Edit:
         """Return the edit that fixes a finding, or raise `NotFixableError`."""
         if fault.code not in EDITS_BY_CODE:
             raise NotFixableError("there is no automatic fix")
@@ -163,7 +167,7 @@ class EditedLayer:
 
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
-    """Open a file's layer with given content instead of the file's."""
+    """Yield a file's layer with edited content; None is the content of the file."""
     layer = find_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
@@ -175,8 +179,8 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[EditedLayer]:
                 layer.Reload(force=True)
 
 
-def check_copy(source: Path, output: Path) -> None:
-    """Raise if a copy would not be a plain layer."""
+def check_copy_suffixes(source: Path, output: Path) -> None:
+    """Raise if a file suffix is not that of a single layer."""
     for path in (source, output):
         if path.suffix.lower() not in SUFFIXES:
             message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
@@ -201,26 +205,28 @@ def refuse_composed_layers(source: Path, output: Path) -> None:
 def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     """Write a layer's content to another file, in that file's format.
 
-    Relative asset paths are rewritten for another folder. Without changes the bytes
-    equal the source file's. None keeps the content of the source. Returns other changes
-    in the copy, as text.
+    Relative asset paths are rewritten for another folder. With None as content and the
+    same format, the copy has the bytes of the source. Returns descriptions of further
+    changes.
     """
-    with edited_layer(source, content) as edited:
-        layer = edited.content()
-    rewritten = _reanchor_assets(layer, source, output)
+    with edited_layer(source, content) as edited_copy:
+        layer = edited_copy.content()
+    reanchored_count = _reanchor_assets(layer, source, output)
     has_same_format = source.suffix.lower() == output.suffix.lower()
-    arguments = {"format": _layer_format(source)} if output.suffix == ".usd" else {}
+    export_arguments = (
+        {"format": _layer_format(source)} if output.suffix == ".usd" else {}
+    )
     with replacement_path(output) as temporary:
-        if content is None and has_same_format and not rewritten:
+        if content is None and has_same_format and not reanchored_count:
             try:
                 shutil.copyfile(source, temporary)
             except OSError as error:
                 raise output_error(output, error) from error
         else:
-            export_layer(layer, temporary, output, arguments)
+            export_layer(layer, temporary, output, export_arguments)
     after_commit(lambda: _reload(output))
-    paths = counted(rewritten, "relative asset path")
-    return [f"rewrites {paths} for the new folder"] * bool(rewritten)
+    paths = counted(reanchored_count, "relative asset path")
+    return [f"rewrites {paths} for the new folder"] * bool(reanchored_count)
 
 
 def _reload(path: Path) -> None:
@@ -232,7 +238,7 @@ def _reload(path: Path) -> None:
 
 
 def _layer_format(path: Path) -> str:
-    """Return the actual format of a file with the ambiguous suffix."""
+    """Return the actual format of a .usd file: usda or usdc."""
     with open_input(path, None) as file:
         return "usda" if file.read(5) == b"#usda" else "usdc"
 

@@ -12,8 +12,14 @@ from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths import so3
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.fixes.target import AnyArray, Change, Edit, FixTarget, NotFixableError
-from animtool.usd.fixes.target import rewrite as rewrite_arrays
+from animtool.usd.fixes.target import (
+    AnyArray,
+    Change,
+    Edit,
+    FixTarget,
+    NotFixableError,
+    rewrite_arrays,
+)
 from animtool.usd.takes.animation_values import MAX_OFF_FRAME
 
 # Shorter quaternions have no reliable direction.
@@ -29,27 +35,27 @@ def align_rotation_signs(target: FixTarget, fault: Fault) -> Edit:
 
         def align_signs(arrays: list[AnyArray]) -> list[AnyArray]:
             nonlocal flip_count
-            q = _stack_arrays(arrays)
-            aligned = so3.align_signs(q, q[0])
-            flip_count = int((aligned != q).any(axis=-1).sum())
-            return [row.astype(q.dtype) for row in aligned]
+            stacked = _stack_arrays(arrays)
+            aligned = so3.align_signs(stacked, stacked[0])
+            flip_count = int((aligned != stacked).any(axis=-1).sum())
+            return [row.astype(stacked.dtype) for row in aligned]
 
-        changed, count, _ = rewrite_arrays(spec, align_signs)
-        samples = f"{changed} of {counted(count, 'sample')}"
+        changed_samples, sample_count, _ = rewrite_arrays(spec, align_signs)
+        samples = f"{changed_samples} of {counted(sample_count, 'sample')}"
         return Change(f"negates {counted(flip_count, 'quaternion')} in {samples}")
 
     return edit
 
 
 def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
-    """Normalize rotations."""
+    """Scale the quaternions of rotations to unit length."""
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        changed_count = 0
+        quaternion_count = 0
 
         def normalize(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal changed_count
+            nonlocal quaternion_count
             normalized = []
             for array in arrays:
                 lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
@@ -61,14 +67,14 @@ def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
                 # Rounding error of a unit quaternion's length.
                 rounding = 4 * float(np.finfo(array.dtype).eps)
                 is_off_unit = np.abs(lengths - 1) > rounding
-                changed_count += int(is_off_unit.sum())
+                quaternion_count += int(is_off_unit.sum())
                 rows = array / np.where(is_off_unit, lengths, 1.0)[..., None]
                 normalized.append(rows.astype(array.dtype))
             return normalized
 
-        changed, count, largest = rewrite_arrays(spec, normalize)
-        samples = f"{changed} of {counted(count, 'sample')}"
-        text = f"normalises {counted(changed_count, 'quaternion')} in {samples}"
+        changed_samples, sample_count, largest = rewrite_arrays(spec, normalize)
+        samples = f"{changed_samples} of {counted(sample_count, 'sample')}"
+        text = f"normalises {counted(quaternion_count, 'quaternion')} in {samples}"
         return Change(text, largest)
 
     return edit
@@ -85,17 +91,20 @@ ASSUMED_RATE = 24.0
 
 
 def author_rates(target: FixTarget, _: Fault) -> Edit:
-    """Author both rates; the missing one gets USD's fallback."""
+    """Author both frame rates; a missing one gets the value that USD assumes."""
     layer = target.layer
 
     def edit() -> Change:
-        ticks, frames = layer.HasTimeCodesPerSecond(), layer.HasFramesPerSecond()
-        rate = layer.timeCodesPerSecond if ticks else ASSUMED_RATE
-        if frames and not ticks:
+        has_time_code_rate, has_frame_rate = (
+            layer.HasTimeCodesPerSecond(),
+            layer.HasFramesPerSecond(),
+        )
+        rate = layer.timeCodesPerSecond if has_time_code_rate else ASSUMED_RATE
+        if has_frame_rate and not has_time_code_rate:
             rate = layer.framesPerSecond
-        if not ticks:
+        if not has_time_code_rate:
             layer.timeCodesPerSecond = rate
-        if not frames:
+        if not has_frame_rate:
             layer.framesPerSecond = rate
         return Change(f"states the rate that USD assumes, {rate:g}")
 
@@ -115,7 +124,7 @@ def widen_range(target: FixTarget, _: Fault) -> Edit:
 def round_range(target: FixTarget, _: Fault) -> Edit:
     """Round the ends of the layer's range outwards to frames.
 
-    If a rounded end is less than a frame outside all samples, it is set to the samples.
+    An end less than a frame outside all samples is set to the outermost sample instead.
     """
     stage = target.stage
 
@@ -174,7 +183,7 @@ def _frame_span(stage: Any) -> tuple[float, float]:
 
 
 def snap_to_frames(target: FixTarget, fault: Fault) -> Edit:
-    """Snap samples slightly off a frame to it, and the range with them.
+    """Snap samples that are slightly off a frame to that frame; also the range.
 
     Samples between frames, such as those of motion blur, stay.
     """
@@ -200,11 +209,11 @@ def snap_to_frames(target: FixTarget, fault: Fault) -> Edit:
             raise NotFixableError(f"two samples of {path} would be on one frame")
 
     def edit() -> Change:
-        count = 0
+        moved_count = 0
         with Sdf.ChangeBlock():
             for path in paths:
-                count += _move_samples(layer, path, new_codes)
-        text = f"moves {counted(count, 'sample')} to whole frames"
+                moved_count += _move_samples(layer, path, new_codes)
+        text = f"moves {counted(moved_count, 'sample')} to whole frames"
         ends = [layer.startTimeCode, layer.endTimeCode]
         rounded_ends = [
             float(round(end)) if abs(end - round(end)) <= MAX_OFF_FRAME else end

@@ -35,15 +35,15 @@ from animtool.usd.layers.sdf import (
 if TYPE_CHECKING:
     from animtool.usd.caches.writer import Block
 
-# Buffered samples that are flushed to disk [byte].
-BUFFERED_BYTES = 32_000_000
+# Samples are flushed to disk above this size [byte].
+MAX_BUFFERED_BYTES = 32_000_000
 
 
 class GrowingLayer:
     """A layer that receives samples."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
-        """Begin a layer.
+        """Start without buffered samples.
 
         Args:
             layer: The layer.
@@ -51,27 +51,27 @@ class GrowingLayer:
         """
         self.layer = layer
         self._path = path
-        self._buffered = 0
+        self._buffered_bytes = 0
         self.size = 0  # size of the written file [byte]
 
     def count_bytes(self, size: int) -> None:
         """Count buffered bytes; flush to disk above the limit."""
-        self._buffered += size
-        if self._path is not None and self._buffered > BUFFERED_BYTES:
+        self._buffered_bytes += size
+        if self._path is not None and self._buffered_bytes > MAX_BUFFERED_BYTES:
             self.save()
 
     def save(self) -> None:
         """Flush buffered samples to disk."""
         assert self._path is not None
-        with _as_output_error(self._path):
+        with _usd_output_errors(self._path):
             self.layer.Save()
-        self._buffered = 0
+        self._buffered_bytes = 0
 
 
 @contextmanager
 def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
-    """Context of a new crate file that is complete at the end of the block."""
-    with _as_output_error(path):
+    """Yield a new crate file that receives samples; save it on exit."""
+    with _usd_output_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
     growing = GrowingLayer(layer, path)
     yield growing
@@ -80,7 +80,7 @@ def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
 
 @contextmanager
 def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
-    """Context of a layer that receives samples; saved at the end.
+    """Yield a layer that receives samples; save it on exit.
 
     ``path`` is the file, or `STDOUT` for usda.
     """
@@ -100,8 +100,8 @@ def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
 
 
 @contextmanager
-def _as_output_error(path: Path) -> Iterator[None]:
-    """Context that turns USD's write errors into an `OutputError`."""
+def _usd_output_errors(path: Path) -> Iterator[None]:
+    """Raise USD's write errors as `OutputError`."""
     try:
         yield
     except Tf.ErrorException as error:
@@ -126,7 +126,7 @@ class ClipFiles:
         return self.output.with_name(f"{stem}.{self.name}.{number + 1:04d}.usdc")
 
     @property
-    def defaults(self) -> str:
+    def defaults_asset(self) -> str:
         """Asset path of the chunk with default values, a sublayer of the layer.
 
         Defaults in the layer itself would be stronger than the clips.
@@ -136,11 +136,11 @@ class ClipFiles:
     def existing_chunks(self) -> list[Path]:
         """Return the existing chunks, in order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
-        name = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
+        pattern = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
         paths = folder.iterdir() if folder.is_dir() else ()
-        return sorted(path for path in paths if name.fullmatch(path.name))
+        return sorted(path for path in paths if pattern.fullmatch(path.name))
 
-    def remove_others(self, current: Collection[Path]) -> None:
+    def remove_stale_chunks(self, current: Collection[Path]) -> None:
         """Delete chunks left by an earlier, longer bake."""
         for path in set(self.existing_chunks()) - set(current):
             # Leftover files that cannot be removed do no harm.
@@ -203,7 +203,7 @@ def write_frames(
     writer: FrameWriter[FramesT],
     reports: Sequence[FrameReport[FramesT]],
 ) -> None:
-    """Write all frames of all prims; every time code of a bake passes through here.
+    """Write all frames of all prims, and count them in the reports.
 
     Args:
         blocks: Blocks of frames.
@@ -219,7 +219,7 @@ class OneLayer(Generic[FramesT]):
     """Writes all samples to one layer."""
 
     def __init__(self, writers: Sequence[FrameWriter[FramesT]]) -> None:
-        """Begin with the writer of each prim."""
+        """Start with one writer per prim."""
         self._writers = writers
         self.first, self.last = np.inf, -np.inf  # first and last time code
 
@@ -231,32 +231,39 @@ class OneLayer(Generic[FramesT]):
 
 
 class ChunkedWriter:
-    """Writes samples to files of fixed size, closed once all prims have the next one.
+    """Writes samples to chunk files of fixed length.
 
-    Every file also has the first sample of the next, for interpolation between them.
+    Each chunk also has the first sample of the next one, for interpolation. It is
+    closed when all prims have reached the next chunk.
     """
 
     def __init__(
         self,
         files: ClipFiles,
-        size: int,
-        prims: int,
-        build: Callable[
+        chunk_size: int,
+        prim_count: int,
+        open_writers: Callable[
             [Path, int], AbstractContextManager[Sequence[FrameWriter[Block]]]
         ],
     ) -> None:
-        """Begin without files.
+        """Start without open files.
 
         Args:
             files: Paths of the files.
-            size: Samples per file.
-            prims: Number of prims.
-            build: Context with the writers of a file, counted from 0; the file is
-                complete at the end of the context.
+            chunk_size: Samples per file.
+            prim_count: Number of prims.
+            open_writers: Yields one writer per prim for a file, numbered from 0; the
+                file is complete when the context exits.
         """
-        self.files, self._size, self._build = files, size, build
-        self._next_samples = [0] * prims
-        self._open: dict[int, tuple[ExitStack, Sequence[FrameWriter[Block]]]] = {}
+        self.files, self._chunk_size, self._open_writers = (
+            files,
+            chunk_size,
+            open_writers,
+        )
+        self._next_samples = [0] * prim_count
+        self._open_chunks: dict[
+            int, tuple[ExitStack, Sequence[FrameWriter[Block]]]
+        ] = {}
         self.starts: list[float] = []
         self.last = -np.inf
         self._manifest: Any = None  # set by `join`
@@ -265,46 +272,46 @@ class ChunkedWriter:
         return self
 
     def __exit__(self, *error: Any) -> None:
-        """Close the open files; they are kept only if no error occurred."""
-        for number in sorted(self._open):
+        """Close the open files; after an error, discard them."""
+        for number in sorted(self._open_chunks):
             if error[0] is None:
                 self._close(number)
             else:
-                self._open.pop(number)[0].__exit__(*error)
+                self._open_chunks.pop(number)[0].__exit__(*error)
 
     @property
     def paths(self) -> list[Path]:
-        """The files, in order."""
+        """Paths of the chunk files, in time order."""
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
     def add(self, block: Block) -> None:
         """Write frames to the files they belong to."""
         codes, begin = block.codes, 0
         while begin < len(codes):
-            number, at = divmod(self._next_samples[block.prim], self._size)
-            count = min(self._size - at, len(codes) - begin)
-            if at == 0 and number:
+            number, row = divmod(self._next_samples[block.prim], self._chunk_size)
+            count = min(self._chunk_size - row, len(codes) - begin)
+            if row == 0 and number:
                 self._write_block(
                     number - 1, block.select_frames(slice(begin, begin + 1))
                 )
             if number == len(self.starts):
                 stack = ExitStack()
-                context = self._build(self.files.chunk(number), number)
-                self._open[number] = stack, stack.enter_context(context)
+                context = self._open_writers(self.files.chunk(number), number)
+                self._open_chunks[number] = stack, stack.enter_context(context)
                 self.starts.append(float(codes[begin]))
             self._write_block(number, block.select_frames(slice(begin, begin + count)))
             self._next_samples[block.prim] += count
             begin += count
         self.last = max(self.last, float(codes[-1]))
-        for number in sorted(self._open):
-            if min(self._next_samples) > (number + 1) * self._size:
+        for number in sorted(self._open_chunks):
+            if min(self._next_samples) > (number + 1) * self._chunk_size:
                 self._close(number)
 
     def _write_block(self, number: int, block: Block) -> None:
-        self._open[number][1][block.prim].add(block)
+        self._open_chunks[number][1][block.prim].add(block)
 
     def _close(self, number: int) -> None:
-        self._open.pop(number)[0].close()
+        self._open_chunks.pop(number)[0].close()
 
     def join(
         self,
@@ -313,16 +320,16 @@ class ChunkedWriter:
         metadata: StageMetadata,
         declare: Callable[[Any], None],
         *,
-        defaults: bool,
+        use_defaults: bool,
     ) -> None:
-        """Use the files as value clips of a prim and its descendants.
+        """Author the files as value clips of a prim and its descendants.
 
-        ``declare`` declares the attributes of the files in a manifest; ``defaults``
-        says whether the defaults of the first file apply to the layer.
+        ``declare`` declares the attributes of the files in a manifest. With
+        ``use_defaults``, the layer also gets the default values of the first file.
         """
         author_clips(layer, path, self.files, self.starts, self.last)
-        if defaults:
-            layer.subLayerPaths.append(self.files.defaults)
+        if use_defaults:
+            layer.subLayerPaths.append(self.files.defaults_asset)
         self._manifest = new_layer(self.files.manifest)
         declare(self._manifest)
         author_metadata(self._manifest, metadata)
@@ -330,18 +337,18 @@ class ChunkedWriter:
     def finish(self) -> list[Path]:
         """Write the manifest; return all files.
 
-        Leftover files of an earlier, longer bake are removed only after these have
-        their names: a layer always has its own chunks.
+        Stale files of an earlier, longer bake are removed only after the new files are
+        in place, so that a layer always has its own chunks.
         """
         with replacement_path(self.files.manifest) as temporary:
             export_layer(self._manifest, temporary, self.files.manifest)
         files = [*self.paths, self.files.manifest]
-        after_commit(lambda: self.files.remove_others(files))
+        after_commit(lambda: self.files.remove_stale_chunks(files))
         return files
 
 
 def author_span(layer: Any, metadata: StageMetadata) -> None:
-    """Copy a layer's metadata, with the range of the actual samples."""
+    """Author metadata with the range of the layer's samples."""
     codes = layer.ListAllTimeSamples()
     span = FrameSpan(Fraction(codes[0]), Fraction(codes[-1]), metadata.span.fps)
     author_metadata(layer, replace(metadata, span=span))

@@ -21,34 +21,36 @@ from animtool.usd.layers.stderr import without_usd_warnings
 
 @dataclass(slots=True)
 class _LayerWalk:
-    """Traversal of composed layers, each checked and opened once."""
+    """Traverses composed layers; checks and opens each one once."""
 
-    path: Path  # path of the composing layer, as given by the user
+    path: Path  # path of the root layer, as configured
     # State of each file before USD opened it.
     states: dict[Path, FileState] = field(default_factory=dict)
     # Kept alive, so that the stage uses them.
     layers: list[Any] = field(default_factory=list)
     _visited: set[str] = field(default_factory=set)
 
-    def follow(self, top: Any) -> None:
+    def check_dependencies(self, root_layer: Any) -> None:
         """Check all dependencies of a layer.
 
         Raises:
             FormatError: A dependency is not a regular file, or too large (USD155).
         """
-        todo = [(top, dict(top.expressionVariables))]
-        while todo:
-            layer, variables = todo.pop()
-            for name in _names(layer, variables):
-                target = self._open_layer(layer, name)
-                if target is not None:
-                    self.layers.append(target)
+        pending = [(root_layer, dict(root_layer.expressionVariables))]
+        while pending:
+            layer, variables = pending.pop()
+            for name in _asset_names(layer, variables):
+                dependency = self._open_layer(layer, name)
+                if dependency is not None:
+                    self.layers.append(dependency)
                     # The variables of the composing layer are stronger.
-                    todo.append((target, {**target.expressionVariables, **variables}))
+                    pending.append(
+                        (dependency, {**dependency.expressionVariables, **variables})
+                    )
 
-    def _open_layer(self, layer: Any, name: str) -> Any:
+    def _open_layer(self, layer: Any, asset_name: str) -> Any:
         """Return a layer by asset path; None if it cannot be opened or was visited."""
-        asset = Sdf.ComputeAssetPathRelativeToLayer(layer, name)
+        asset = Sdf.ComputeAssetPathRelativeToLayer(layer, asset_name)
         identifier_path, _ = Sdf.Layer.SplitIdentifier(asset)
         if asset in self._visited or not Sdf.FileFormat.FindByExtension(
             identifier_path
@@ -62,7 +64,7 @@ class _LayerWalk:
             return None
         path = Path(file)
         if path not in self.states:
-            state = self._file_state(layer, name, path)
+            state = self._file_state(layer, asset_name, path)
             if state is None:
                 return None
             self.states[path] = state
@@ -72,22 +74,24 @@ class _LayerWalk:
             # The stage itself reports layers that it cannot open.
             return None
 
-    def _file_state(self, layer: Any, name: str, path: Path) -> FileState | None:
-        """Return the identity of a file; None if USD would not find a file there."""
+    def _file_state(self, layer: Any, asset: str, path: Path) -> FileState | None:
+        """Return the file state of a dependency; None if USD would not find it."""
         try:
             return layer_state(path)
         except FormatError as error:
             if error.__cause__ is not None or path.is_dir():
                 return None
             reason = error.faults[0].message.removeprefix("cannot be read: ")
-            owner = excerpt(layer.GetDisplayName(), 80)
-            message = f"{owner} refers to {excerpt(name, 80)}, which {reason}"
+            referencing_layer = excerpt(layer.GetDisplayName(), 80)
+            message = (
+                f"{referencing_layer} refers to {excerpt(asset, 80)}, which {reason}"
+            )
             hint = "put a USD file there, or remove the reference"
             fault = Fault("USD155", message, str(self.path), (), hint)
             raise FormatError(fault) from error
 
 
-def _names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
+def _asset_names(layer: Any, variables: Mapping[str, Any]) -> Iterator[str]:
     """Yield the asset paths of all files that a layer may compose."""
     # Value clips and files of clip templates are included.
     for names in UsdUtils.ExtractExternalReferences(layer.identifier):
@@ -108,14 +112,14 @@ def open_composed(layer: Any, path: Path) -> Any:
     """
     walk = _LayerWalk(path)
     with usd_errors(path), without_usd_warnings():
-        walk.follow(layer)
+        walk.check_dependencies(layer)
         stage = Usd.Stage.Open(layer)
     note_layers(stage, walk.states)
     return stage
 
 
 def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
-    """Record the files that a stage composes, and missing ones."""
+    """Record the files that a stage composes, including missing ones, as inputs."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:
             continue

@@ -1,4 +1,4 @@
-"""Faults of skeletons and animations with their locations, for readers and checks."""
+"""Skeleton and animation faults with their locations, for readers and checks."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ class PrimLocation:
     where: str | None = None
 
     @classmethod
-    def of(cls, path: Path | str, prim: Any) -> PrimLocation:
+    def from_prim(cls, path: Path | str, prim: Any) -> PrimLocation:
         """Return the location of a prim, a schema or an attribute."""
         return cls(str(path), str(prim.GetPath()))
 
-    def at(self, prim: Any) -> PrimLocation:
+    def at_prim(self, prim: Any) -> PrimLocation:
         """Return the location of another prim or attribute of the file."""
-        return PrimLocation.of(self.path, prim)
+        return PrimLocation.from_prim(self.path, prim)
 
     def fault(
         self,
@@ -59,7 +59,7 @@ class PrimLocation:
         raise FormatError(self.fault(code, message, hint))
 
     def refuse(self, faults: Iterable[Fault]) -> None:
-        """Raise the first fault that readers cannot accept, warnings included."""
+        """Raise faults, including warnings, as an error at this location."""
         errors = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
         if errors:
             raise FormatError(errors)
@@ -87,13 +87,13 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
     """
     index = {name: i for i, name in enumerate(joints)}
 
-    def parent_name(name: str) -> int:
+    def parent_index(name: str) -> int:
         while name := name.rpartition("/")[0]:
             if name in index:
                 return index[name]
         return -1
 
-    return np.array([parent_name(name) for name in joints], np.int64)
+    return np.array([parent_index(name) for name in joints], np.int64)
 
 
 def unit_and_axis_faults(stage: Any) -> Iterator[Fault]:
@@ -133,13 +133,13 @@ def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
 
 
 def bind_faults(
-    skeleton: Any, joints: Sequence[str], *, skins: bool
+    skeleton: Any, joints: Sequence[str], *, is_skinned: bool
 ) -> Iterator[Fault]:
-    """Yield faults of bind transforms; they are required only for skins."""
+    """Yield faults of bind transforms; only a skinned Skeleton requires them."""
     attr = skeleton.GetBindTransformsAttr()
     bind = matrix_array(attr)
     if len(bind) != len(joints):
-        if len(bind) or skins:
+        if len(bind) or is_skinned:
             message = f"{counted(len(bind), 'bindTransform')}"
             message += f" for {counted(len(joints), 'joint')}"
             yield finding("USD224", attr.GetPath(), message)
@@ -148,7 +148,7 @@ def bind_faults(
     yield from faults
     if faults:
         return
-    singular_joints = np.flatnonzero(singular(bind))
+    singular_joints = np.flatnonzero(is_singular(bind))
     if len(singular_joints):
         names = [joints[i] for i in singular_joints.tolist()]
         message = (
@@ -157,13 +157,13 @@ def bind_faults(
         yield finding("USD226", attr.GetPath(), message)
 
 
-def singular(matrices: FloatArray) -> BoolArray:
+def is_singular(matrices: FloatArray) -> BoolArray:
     """Return which matrices ``(N, 4, 4)`` are singular."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
-    is_singular: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
-    return is_singular
+    singular_mask: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
+    return singular_mask
 
 
 def unknown_joint_faults(

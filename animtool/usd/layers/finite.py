@@ -34,19 +34,21 @@ _MAX_ROUNDING = 2.0**103
 
 @dataclass(frozen=True, slots=True)
 class ValueLabels:
-    """Names of an attribute's values, for messages."""
+    """Labels of an attribute's values, for messages."""
 
     attribute: str  # name or path of the attribute
     noun: str = ""  # owner of each value, such as ``joint``
     names: Sequence[str] = ()  # names of the owners, if they have any
 
-    def at(self, index: Sequence[int]) -> str:
-        """Return the name of one value."""
+    def label(self, index: Sequence[int]) -> str:
+        """Return the label of one value, by its array index."""
         if not index or not self.noun:
             return self.noun or "a value"
-        position = index[0]
+        owner_index = index[0]
         name = (
-            repr(self.names[position]) if position < len(self.names) else str(position)
+            repr(self.names[owner_index])
+            if owner_index < len(self.names)
+            else str(owner_index)
         )
         return f"{self.noun} {name}"
 
@@ -73,22 +75,22 @@ def narrow_floats(
     """
     dtype = np.float16 if letter == "h" else np.float32
     with np.errstate(over="ignore"):
-        converted_values = values.astype(dtype)
-    if converted_values.size and not _is_within(converted_values, _TYPE_LIMITS[letter]):
-        _refuse_non_finite(values, converted_values, letter, labels, codes)
-    return converted_values
+        narrowed = values.astype(dtype)
+    if narrowed.size and not _is_in_range(narrowed, _TYPE_LIMITS[letter]):
+        _refuse_non_finite(values, narrowed, letter, labels, codes)
+    return narrowed
 
 
-def rounded(
+def round_to_float32(
     points: FloatArray, unit: float, labels: ValueLabels, codes: FloatArray
 ) -> tuple[Float32Array, float, int, int]:
-    """Return points rounded like `_kernels.round_points`.
+    """Return points as float32, the largest rounding error, and its frame and vertex.
 
     ``points`` are ``(F, V, 3)``, ``codes`` the time codes ``(F,)``.
     """
     rounded_points, error, frame, vertex = _kernels.round_points(points, unit)
-    # Out of the range the error exceeds any rounding, so further values need not be
-    # read.
+    # The error of an out-of-range value exceeds any rounding error, so this test
+    # suffices.
     if not error < _MAX_ROUNDING * unit:
         with np.errstate(all="ignore"):
             in_unit = points / unit
@@ -106,7 +108,7 @@ def check_rows(
     """
     if not np.isfinite(codes).all():
         raise _value_error(labels, "a time code is not finite")
-    if rows.size and not _is_within(rows, _TYPE_LIMITS[letter]):
+    if rows.size and not _is_in_range(rows, _TYPE_LIMITS[letter]):
         _refuse_non_finite(rows, rows, letter, labels, codes)
 
 
@@ -118,7 +120,11 @@ def check_value(
     ``code`` is the time code; None is the default.
     """
     numbers = floats_of(value)
-    if numbers is None or not numbers.size or _is_within(numbers, _TYPE_LIMITS[letter]):
+    if (
+        numbers is None
+        or not numbers.size
+        or _is_in_range(numbers, _TYPE_LIMITS[letter])
+    ):
         return
     codes = None if code is None else np.array([code])
     rows = numbers if code is None else numbers[None]
@@ -126,7 +132,7 @@ def check_value(
 
 
 def check_data(value: object, name: str) -> None:
-    """Raise `OutputError` if metadata contain a non-finite number (USD170)."""
+    """Raise `OutputError` if metadata contains a non-finite number (USD170)."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             check_data(item, f"{name}:{key}")
@@ -144,17 +150,17 @@ def floats_of(value: Any) -> npt.NDArray[Any] | None:
     return array if array.dtype.kind == "f" else None
 
 
-def all_equal(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
+def equals_row(rows: npt.NDArray[Any], row: npt.NDArray[Any]) -> bool:
     """Return whether finite rows ``(F, …)`` all equal a row ``(…)``."""
-    # Comparing integers is eight times as fast as float16; but zeros have two signs.
+    # Comparing as integers is eight times faster than float16, but misses signed zeros.
     if rows.dtype == np.float16:
-        bits, bits_of_row = rows.view(np.uint16), row.view(np.uint16)
-        if (bits == bits_of_row).all():
+        bits, row_bits = rows.view(np.uint16), row.view(np.uint16)
+        if (bits == row_bits).all():
             return True
     return bool((rows == row).all())
 
 
-def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
+def _is_in_range(values: npt.NDArray[Any], limit: float) -> bool:
     if values.dtype == np.float16:
         return bool((values.view(np.uint16) & _HALF_MAGNITUDE).max() <= _HALF_LIMIT)
     # min and max propagate NaN, which fails both comparisons.
@@ -163,23 +169,23 @@ def _is_within(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse_non_finite(
     values: npt.NDArray[Any],
-    converted_values: npt.NDArray[Any],
+    narrowed: npt.NDArray[Any],
     letter: str,
     labels: ValueLabels,
     codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
     limit = _TYPE_LIMITS[letter]
-    not_finite = np.argwhere(~(np.abs(converted_values) <= limit))
-    if not len(not_finite):
+    non_finite_indices = np.argwhere(~(np.abs(narrowed) <= limit))
+    if not len(non_finite_indices):
         return
-    index = tuple(not_finite[0].tolist())
+    index = tuple(non_finite_indices[0].tolist())
     value = float(values[index])
     element_index = index if codes is None else index[1:]
     at_frame = "" if codes is None else f" at frame {codes[index[0]]:.10g}"
     range_text = f"{_TYPE_NAMES[letter]} can hold finite numbers up to {limit:.6g}"
     raise _value_error(
-        labels, f"{labels.at(element_index)}{at_frame} is {value:.6g}; {range_text}"
+        labels, f"{labels.label(element_index)}{at_frame} is {value:.6g}; {range_text}"
     )
 
 

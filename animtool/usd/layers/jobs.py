@@ -1,4 +1,4 @@
-"""USD output jobs: contents, files, and reports of what was written."""
+"""USD output jobs: their contents, files and result reports."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ SUFFIXES = (".usd", ".usda", ".usdc")
 class LayerForm(StrEnum):
     """Which layers to write.
 
-    ``stage`` is one file with skeleton and animation; ``split`` the same in three
-    layers; ``layer`` only the animation, over a rig in another file; ``library`` a take
-    added to a clip library.
+    ``stage`` is one file with skeleton and animation, ``split`` the same in three
+    layers, ``layer`` only the animation over a rig in another file, and ``library``
+    adds a take to a clip library.
     """
 
     STAGE = "stage"
@@ -98,12 +98,12 @@ class WrittenBlock:
     extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
     # Motion of the SkelRoot, if it has that of the root joint.
     root: RootPath | None
-    error: float  # largest distance that rounding moved a joint [m]
+    error: float  # largest displacement of a joint by rounding [m]
     error_code: float  # time code of the largest error
     error_joint_index: int  # joint with the largest error
     # Weights of the rig's shapes ``(F, S)`` float32; None without shapes.
     weights: Float32Array | None = None
-    scales_rounded: bool = False  # whether float16 changes a scale
+    has_rounded_scales: bool = False  # whether float16 changes a scale
     prim: int = 0  # always 0: a SkelAnimation is a single prim
 
 
@@ -114,11 +114,13 @@ class Rounding:
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
     joint_index: int = 0  # joint with the largest error
-    scales: bool = False  # whether scales were rounded too, to UsdSkel's float16
+    has_rounded_scales: bool = (
+        False  # whether scales were rounded too, to UsdSkel's float16
+    )
 
     def count(self, block: WrittenBlock) -> None:
-        """Keep the larger error of each kind."""
-        self.scales |= block.scales_rounded
+        """Update the largest errors with those of a block."""
+        self.has_rounded_scales |= block.has_rounded_scales
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
             self.joint_index = block.error_joint_index
@@ -137,7 +139,7 @@ class UsdJob:
     fps: Fraction  # time codes per second
     meters_per_unit: float  # unit of the layer [m]
     target: RigTarget | None = None  # rig below a layer
-    bones: bool = False  # whether to add geometry that shows the joints
+    show_bones: bool = False  # whether to add geometry that shows the joints
     shot: Shot | None = None  # shot to record
 
     @property
@@ -155,20 +157,19 @@ class UsdTake:
     step: Fraction  # time codes from one sample to the next
     # First and last time code; None is the range of the samples.
     frames: tuple[Fraction, Fraction] | None = None
-    written_joints: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    joint_mask: BoolArray | None = None  # joints to write ``(J,)``; None is all
     # Names of the rig's shapes, in the order of the blocks' weights.
     shapes: tuple[str, ...] = ()
     # Curves of controls by name, over time codes of the layer.
     curves: Mapping[str, Curves] = field(default_factory=dict)
-    # Legal, distinct name in a library; empty for a single animation, which needs no
-    # variant.
+    # Legal, unique name in a clip library; empty for a single animation.
     name: str = ""
     source_name: str = ""  # name of a library take's source
     # Props next to the rig, collected while the blocks are read; None without.
     props: PropSamples | None = None
-    # From take space to the space of a rig layer; see `PropPlacements`.
-    to_rig: Callable[[FloatArray], Placement] | None = None
-    reduced: bool = False  # whether redundant samples are removed
+    # Placement from take space to the space of a rig layer; see `PropPlacements`.
+    rig_from_take: Callable[[FloatArray], Placement] | None = None
+    is_reduced: bool = False  # whether redundant samples are removed
     # Recorded rest placement; empty without one, or if a rig layer has it.
     rest_record: Mapping[str, Any] = field(default_factory=dict)
 

@@ -1,4 +1,4 @@
-"""Legal, distinct USD names for joints, and their original names."""
+"""Legal, unique USD names for joints, and their original names."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
 from animtool.rig.skeleton import Joint
 
-# The variant set of a library with a variant per take.
+# Variant set of a clip library, with one variant per take.
 TAKE_SET = "take"
 
 
@@ -19,14 +19,14 @@ TAKE_SET = "take"
 class UsdNames:
     """Names for the joints of a rig."""
 
-    names: list[str]  # legal, distinct names
+    names: list[str]  # legal, unique names
     # Source names by legal name, if they differ.
     originals: dict[str, str]
-    notices: list[Fault]  # a warning for each pair of names that became equal
+    notices: list[Fault]  # one warning per name that another already uses
 
 
-def plain_text(name: str) -> str:
-    r"""Return a text that USD accepts: invalid bytes are replaced.
+def valid_text(name: str) -> str:
+    r"""Return a text with invalid bytes replaced, so that USD accepts it.
 
     File names may contain such bytes.
 
@@ -42,7 +42,7 @@ def legal_name(name: str) -> str:
     >>> legal_name("rig:Arm.L"), legal_name("2nd")
     ('rig_Arm_L', '_2nd')
     """
-    name = plain_text(name)
+    name = valid_text(name)
     if Sdf.Path.IsValidIdentifier(name):
         return name
     legal = "".join(c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name)
@@ -60,32 +60,34 @@ def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:
     return distinct_names(
         [joint.name for joint in joints],
         short_names,
-        # A name that was already numbered is not a collision.
+        # A name that the source already numbered is not a collision.
         [joint.source_name or joint.name for joint in joints],
     )
 
 
 def distinct_names(
-    original_names: Sequence[str], proposed: Sequence[str], sources: Sequence[str]
+    original_names: Sequence[str], proposed_names: Sequence[str], sources: Sequence[str]
 ) -> UsdNames:
-    """Return legal, distinct names."""
+    """Return legal, unique names; numbers are appended to duplicates."""
     names: list[str] = []
     originals: dict[str, str] = {}
-    first_source: dict[str, str] = {}
+    first_original: dict[str, str] = {}
     notices: list[Fault] = []
-    legals = list(map(legal_name, proposed))
-    rows = zip(original_names, legals, numbered_names(legals), sources, strict=True)
+    legal_names = list(map(legal_name, proposed_names))
+    rows = zip(
+        original_names, legal_names, numbered_names(legal_names), sources, strict=True
+    )
     for name, legal, unique, source in rows:
         if unique != legal:
             notices.append(
                 Fault(
                     "USD101",
-                    f"{excerpt(first_source[legal])} and {excerpt(name)} both become "
+                    f"{excerpt(first_original[legal])} and {excerpt(name)} both become "
                     f"{excerpt(legal)} in USD; the second is written as {unique!r}",
                     severity=Severity.WARNING,
                 )
             )
-        first_source[unique] = name
+        first_original[unique] = name
         names.append(unique)
         if unique != source:
             originals[unique] = source
@@ -100,10 +102,10 @@ class RigPaths:
     root: str  # the SkelRoot, ``/hero/Rig``
     skeleton: str  # the Skeleton, ``/hero/Rig/Skel``
     animation: str  # the SkelAnimation, ``/hero/Rig/Anim``
-    binding: str  # the prim that carries ``skel:animationSource``
+    binding: str  # the prim with ``skel:animationSource``
 
     @staticmethod
-    def below(model: str) -> RigPaths:
+    def from_model(model: str) -> RigPaths:
         """Return the default paths below a model."""
         root = f"{model}/Rig"
         return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)

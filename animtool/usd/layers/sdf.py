@@ -40,10 +40,10 @@ from animtool.core.values import plain_value
 from animtool.maths import so3
 from animtool.usd.layers.finite import (
     ValueLabels,
-    all_equal,
     check_data,
     check_rows,
     check_value,
+    equals_row,
     float_letter,
 )
 from animtool.usd.layers.names import legal_name
@@ -119,19 +119,19 @@ _SHOT_KEYS = {
 def layer_shot(layer: Any) -> dict[str, object] | None:
     """Return the shot of a layer, as reports print it; None if absent."""
     data = layer.customLayerData.get("animtool")
-    stored = data.get("shot") if isinstance(data, dict) else None
-    if not isinstance(stored, dict):
+    shot_data = data.get("shot") if isinstance(data, dict) else None
+    if not isinstance(shot_data, dict):
         return None
     keys = {usd: key for key, usd in _SHOT_KEYS.items()}
     shot: dict[str, object] = {
-        keys.get(str(name), str(name)): value for name, value in stored.items()
+        keys.get(str(name), str(name)): value for name, value in shot_data.items()
     }
     frames = ("start", "end", "cut_in", "cut_out", "head", "tail")
     return shot if all(isinstance(shot.get(key), int) for key in frames) else None
 
 
 def model_path(prim_path: str | None, name: str) -> str:
-    """Return the path of a model: as configured, else below the root by name."""
+    """Return the configured path of a model; by default, its name below the root."""
     if prim_path is None:
         return f"/{legal_name(name)}"
     check_prim_path(prim_path)
@@ -209,7 +209,7 @@ def limit_usd_threads() -> None:
 
 @contextmanager
 def usd_errors(path: Path) -> Iterator[None]:
-    """Context that turns USD's errors about a file into a `FormatError`."""
+    """Raise USD's errors about a file as `FormatError`."""
     with reading_file(path):
         try:
             yield
@@ -222,14 +222,14 @@ def usd_errors(path: Path) -> Iterator[None]:
             raise FormatError(Fault("USD001", message, str(path))) from error
 
 
-def usd_reason(error: Tf.ErrorException, max_letters: int = 300) -> str:
-    """Return USD's error text without source locations, cut to ``max_letters``."""
+def usd_reason(error: Tf.ErrorException, max_length: int = 300) -> str:
+    """Return USD's error text without source locations, cut to ``max_length``."""
     texts = [str(getattr(item, "commentary", item)) for item in error.args]
     text = re.sub(r"(pxrInternal\w*|Sdf_\w+)::", "", " ".join(" ".join(texts).split()))
     for marker in ("Error occurred writing file: ", "Failed writing usdc data: "):
         before_marker, _, after_marker = text.partition(marker)
         text = before_marker + after_marker.split(marker)[0]
-    return text.strip()[:max_letters] or "is not a USD layer"
+    return text.strip()[:max_length] or "is not a USD layer"
 
 
 def new_layer(path: Path) -> Any:
@@ -314,7 +314,7 @@ def save_layer(layer: Any, path: Path) -> int:
 
 
 def packaged(path: Path, temporary: Path) -> AbstractContextManager[Path]:
-    """Context with the file to write a layer to; packaged at the end for .usdz.
+    """Yield the file to write a layer to; on exit, package it for .usdz.
 
     ``temporary`` is renamed to ``path`` if all succeeds.
     """
@@ -385,15 +385,15 @@ def gf_quatf(row: FloatArray) -> Any:
 
 
 class SampleWriter:
-    """Writer of an attribute's samples; a default only while values are constant.
+    """Writes the time samples of an attribute; constant values become its default.
 
     The frames before the first change share one array. Signs of quaternions ``(F, …,
-    4)`` continue from frame to frame and from block to block: every rotation over time
-    is written here. With `every`, each frame is a sample, and with `first` the first is
-    also the default.
+    4)`` continue across frames and blocks. With `every_frame`, each frame is a sample;
+    with `with_default`, the first one is also the default.
 
     Attributes:
-        sampled: Whether values changed, or are sampled anyway.
+        has_samples: Whether samples are written, as values changed or every frame is
+            one.
     """
 
     def __init__(
@@ -401,79 +401,83 @@ class SampleWriter:
         attr: Any,
         make: Callable[[Any], Any],
         *,
-        every: bool = False,
-        first: bool = True,
-        quaternions: bool = False,
+        every_frame: bool = False,
+        with_default: bool = True,
+        are_quaternions: bool = False,
         noun: str = "",
         names: Sequence[str] = (),
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set = attr.layer.SetTimeSample
-        self._make, self._every, self._has_default = make, every, first
+        self._make, self._every_frame, self._has_default = (
+            make,
+            every_frame,
+            with_default,
+        )
         self._letter = float_letter(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
-        self._first: npt.NDArray[Any] | None = None
-        self._quaternions = quaternions
-        self._last: npt.NDArray[Any] | None = None
-        self._buffered: list[FloatArray] = []
-        self.sampled = False
+        self._first_value: npt.NDArray[Any] | None = None
+        self._are_quaternions = are_quaternions
+        self._last_value: npt.NDArray[Any] | None = None
+        self._static_codes: list[FloatArray] = []
+        self.has_samples = False
 
     def add(self, codes: FloatArray, rows: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
         rows = self._with_continuous_signs(np.ascontiguousarray(rows))
         if self._letter:
             check_rows(rows, self._letter, self._labels, codes)
-        if self._every:
-            if not self.sampled and self._has_default:
+        if self._every_frame:
+            if not self.has_samples and self._has_default:
                 self._attribute.default = self._make(rows[0])
-            self.sampled = True
-        elif self._first is None:
-            self._first = rows[0].copy()
-        if not self.sampled:
-            if self._first is not None and all_equal(rows, self._first):
-                self._buffered.append(codes)
+            self.has_samples = True
+        elif self._first_value is None:
+            self._first_value = rows[0].copy()
+        if not self.has_samples:
+            if self._first_value is not None and equals_row(rows, self._first_value):
+                self._static_codes.append(codes)
                 return
-            self.release()
+            self.start_sampling()
         set_value, path, make = self._set, self._path, self._make
         for code, row in zip(codes.tolist(), rows, strict=True):
             set_value(path, code, make(row))
 
     def _with_continuous_signs(self, rows: npt.NDArray[Any]) -> npt.NDArray[Any]:
-        """Return rows; quaternion signs continue the previous block."""
-        if not self._quaternions or not rows.size:
+        """Return rows whose quaternion signs continue the previous block."""
+        if not self._are_quaternions or not rows.size:
             return rows
-        previous = rows[0] if self._last is None else self._last
+        previous = rows[0] if self._last_value is None else self._last_value
         if rows.dtype == np.float32 and rows.ndim == 3:
             aligned = _kernels.continue_signs(rows, previous)
             rows = rows if aligned is None else aligned
         else:
             rows = so3.align_signs(rows, previous).astype(rows.dtype)
-        self._last = rows[-1]
+        self._last_value = rows[-1]
         return rows
 
-    def release(self) -> None:
-        """Start sampling at the first frame, whether values change or not."""
-        if self.sampled:
+    def start_sampling(self) -> None:
+        """Write samples from the first frame on, even if values stay constant."""
+        if self.has_samples:
             return
-        self.sampled = True
-        value = self._make(self._first)
-        for codes in self._buffered:
+        self.has_samples = True
+        value = self._make(self._first_value)
+        for codes in self._static_codes:
             for code in codes.tolist():
                 self._set(self._path, code, value)
-        self._buffered.clear()
+        self._static_codes.clear()
 
-    def rest(self) -> None:
-        """Author the first value as the default if there are samples.
+    def author_default(self) -> None:
+        """Author the first value as the default of a sampled attribute.
 
-        Readers without a time use it.
+        Readers that ask for no time get it.
         """
-        if self.sampled and self._first is not None:
-            self._attribute.default = self._make(self._first)
+        if self.has_samples and self._first_value is not None:
+            self._attribute.default = self._make(self._first_value)
 
     def finish(self, fallback: npt.NDArray[Any]) -> None:
-        """Author the default if values never changed; ``fallback`` without values."""
-        if not self.sampled:
-            default = fallback if self._first is None else self._first
+        """Author constant values as the default; ``fallback`` if there are none."""
+        if not self.has_samples:
+            default = fallback if self._first_value is None else self._first_value
             value = self._make(default)
             if self._letter:
                 check_value(value, self._letter, self._labels)

@@ -11,9 +11,9 @@ from typing import IO
 
 from animtool.core.quantities import escaped_lines
 
-# Warnings of USD's own writers about every file with splines or time codes in metadata,
-# which a user cannot act on.
-_KNOWN_TEXTS = (
+# Warnings that USD prints for every file with splines or time codes in metadata; users
+# cannot act on them.
+_VERSION_WARNINGS = (
     b"inner looping is deprecated",
     b"A spline was detected which requires",
     b"A timecode or timecode[] value type was detected which requires",
@@ -31,27 +31,27 @@ _LAST_LINE = b" ("
 
 @contextmanager
 def without_version_warnings() -> Iterator[None]:
-    """Context that drops USD's warnings about splines and time codes.
+    """Drop USD's warnings about file versions for splines and time codes.
 
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.
     """
-    with _captured_stderr(_KNOWN_TEXTS):
+    with _filtered_stderr(_VERSION_WARNINGS):
         yield
 
 
 @contextmanager
 def without_usd_warnings() -> Iterator[None]:
-    """Context that drops USD's warnings about opened layers.
+    """Drop USD's warnings about the layers opened in this context.
 
     Other output to stderr is printed afterwards.
     """
-    with _captured_stderr(_DIAGNOSTIC_PREFIXES):
+    with _filtered_stderr(_DIAGNOSTIC_PREFIXES):
         yield
 
 
 @contextmanager
-def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
+def _filtered_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
     sys.stderr.flush()
     try:
         saved_fd = os.dup(2)
@@ -72,11 +72,11 @@ def _captured_stderr(dropped_texts: tuple[bytes, ...]) -> Iterator[None]:
             os.close(saved_fd)
         if buffer is not None:
             with suppress(OSError), buffer:
-                _print_others(buffer, dropped_texts)
+                _print_other_lines(buffer, dropped_texts)
 
 
-def _print_others(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> None:
-    """Print the captured lines except those with known texts."""
+def _print_other_lines(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> None:
+    """Print the captured lines that contain none of the dropped texts."""
     buffer.seek(0)
     is_continued = False
     for line in buffer:

@@ -1,4 +1,4 @@
-"""Faults of USD layers, in words about the file: USD's own name its parser's rules."""
+"""Turns USD's parser errors into messages about the file."""
 
 from __future__ import annotations
 
@@ -12,40 +12,40 @@ from animtool.core.names import most_similar
 from animtool.core.source_lines import SourceLineCache
 
 FIRST_LINE = "#usda 1.0"
-# File, line, column, what is wrong, the text there, and the prim or attribute.
-_LOCATED_FAULT = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
+# File, line, column, error, the text at that position, and the prim or attribute.
+_LOCATED_ERROR = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
 _UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
-# A prim that begins with another word than USD's.
+# A prim line; its first word may be a misspelled specifier.
 _PRIM_LINE = re.compile(r'\s*([A-Za-z]+)\s+(?:[A-Z]\w*\s+)?"[A-Za-z_]\w*"\s*[({\s})]*$')
 _SPECIFIERS = ("def", "over", "class")
-_MAX_TEXT = 300
+_MAX_LENGTH = 300
 
-# Message and hint, by what USD says; both are given its words and the text there.
+# Build message and hint from the matched error of USD and the text at its position.
 _FaultText = Callable[[re.Match[str], str], tuple[str, str | None]]
 _FAULT_PATTERNS: dict[str, _FaultText] = {
     r"Unable to parse layer version|is not a valid usda layer": lambda _, __: (
         f"the first line is not {FIRST_LINE!r}",
         f"write {FIRST_LINE!r} in the first line",
     ),
-    r"Cannot parse layer version '(.*?)'.*?version is '(.*?)'": lambda words, __: (
-        f"is USD text of version {words[1]}; the installed USD reads {words[2]}",
+    r"Cannot parse layer version '(.*?)'.*?version is '(.*?)'": lambda match, __: (
+        f"is USD text of version {match[1]}; the installed USD reads {match[2]}",
         "save it with an older USD, or update usd-core",
     ),
-    r"Expected (\S+)": lambda words, __: (
-        f"{words[1]!r} is missing",
-        f"add {words[1]!r} before this line",
+    r"Expected (\S+)": lambda match, __: (
+        f"{match[1]!r} is missing",
+        f"add {match[1]!r} before this line",
     ),
-    r"Tuple dimensions error for attribute of type (\w+)": lambda words, there: (
-        f"{there or 'a value'} does not have the numbers of a {words[1]}",
-        f"write as many numbers as a {words[1]} has",
+    r"Tuple dimensions error for attribute of type (\w+)": lambda match, context: (
+        f"{context or 'a value'} does not have the numbers of a {match[1]}",
+        f"write as many numbers as a {match[1]} has",
     ),
-    r"Error parsing (?:simple|shaped|tuple) value": lambda _, there: (
-        f"{there} is not a value of its type",
-        "texts need double quotes" if re.fullmatch(r"[A-Za-z_].*", there) else None,
+    r"Error parsing (?:simple|shaped|tuple) value": lambda _, context: (
+        f"{context} is not a value of its type",
+        "texts need double quotes" if re.fullmatch(r"[A-Za-z_].*", context) else None,
     ),
-    r"parse error|match": lambda _, there: (
-        f"cannot be parsed from {excerpt(there)} on" if there else "ends too early",
-        _quoting_hint(there),
+    r"parse error|match": lambda _, context: (
+        f"cannot be parsed from {excerpt(context)} on" if context else "ends too early",
+        _quoting_hint(context),
     ),
     r"[Ff]ile too small|bootstrap|truncated": lambda _, __: (
         "is not a binary USD file, or not all of one",
@@ -72,37 +72,37 @@ over or class")
     match = _PRIM_LINE.match(line)
     if match is None or match[1] in _SPECIFIERS:
         return None
-    meant = most_similar(match[1], _SPECIFIERS, 0.5)
+    similar = most_similar(match[1], _SPECIFIERS, 0.5)
     hint = "a prim begins with def, over or class"
-    hint = f"did you mean {meant!r}? {hint}" if meant else hint
+    hint = f"did you mean {similar!r}? {hint}" if similar else hint
     return f"{match[1]!r} does not begin a prim", hint
 
 
 def layer_fault(text: str, path: Path) -> Fault:
-    """Return the fault of a layer that USD refused (USD001).
+    """Return the fault of a layer that USD cannot parse (USD001).
 
     Args:
-        text: What USD says, without its source locations.
-        path: The layer, as the user named it.
+        text: USD's error text, without its source locations.
+        path: Path of the layer, as configured.
 
     >>> text = "/a.usda:1:1: Unable to parse layer version. at '#usda 1' in </>"
     >>> str(layer_fault(text, Path("a.usda"))).partition(";")[0]
     "a.usda:1:1: USD001 the first line is not '#usda 1.0'"
     """
-    located_fault = _LOCATED_FAULT.search(text)
-    message_text, context = (
-        (text, "") if located_fault is None else (located_fault[4], located_fault[5])
+    located_error = _LOCATED_ERROR.search(text)
+    error_text, context = (
+        (text, "") if located_error is None else (located_error[4], located_error[5])
     )
     location: dict[str, Any] = {}
-    if located_fault is not None:
-        location = {"lines": (int(located_fault[2]),), "column": int(located_fault[3])}
-        if Path(located_fault[1]).name != path.name:
-            path = Path(located_fault[1])  # a layer that it brings in
-        if located_fault[6] not in {"", "/"}:
-            location["where"] = located_fault[6]
-    for text_part in (text, message_text):
+    if located_error is not None:
+        location = {"lines": (int(located_error[2]),), "column": int(located_error[3])}
+        if Path(located_error[1]).name != path.name:
+            path = Path(located_error[1])  # a layer that it composes
+        if located_error[6] not in {"", "/"}:
+            location["where"] = located_error[6]
+    for search_text in (text, error_text):
         for pattern, describe in _FAULT_PATTERNS.items():
-            match = re.search(pattern, text_part)
+            match = re.search(pattern, search_text)
             if match is not None:
                 message, hint = describe(match, context)
                 if "first line" in message:
@@ -113,4 +113,4 @@ def layer_fault(text: str, path: Path) -> Fault:
                     )
                     message, hint = _specifier_fault(line or "") or (message, hint)
                 return Fault("USD001", message, str(path), hint=hint, **location)
-    return Fault("USD001", text[:_MAX_TEXT], str(path), **location)
+    return Fault("USD001", text[:_MAX_LENGTH], str(path), **location)

@@ -1,4 +1,4 @@
-"""A temporary stage that shows a layer together with others."""
+"""A temporary stage that composes a layer with others for display."""
 
 from __future__ import annotations
 
@@ -22,25 +22,28 @@ _METADATA_FIELDS = (
 
 
 def write_view(
-    path: Path, shown: Path, weaker: Sequence[Path] = (), stronger: Sequence[Path] = ()
+    path: Path,
+    layer_path: Path,
+    weaker_paths: Sequence[Path] = (),
+    stronger_paths: Sequence[Path] = (),
 ) -> Path:
-    """Write a stage with a layer's metadata; return its path.
+    """Write a stage that composes a layer with others; return its path.
 
     Args:
         path: Path of the stage.
-        shown: The layer.
-        weaker: Weaker layers, such as the rig of an animation layer.
-        stronger: Stronger layers, such as looks and props, the strongest first.
+        layer_path: Path of the layer; the stage copies its metadata.
+        weaker_paths: Weaker layers, such as the rig of an animation layer.
+        stronger_paths: Stronger layers, such as looks and props, the strongest first.
     """
-    for other_layer in (*stronger, *weaker):
-        find_layer(other_layer)
-    with usd_errors(shown):
+    for other_path in (*stronger_paths, *weaker_paths):
+        find_layer(other_path)
+    with usd_errors(layer_path):
         # Kept alive, so that it stays open.
-        source = find_layer(shown)
-        source_metadata = source.pseudoRoot
+        layer = find_layer(layer_path)
+        source_metadata = layer.pseudoRoot
         view = Sdf.Layer.CreateAnonymous(".usda")
-        layers = [*stronger, shown, *weaker]
-        view.subLayerPaths = [str(layer.resolve()) for layer in layers]
+        sublayer_paths = [*stronger_paths, layer_path, *weaker_paths]
+        view.subLayerPaths = [str(layer.resolve()) for layer in sublayer_paths]
         for name in _METADATA_FIELDS:
             if source_metadata.HasInfo(name):
                 view.pseudoRoot.SetInfo(name, source_metadata.GetInfo(name))

@@ -23,7 +23,7 @@ from animtool.usd.physics.stage import (
     is_body,
     relative_pose,
 )
-from animtool.usd.rigs.layer import read_ball
+from animtool.usd.rigs.layer import read_ball_limit
 from animtool.usd.rigs.prims import nearest_prim, self_and_ancestors
 
 JOINT_KINDS = {
@@ -37,7 +37,7 @@ JOINT_KINDS = {
 
 # Names of the rotational degrees of freedom of an untyped joint.
 ROTATION_AXES = ("rotX", "rotY", "rotZ")
-# Range of swing half-angles [rad]: both above 0, and below half a revolution.
+# Valid range of swing half-angles [rad].
 SWING_RANGE = math.radians(1e-3), math.radians(179.0)
 
 
@@ -56,37 +56,41 @@ def read_joint(
         return None
     kind = JOINT_KINDS.get(str(prim.GetTypeName()))
     if kind is None:
-        source.note(prim, f"is a {prim.GetTypeName()}, which is not supported")
+        source.add_notice(prim, f"is a {prim.GetTypeName()}, which is not supported")
         return None
     axis = prim.GetAttribute("physics:axis")
-    token = str((axis.Get() if axis else None) or "X")
-    if token not in AXIS_VECTORS:
-        PrimLocation.of(source.path, axis).fail("SIM051", f"is {token!r}", "X, Y or Z")
-    axis_rotation = so3.between(AXIS_VECTORS["X"], AXIS_VECTORS[token])
+    axis_name = str((axis.Get() if axis else None) or "X")
+    if axis_name not in AXIS_VECTORS:
+        PrimLocation.from_prim(source.path, axis).fail(
+            "SIM051", f"is {axis_name!r}", "X, Y or Z"
+        )
+    axis_rotation = so3.between(AXIS_VECTORS["X"], AXIS_VECTORS[axis_name])
     bodies, frames = [], []
     for side in (0, 1):
-        at = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
+        position = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
         rotation = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
-        local = IDENTITY_POSE.copy()
-        local[:3] = 0.0 if at is None else at * source.unit
-        local[3:] = so3.IDENTITY if rotation is None or not rotation.any() else rotation
-        local[3:] = so3.multiply(so3.normalize(local[3:]), axis_rotation)
+        local_frame = IDENTITY_POSE.copy()
+        local_frame[:3] = 0.0 if position is None else position * source.meters_per_unit
+        local_frame[3:] = (
+            so3.IDENTITY if rotation is None or not rotation.any() else rotation
+        )
+        local_frame[3:] = so3.multiply(so3.normalize(local_frame[3:]), axis_rotation)
         targets = prim.GetRelationship(f"physics:body{side}").GetTargets()
         if len(targets) > 1:
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
-            source.note(prim, message)
+            source.add_notice(prim, message)
         target = targets[0] if targets else None
-        body, frame = _body_side(source, prim, side, target, local, body_index)
+        body, frame = _resolve_body(source, prim, side, target, local_frame, body_index)
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
-        source.note(prim, "joins no supported body")
+        source.add_notice(prim, "joins no supported body")
         return None
     if bodies[0] == bodies[1]:
-        source.note(prim, "joins a body to itself: skipped")
+        source.add_notice(prim, "joins a body to itself: skipped")
         return None
     if not any(is_dynamic[body] for body in bodies if body >= 0):
-        source.note(prim, "joins no dynamic body: skipped")
+        source.add_notice(prim, "joins no dynamic body: skipped")
         return None
     limits, swing = _joint_limits(source, prim, kind)
     return PhysicsJoint(
@@ -107,68 +111,78 @@ def read_joint(
 
 def _break_limit(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
     """Return the break force [N] or torque [N m] of a joint; inf if unbreakable."""
-    value = source.infinite_number(prim.GetAttribute(f"physics:{name}"))
+    value = source.number_or_infinity(prim.GetAttribute(f"physics:{name}"))
     if value is None or not 0 < value < MAX_FORCE:
         return math.inf
-    return float(value) * source.kilograms * source.unit**power
+    return float(value) * source.kilograms_per_unit * source.meters_per_unit**power
 
 
-def _body_side(
+def _resolve_body(
     source: PhysicsStage,
     joint: Any,
     side: int,
     target: Any,
-    local: FloatArray,
+    local_frame: FloatArray,
     body_index: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
-    """Return the body of a side (-1 is the world) and the joint frame in it."""
+    """Return a body of a joint (-1 is the world), and the joint frame in its space."""
     if target is None:
-        return -1, source.up(local)
+        return -1, source.to_y_up(local_frame)
     prim = source.stage.GetPrimAtPath(target) if target.IsPrimPath() else None
     if not prim:
         message = f"body{side} refers to {excerpt(str(target))}, which does not exist"
         hint = nearest_prim(source.stage, str(target))
-        PrimLocation.of(source.path, joint).fail("SIM051", message, hint)
+        PrimLocation.from_prim(source.path, joint).fail("SIM051", message, hint)
     pose, scale = source.pose(source.matrix(prim))
-    local = np.concatenate([local[:3] * scale, local[3:]])
-    pose_ = np.concatenate(
-        [pose[:3] + so3.rotate(pose[3:], local[:3]), so3.multiply(pose[3:], local[3:])]
+    local_frame = np.concatenate([local_frame[:3] * scale, local_frame[3:]])
+    joint_pose = np.concatenate(
+        [
+            pose[:3] + so3.rotate(pose[3:], local_frame[:3]),
+            so3.multiply(pose[3:], local_frame[3:]),
+        ]
     )
     for ancestor in self_and_ancestors(prim):
-        body = body_index.get(str(ancestor.GetPath()))
-        if body is not None:
-            return body, relative_pose(source.pose(source.matrix(ancestor))[0], pose_)
+        body_number = body_index.get(str(ancestor.GetPath()))
+        if body_number is not None:
+            return body_number, relative_pose(
+                source.pose(source.matrix(ancestor))[0], joint_pose
+            )
         if is_body(ancestor):
             message = (
                 f"is attached to {excerpt(str(ancestor.GetPath()))}, a body that is "
             )
             message += "not "
-            source.note(joint, f"{message}supported: attached to the world instead")
+            source.add_notice(
+                joint, f"{message}supported: attached to the world instead"
+            )
             break
-    return -1, source.up(pose_)
+    return -1, source.to_y_up(joint_pose)
 
 
 def _joint_limits(
     source: PhysicsStage, prim: Any, kind: str
 ) -> tuple[tuple[float, float] | None, tuple[float, float] | None]:
-    """Return lower and upper limit, and the swing of a ball joint."""
+    """Return the lower and upper limit, and the swing limits of a ball joint."""
     if kind == "fixed":
         return None, None
     if kind == "ball":
         names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
-        ends = product(ROTATION_AXES, ("low", "high"))
-        for name in (*names, *(f"limit:{axis}:physics:{end}" for axis, end in ends)):
-            source.infinite_number(prim.GetAttribute(name))
-        ball = read_ball(prim, (1.0, 0.0, 0.0))
-        if ball is None:
+        limit_names = product(ROTATION_AXES, ("low", "high"))
+        for name in (
+            *names,
+            *(f"limit:{axis}:physics:{end}" for axis, end in limit_names),
+        ):
+            source.number_or_infinity(prim.GetAttribute(name))
+        ball_limit = read_ball_limit(prim, (1.0, 0.0, 0.0))
+        if ball_limit is None:
             return None, None
         swing_limits = None
-        if ball.swing is not None:
-            swing_y, swing_z = np.clip(ball.swing, *SWING_RANGE).tolist()
+        if ball_limit.swing is not None:
+            swing_y, swing_z = np.clip(ball_limit.swing, *SWING_RANGE).tolist()
             swing_limits = swing_y, swing_z
-        return _valid_range(source, prim, ball.twist, 2 * math.pi), swing_limits
+        return _valid_range(source, prim, ball_limit.twist, 2 * math.pi), swing_limits
     lower, upper = (
-        source.infinite_number(prim.GetAttribute(f"physics:{end}Limit"))
+        source.number_or_infinity(prim.GetAttribute(f"physics:{end}Limit"))
         for end in ("lower", "upper")
     )
     if lower is None or upper is None or (math.isinf(lower) and math.isinf(upper)):
@@ -177,8 +191,8 @@ def _joint_limits(
         return _valid_range(
             source, prim, (math.radians(lower), math.radians(upper))
         ), None
-    slide = (lower * source.unit, upper * source.unit)
-    slide_limits = tuple(np.clip(slide, -MAX_NUMBER, MAX_NUMBER).tolist())
+    slide_range = (lower * source.meters_per_unit, upper * source.meters_per_unit)
+    slide_limits = tuple(np.clip(slide_range, -MAX_NUMBER, MAX_NUMBER).tolist())
     return _valid_range(source, prim, slide_limits, math.inf), None
 
 
@@ -186,22 +200,22 @@ def _valid_range(
     source: PhysicsStage,
     prim: Any,
     limits: tuple[float, float] | None,
-    largest: float = 2 * math.pi,
+    max_range: float = 2 * math.pi,
 ) -> tuple[float, float] | None:
     """Return valid limits; None and a notice if they are invalid."""
     if limits is None:
         return None
     lower, upper = limits
     if lower > upper:
-        source.note(
+        source.add_notice(
             prim, "has a lower limit above its upper limit: the limit is ignored"
         )
         return None
-    if upper - lower > largest * (1 + 1e-6):
+    if upper - lower > max_range * (1 + 1e-6):
         message = (
             "has a range of more than 360 degrees, but full rotations are not counted: "
         )
-        source.note(prim, f"{message}the limit is ignored")
+        source.add_notice(prim, f"{message}the limit is ignored")
         return None
     return lower, upper
 
@@ -212,27 +226,33 @@ def _joint_drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | Non
     drives = [UsdPhysics.DriveAPI(prim, axis) for axis in names]
     if not all(prim.HasAPI(UsdPhysics.DriveAPI, axis) for axis in names):
         return None
-    linear = kind == "prismatic"
-    force = source.kilograms * source.unit ** (1 if linear else 2)
-    gain = source.kilograms if linear else force * math.degrees(1.0)
-    scale = source.unit if linear else math.radians(1.0)
+    is_linear = kind == "prismatic"
+    force_unit = source.kilograms_per_unit * source.meters_per_unit ** (
+        1 if is_linear else 2
+    )
+    gain_unit = (
+        source.kilograms_per_unit if is_linear else force_unit * math.degrees(1.0)
+    )
+    position_unit = source.meters_per_unit if is_linear else math.radians(1.0)
 
     def value(drive: Any, name: str, minimum: float = -MAX_NUMBER) -> float:
         return source.number(getattr(drive, f"Get{name}Attr")(), minimum) or 0.0
 
-    targets = [value(drive, "TargetPosition") * scale for drive in drives]
-    max_force = source.infinite_number(drives[0].GetMaxForceAttr())
-    rates = [value(drive, "TargetVelocity") for drive in drives]
-    ball = kind == "ball"
-    if ball and any(rates):
-        source.note(prim, "has a drive with a target velocity, which is not supported")
+    targets = [value(drive, "TargetPosition") * position_unit for drive in drives]
+    max_force = source.number_or_infinity(drives[0].GetMaxForceAttr())
+    velocities = [value(drive, "TargetVelocity") for drive in drives]
+    is_ball = kind == "ball"
+    if is_ball and any(velocities):
+        source.add_notice(
+            prim, "has a drive with a target velocity, which is not supported"
+        )
     return JointDrive(
-        value(drives[0], "Stiffness", 0.0) * gain,
-        value(drives[0], "Damping", 0.0) * gain,
-        0.0 if ball else targets[0],
-        so3.exp(np.array(targets)) if ball else so3.IDENTITY.copy(),
-        max_force * force
+        value(drives[0], "Stiffness", 0.0) * gain_unit,
+        value(drives[0], "Damping", 0.0) * gain_unit,
+        0.0 if is_ball else targets[0],
+        so3.exp(np.array(targets)) if is_ball else so3.IDENTITY.copy(),
+        max_force * force_unit
         if max_force is not None and 0 <= max_force < MAX_FORCE
         else None,
-        0.0 if ball else rates[0] * scale,
+        0.0 if is_ball else velocities[0] * position_unit,
     )

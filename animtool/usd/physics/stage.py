@@ -22,41 +22,41 @@ AXIS_VECTORS = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
 EARTH_GRAVITY = 9.81  # default gravity of a scene [m/s²]
 # Largest length, mass or rate of a shot, far from overflowing.
 MAX_NUMBER = 1e12
-# Larger numbers mean infinite, which is written as the largest float32.
+# Larger numbers are infinite: files store infinity as the largest float32.
 MAX_FORCE = 1e37
 
 
 @dataclass(slots=True)
 class PhysicsStage:
-    """A stage at the time code of 0 s.
+    """A stage with physics, with its units, axes and start time.
 
     Attributes:
         path: Path of the file.
         stage: The stage.
-        start: Time code of 0 s.
-        unit: Unit of lengths [m].
-        kilograms: Unit of masses [kg].
+        start_code: Time code of 0 s.
+        meters_per_unit: Unit of lengths [m].
+        kilograms_per_unit: Unit of masses [kg].
         up_rotation: Rotation from its up axis to Y ``(4,)``.
-        cache: Transform cache at ``start``.
+        cache: Transform cache at ``start_code``.
         notices: Unsupported contents (SIM136).
     """
 
     path: Path
     stage: Any
-    start: float
-    unit: float = field(init=False)
-    kilograms: float = field(init=False)
+    start_code: float
+    meters_per_unit: float = field(init=False)
+    kilograms_per_unit: float = field(init=False)
     up_rotation: FloatArray = field(init=False)
     cache: Any = field(init=False)
     notices: list[Fault] = field(default_factory=list)
-    _noted_messages: set[str] = field(default_factory=set)
+    _reported_messages: set[str] = field(default_factory=set)
 
     def __post_init__(self) -> None:
-        """Read units, axes and gravity."""
-        self.unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
-        self.kilograms = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
-        if not MIN_METADATA <= self.kilograms <= MAX_METADATA:
-            message = f"kilogramsPerUnit is {self.kilograms:g}"
+        """Read units and axes."""
+        self.meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
+        self.kilograms_per_unit = float(UsdPhysics.GetStageKilogramsPerUnit(self.stage))
+        if not MIN_METADATA <= self.kilograms_per_unit <= MAX_METADATA:
+            message = f"kilogramsPerUnit is {self.kilograms_per_unit:g}"
             PrimLocation(str(self.path), "/").fail(
                 "SIM051", message, "write 1e-9 to 1e9"
             )
@@ -64,15 +64,15 @@ class PhysicsStage:
         self.up_rotation = (
             so3.IDENTITY if up_rotation is None else np.array(up_rotation)
         )
-        self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start))
+        self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start_code))
 
-    def note(self, prim: Any, message: str) -> None:
+    def add_notice(self, prim: Any, message: str) -> None:
         """Add a notice about something unsupported on a prim (SIM136)."""
         text = f"{excerpt(str(prim.GetPath()))} {message}"
-        if text not in self._noted_messages:
+        if text not in self._reported_messages:
             fault = Fault("SIM136", text, str(self.path), severity=Severity.WARNING)
             self.notices.append(fault)
-            self._noted_messages.add(text)
+            self._reported_messages.add(text)
 
     def numbers(
         self, attribute: Any, count: int, minimum: float = -MAX_NUMBER
@@ -86,14 +86,14 @@ class PhysicsStage:
         row = np.array(value).reshape(-1)
         if row.shape != (count,) or row.dtype.kind not in "fiu":
             message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
-            PrimLocation.of(self.path, attribute).fail("SIM051", message)
+            PrimLocation.from_prim(self.path, attribute).fail("SIM051", message)
         row = row.astype(np.float64)
         out_of_range = row[~((row >= minimum) & (row <= MAX_NUMBER))]
         if len(out_of_range):
             message = (
                 f"has {out_of_range[0]:g}: it must be {minimum:g} to {MAX_NUMBER:g}"
             )
-            PrimLocation.of(self.path, attribute).fail("SIM051", message)
+            PrimLocation.from_prim(self.path, attribute).fail("SIM051", message)
         return row
 
     def number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
@@ -101,8 +101,8 @@ class PhysicsStage:
         row = self.numbers(attribute, 1, minimum)
         return None if row is None else float(row[0])
 
-    def infinite_number(self, attribute: Any) -> float | None:
-        """Return a number that may be infinite; the largest float32 means infinite."""
+    def number_or_infinity(self, attribute: Any) -> float | None:
+        """Return a number, infinite if about the largest float32; None if absent."""
         value = attribute.Get() if attribute else None
         if isinstance(value, float) and abs(value) >= MAX_FORCE:
             return math.copysign(math.inf, value)
@@ -111,24 +111,26 @@ class PhysicsStage:
     def matrix(self, prim: Any) -> FloatArray:
         """Return a prim's world transform ``(4, 4)``, row vectors, stage units."""
         matrix = np.array(self.cache.GetLocalToWorldTransform(prim), np.float64)
-        limit = MAX_NUMBER / max(self.unit, 1.0)
+        limit = MAX_NUMBER / max(self.meters_per_unit, 1.0)
         out_of_range = matrix[~(np.abs(matrix) <= limit)]
         if len(out_of_range):
             message = (
                 f"has {out_of_range[0]:g} in its transform; the limit is {limit:g}"
             )
-            PrimLocation.of(self.path, prim).fail("SIM051", message)
+            PrimLocation.from_prim(self.path, prim).fail("SIM051", message)
         return matrix
 
     def pose(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a pose ``(7,)`` in metres in stage axes, and scales ``(3,)``."""
         translation, rotation, scale = decompose(matrix[None])
-        return np.concatenate([translation[0] * self.unit, rotation[0]]), scale[0]
+        return np.concatenate(
+            [translation[0] * self.meters_per_unit, rotation[0]]
+        ), scale[0]
 
-    def up(self, pose: FloatArray) -> FloatArray:
-        """Return a pose of the stage's world in Y up ``(7,)``."""
-        at = so3.rotate(self.up_rotation, pose[:3])
-        return np.concatenate([at, so3.multiply(self.up_rotation, pose[3:])])
+    def to_y_up(self, pose: FloatArray) -> FloatArray:
+        """Return a world pose of the stage rotated to Y up ``(7,)``."""
+        position = so3.rotate(self.up_rotation, pose[:3])
+        return np.concatenate([position, so3.multiply(self.up_rotation, pose[3:])])
 
     def gravity(self) -> FloatArray:
         """Return the gravity of the first physics scene, Y up ``(3,)`` [m/s²]."""
@@ -136,29 +138,31 @@ class PhysicsStage:
             if not prim.IsA(UsdPhysics.Scene):
                 continue
             scene = UsdPhysics.Scene(prim)
-            size = scene.GetGravityMagnitudeAttr().Get()
+            authored_magnitude = scene.GetGravityMagnitudeAttr().Get()
             # In the schema, a negative magnitude means earth gravity in stage units.
-            if size is None or (isinstance(size, float) and size < 0):
-                metres = EARTH_GRAVITY
+            if authored_magnitude is None or (
+                isinstance(authored_magnitude, float) and authored_magnitude < 0
+            ):
+                acceleration = EARTH_GRAVITY
             else:
                 magnitude = self.number(scene.GetGravityMagnitudeAttr())
-                metres = (magnitude or 0.0) * self.unit
+                acceleration = (magnitude or 0.0) * self.meters_per_unit
             direction = self.numbers(scene.GetGravityDirectionAttr(), 3)
             if direction is None:
                 direction = np.zeros(3)
             if not direction.any():
-                return np.array([0.0, -metres, 0.0])
+                return np.array([0.0, -acceleration, 0.0])
             direction = direction / np.abs(direction).max()
             direction /= np.linalg.norm(direction)
-            return metres * so3.rotate(self.up_rotation, direction)
+            return acceleration * so3.rotate(self.up_rotation, direction)
         return np.array([0.0, -EARTH_GRAVITY, 0.0])
 
 
 def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return a world pose relative to another frame ``(7,)``."""
+    """Return a world pose ``(7,)`` relative to a frame ``(7,)``."""
     inverse_rotation = so3.conjugate(frame[3:])
-    at = so3.rotate(inverse_rotation, pose[:3] - frame[:3])
-    return np.concatenate([at, so3.multiply(inverse_rotation, pose[3:])])
+    position = so3.rotate(inverse_rotation, pose[:3] - frame[:3])
+    return np.concatenate([position, so3.multiply(inverse_rotation, pose[3:])])
 
 
 def is_body(prim: Any) -> bool:

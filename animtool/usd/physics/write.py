@@ -31,7 +31,7 @@ from animtool.usd.layers.sdf import (
     gf_vector,
     prim_spec,
 )
-from animtool.usd.rigs.layer import author_ball
+from animtool.usd.rigs.layer import author_ball_limit
 from animtool.usd.rigs.meshes import author_mesh
 
 _TYPES = Sdf.ValueTypeNames
@@ -55,7 +55,7 @@ class PhysicsWriter:
 
     Args:
         spec: The prim spec.
-        parts: Names of the Xforms.
+        xform_names: Names of the bodies' Xforms.
         physics: Bodies and joints.
         unit: Unit of the layer [m].
         up_rotation: Rotation from Y up to the layer's up axis ``(4,)``.
@@ -64,14 +64,14 @@ class PhysicsWriter:
     def __init__(
         self,
         spec: Any,
-        parts: Sequence[str],
+        xform_names: Sequence[str],
         physics: Physics,
         unit: float,
         up_rotation: FloatArray,
     ) -> None:
         self._layer, self._root, self._unit = spec.layer, str(spec.path), unit
         self._xform_names, self._physics, self._up_rotation = (
-            parts,
+            xform_names,
             physics,
             up_rotation,
         )
@@ -84,16 +84,16 @@ class PhysicsWriter:
         prim_spec(self._layer, scope, "Scope")
         self._write_scene(f"{scope}/Scene")
         for xform_name, body in zip(self._xform_names, physics.bodies, strict=True):
-            self._body(f"{self._root}/{xform_name}", body)
+            self._write_body(f"{self._root}/{xform_name}", body)
         for path, shape in self._scope_entries("Collider", physics.colliders):
-            self._shape(path, shape, "none")
+            self._write_shape(path, shape, "none")
         for path, joint in self._scope_entries("Joint", physics.joints):
-            self._joint(path, joint)
+            self._write_joint(path, joint)
 
     def _scope_entries(
         self, kind: str, entries: Sequence[NamedT]
     ) -> Iterator[tuple[str, NamedT]]:
-        """Yield prim paths in a separate scope, with their entries."""
+        """Yield the prim path of each entry in a scope, and the entry."""
         scope = f"{self._root}/{PHYSICS_SCOPE}/{kind}s"
         if entries:
             prim_spec(self._layer, scope, "Scope")
@@ -103,11 +103,13 @@ class PhysicsWriter:
 
     def _write_scene(self, path: str) -> None:
         spec = prim_spec(self._layer, path, "PhysicsScene")
-        size = float(np.linalg.norm(self._physics.gravity))
-        direction = so3.rotate(self._up_rotation, self._physics.gravity / (size or 1.0))
+        magnitude = float(np.linalg.norm(self._physics.gravity))
+        direction = so3.rotate(
+            self._up_rotation, self._physics.gravity / (magnitude or 1.0)
+        )
         value = Gf.Vec3f(*direction.tolist())
         attribute_spec(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
-        self._author_number(spec, "physics:gravityMagnitude", size / self._unit)
+        self._author_number(spec, "physics:gravityMagnitude", magnitude / self._unit)
 
     @staticmethod
     def _author_number(spec: Any, name: str, value: float) -> None:
@@ -119,16 +121,21 @@ class PhysicsWriter:
         value = Gf.Vec3f(*(metres / self._unit).tolist())
         attribute_spec(spec, name, kind, value)
 
-    def _body(self, path: str, body: PhysicsBody) -> None:
+    def _write_body(self, path: str, body: PhysicsBody) -> None:
         spec = self._layer.GetPrimAtPath(path)
         apply_schemas(spec, ["PhysicsRigidBodyAPI", "PhysicsMassAPI"])
         attribute_spec(spec, "physics:rigidBodyEnabled", _TYPES.Bool, True)
         attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
         if not body.kinematic:
-            velocity, spin = "physics:velocity", "physics:angularVelocity"
-            self._author_vector(spec, velocity, body.velocity, _TYPES.Vector3f)
+            velocity_name, angular_velocity_name = (
+                "physics:velocity",
+                "physics:angularVelocity",
+            )
+            self._author_vector(spec, velocity_name, body.velocity, _TYPES.Vector3f)
             angular_velocity = Gf.Vec3f(*np.degrees(body.spin).tolist())
-            attribute_spec(spec, spin, _TYPES.Vector3f, angular_velocity)
+            attribute_spec(
+                spec, angular_velocity_name, _TYPES.Vector3f, angular_velocity
+            )
         if body.mass is not None:
             self._author_number(spec, "physics:mass", body.mass)
         if body.centre is not None:
@@ -142,20 +149,22 @@ class PhysicsWriter:
                 spec, "physics:principalAxes", _TYPES.Quatf, gf_quatf(body.axes)
             )
         for k, shape in enumerate(body.shapes):
-            self._shape(f"{path}/shape_{k + 1}", shape, "convexHull")
+            self._write_shape(f"{path}/shape_{k + 1}", shape, "convexHull")
 
-    def _shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
-        """Write an invisible collision shape: `purpose` is guide."""
-        mesh = shape.kind == "mesh"
+    def _write_shape(self, path: str, shape: PhysicsShape, approximation: str) -> None:
+        """Write a collision shape that is not rendered: its purpose is guide."""
+        is_mesh = shape.kind == "mesh"
         spec = prim_spec(
-            self._layer, path, "Mesh" if mesh else _SHAPE_TYPES[shape.kind]
+            self._layer, path, "Mesh" if is_mesh else _SHAPE_TYPES[shape.kind]
         )
         schemas = ["PhysicsCollisionAPI", "MaterialBindingAPI"]
-        apply_schemas(spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if mesh else [])])
+        apply_schemas(
+            spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if is_mesh else [])]
+        )
         attribute_spec(spec, "purpose", _TYPES.Token, "guide", uniform=True)
         pose, names = shape.pose, ["xformOp:translate", "xformOp:orient"]
-        at = gf_vector(pose[:3] / self._unit)
-        attribute_spec(spec, names[0], _TYPES.Double3, at)
+        translation = gf_vector(pose[:3] / self._unit)
+        attribute_spec(spec, names[0], _TYPES.Double3, translation)
         attribute_spec(spec, names[1], _TYPES.Quatd, gf_quaternion(pose[3:]))
         sizes = [size / self._unit for size in shape.size]
         match shape.kind:
@@ -172,30 +181,30 @@ class PhysicsWriter:
             case "plane":
                 attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
             case "mesh":
-                self._mesh(spec, shape, approximation)
+                self._write_mesh(spec, shape, approximation)
         author_xform_order(spec, *names)
         binding = "material:binding:physics"
         author_relationship(
             spec, binding, self._material_path(shape.friction, shape.restitution)
         )
 
-    def _mesh(self, spec: Any, shape: PhysicsShape, approximation: str) -> None:
+    def _write_mesh(self, spec: Any, shape: PhysicsShape, approximation: str) -> None:
         points = np.ascontiguousarray(shape.points / self._unit, np.float32)
-        corners = shape.triangles.astype(np.int32).ravel()
-        counts = np.full(len(shape.triangles), 3, np.int32)
+        vertex_indices = shape.triangles.astype(np.int32).ravel()
+        vertex_counts = np.full(len(shape.triangles), 3, np.int32)
         bounds = np.stack([points.min(axis=0), points.max(axis=0)])
         values = {
             "points": points,
             "extent": bounds,
-            "faceVertexCounts": counts,
-            "faceVertexIndices": corners,
+            "faceVertexCounts": vertex_counts,
+            "faceVertexIndices": vertex_indices,
         }
-        author_mesh(spec, values, closed=True)
+        author_mesh(spec, values, is_closed=True)
         name, token = "physics:approximation", _TYPES.Token
         attribute_spec(spec, name, token, approximation, uniform=True)
 
     def _material_path(self, friction: float, restitution: float) -> str:
-        """Return the path of a material, written on first use."""
+        """Return the path of a material; write it on first use."""
         key = friction, restitution
         if key not in self._materials:
             scope = f"{self._root}/{PHYSICS_SCOPE}/Materials"
@@ -209,12 +218,18 @@ class PhysicsWriter:
             self._materials[key] = path
         return self._materials[key]
 
-    def _joint(self, path: str, joint: PhysicsJoint) -> None:
-        twists = joint.limits is not None or joint.drive is not None
-        ball = "PhysicsJoint" if twists else "PhysicsSphericalJoint"
-        spec = prim_spec(self._layer, path, _JOINT_TYPES.get(joint.kind, ball))
-        for k, (i, frame) in enumerate(zip(joint.bodies, joint.frames, strict=True)):
-            body = self._root if i < 0 else f"{self._root}/{self._xform_names[i]}"
+    def _write_joint(self, path: str, joint: PhysicsJoint) -> None:
+        limits_twist = joint.limits is not None or joint.drive is not None
+        ball_type = "PhysicsJoint" if limits_twist else "PhysicsSphericalJoint"
+        spec = prim_spec(self._layer, path, _JOINT_TYPES.get(joint.kind, ball_type))
+        for k, (body_index, frame) in enumerate(
+            zip(joint.bodies, joint.frames, strict=True)
+        ):
+            body = (
+                self._root
+                if body_index < 0
+                else f"{self._root}/{self._xform_names[body_index]}"
+            )
             author_relationship(spec, f"physics:body{k}", body)
             self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute_spec(
@@ -227,28 +242,32 @@ class PhysicsWriter:
         if joint.contacts:
             attribute_spec(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
-        if joint.kind != "fixed" and not (joint.kind == "ball" and twists):
+        if joint.kind != "fixed" and not (joint.kind == "ball" and limits_twist):
             attribute_spec(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
         if joint.kind == "ball":
             limits = BallLimit(joint.swing, joint.limits, (1.0, 0.0, 0.0))
-            schemas += author_ball(spec, limits, locked=twists)
+            schemas += author_ball_limit(spec, limits, is_twist_limited=limits_twist)
         elif joint.limits is not None:
             scale = math.degrees(1.0) if joint.kind == "pin" else 1 / self._unit
-            for side, value in zip(("lower", "upper"), joint.limits, strict=True):
-                self._author_number(spec, f"physics:{side}Limit", value * scale)
+            for end, value in zip(("lower", "upper"), joint.limits, strict=True):
+                self._author_number(spec, f"physics:{end}Limit", value * scale)
         if joint.drive is not None:
-            schemas += self._drive(spec, joint.kind, joint.drive)
+            schemas += self._write_drive(spec, joint.kind, joint.drive)
         if schemas:
             apply_schemas(spec, schemas)
 
-    def _drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
+    def _write_drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
         """Write a drive; return the schemas to apply."""
         if kind == "prismatic":
-            axes, scale, gain = {"linear": drive.target}, 1 / self._unit, 1.0
-            force = 1 / self._unit
+            axes, position_unit, gain_unit = (
+                {"linear": drive.target},
+                1 / self._unit,
+                1.0,
+            )
+            force_unit = 1 / self._unit
         else:
-            force = 1 / self._unit**2
-            scale, gain = math.degrees(1.0), force * math.radians(1.0)
+            force_unit = 1 / self._unit**2
+            position_unit, gain_unit = math.degrees(1.0), force_unit * math.radians(1.0)
             axes = {"angular": drive.target}
             if kind == "ball":
                 rotation = so3.log(drive.rotation).tolist()
@@ -256,12 +275,14 @@ class PhysicsWriter:
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"
             attribute_spec(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)
-            self._author_number(spec, f"{name}:targetPosition", target * scale)
-            self._author_number(spec, f"{name}:stiffness", drive.stiffness * gain)
-            self._author_number(spec, f"{name}:damping", drive.damping * gain)
+            self._author_number(spec, f"{name}:targetPosition", target * position_unit)
+            self._author_number(spec, f"{name}:stiffness", drive.stiffness * gain_unit)
+            self._author_number(spec, f"{name}:damping", drive.damping * gain_unit)
             if drive.speed:
-                rate = drive.speed * scale
-                self._author_number(spec, f"{name}:targetVelocity", rate)
+                velocity = drive.speed * position_unit
+                self._author_number(spec, f"{name}:targetVelocity", velocity)
             if drive.max_force is not None:
-                self._author_number(spec, f"{name}:maxForce", drive.max_force * force)
+                self._author_number(
+                    spec, f"{name}:maxForce", drive.max_force * force_unit
+                )
         return [f"PhysicsDriveAPI:{axis}" for axis in axes]

@@ -1,7 +1,7 @@
 """Crowd characters: instances of rigs with separate or shared animations.
 
-Samples that interpolation reproduces are left out. The motion of the hips is in the
-transform of the character's prim, so that its animation has only rotations.
+Samples that interpolation reproduces are omitted. The hips' motion is in the transform
+of the character's prim, so that its animation has only rotations.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from animtool.usd.props.sparse import (
     FOOT_TOLERANCE,
     JOINT_TOLERANCE,
     RotationChain,
-    kept_samples,
-    rotating_joints,
+    find_rotating_joints,
+    select_samples,
     slerp,
 )
 from animtool.usd.rigs.meshes import author_bones, author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
 _TYPES = Sdf.ValueTypeNames
-PROTOTYPES, STANDING_SCOPE = "Prototypes", "Standing"
-# Samples equal to both neighbors within this are dropped: position [m], heading [rad].
-SAME_POSITION, SAME_HEADING = 1e-6, 1e-6
-# Bounds of skin, relative to the reach of the joints.
-SKIN_FACTOR = 1.2
+PROTOTYPES_SCOPE, STANDING_SCOPE = "Prototypes", "Standing"
+# Samples equal to both neighbors within these are omitted: position [m], heading [rad].
+POSITION_TOLERANCE, HEADING_TOLERANCE = 1e-6, 1e-6
+# Size of a skin's bounds, relative to those of its joints.
+SKIN_EXTENT_FACTOR = 1.2
 
 
 @dataclass
@@ -66,49 +66,50 @@ class CharactersWriter:
     fps: float
     report: CharactersReport = field(default_factory=CharactersReport)
     codes: list[float] = field(default_factory=list)
-    _first: CharactersFrame | None = None
-    _rows: dict[str, list[npt.NDArray[Any]]] = field(default_factory=dict)
+    _first_frame: CharactersFrame | None = None
+    _rows_by_name: dict[str, list[npt.NDArray[Any]]] = field(default_factory=dict)
     _rotations: list[list[Float32Array]] = field(default_factory=list)
 
-    def begin(self, layer: Any, frame: CharactersFrame) -> None:
-        """Write the parent prim, and the rigs as invisible prototypes."""
-        self._first = frame
+    def author_prototypes(self, layer: Any, frame: CharactersFrame) -> None:
+        """Write the parent prim, and the rigs as prototypes."""
+        self._first_frame = frame
         prim_spec(layer, self.path, "Xform")
-        for cast, paths in zip(frame.casts, self._rigs(frame), strict=True):
+        for cast, paths in zip(frame.casts, self._rig_paths(frame), strict=True):
             _author_cast(layer, cast, paths, self.unit)
-        scope = prim_spec(layer, f"{self.path}/{PROTOTYPES}", "Scope")
+        scope = prim_spec(layer, f"{self.path}/{PROTOTYPES_SCOPE}", "Scope")
         scope.specifier = Sdf.SpecifierClass
         scope.ClearInfo("kind")
 
-    def _rigs(self, frame: CharactersFrame) -> list[RigPaths]:
-        """Return the paths of the rigs."""
+    def _rig_paths(self, frame: CharactersFrame) -> list[RigPaths]:
+        """Return the prim paths of the prototype rigs."""
         names = [cast.rig.name for cast in frame.casts]
         legal_names = distinct_names(names, names, names).names
         return [
-            RigPaths.below(f"{self.path}/{PROTOTYPES}/{name}") for name in legal_names
+            RigPaths.from_model(f"{self.path}/{PROTOTYPES_SCOPE}/{name}")
+            for name in legal_names
         ]
 
     def add(self, code: float, frame: CharactersFrame) -> None:
         """Add a frame."""
         self.codes.append(code)
         for name in ("points", "headings", "roots", "near_ground", "clocks", "visible"):
-            self._rows.setdefault(name, []).append(getattr(frame, name))
+            self._rows_by_name.setdefault(name, []).append(getattr(frame, name))
         self._rotations.append(
             [rotations.astype(np.float32) for rotations in frame.joint_rotations]
         )
 
     def finish(self, layer: Any) -> None:
-        """Write the characters."""
-        frame = self._first
+        """Write all collected characters."""
+        frame = self._first_frame
         assert frame is not None
         rig_ends = np.cumsum(frame.counts).tolist()
         for c, (cast, paths) in enumerate(
-            zip(frame.casts, self._rigs(frame), strict=True)
+            zip(frame.casts, self._rig_paths(frame), strict=True)
         ):
             rows = slice(rig_ends[c] - int(frame.counts[c]), rig_ends[c])
             rig_rows = {
-                name: np.stack([frame_rows[rows] for frame_rows in frames_])
-                for name, frames_ in self._rows.items()
+                name: np.stack([frame_rows[rows] for frame_rows in rows_by_frame])
+                for name, rows_by_frame in self._rows_by_name.items()
             }
             rotations = np.stack([frame_rows[c] for frame_rows in self._rotations])
             track = _CharacterTrack(
@@ -119,7 +120,7 @@ class CharactersWriter:
                 **rig_rows,
             )
             group = _CharacterGroup(self, layer, paths, frame.upright, track)
-            group.bound()
+            group.author_bounds()
             group.write([f"agent_{i + 1:04d}" for i in frame.ids[rows].tolist()])
 
 
@@ -154,39 +155,43 @@ class _CharacterTrack:
     visible: BoolArray  # (F, n)
 
     @cached_property
-    def size(self) -> float:
-        """Return the reach of the rig's joints [m]."""
-        return float(np.ptp(self.rest, axis=0).max())
+    def extent(self) -> float:
+        """Largest extent of the joints at rest along an axis [m]."""
+        return float(np.ptp(self.rest_positions, axis=0).max())
 
     @cached_property
-    def rest(self) -> FloatArray:
-        """Return the rest positions of the joints ``(J, 3)`` [m]."""
+    def rest_positions(self) -> FloatArray:
+        """Rest positions of the joints ``(J, 3)`` [m]."""
         return np.asarray(rest_world(self.cast.rig).positions[0])
 
     @cached_property
-    def arms(self) -> FloatArray:
-        """Return each moving joint's reach to its farthest descendant ``(M,)`` [m]."""
+    def subtree_radii(self) -> FloatArray:
+        """Distance of each animated joint to its farthest descendant ``(M,)`` [m]."""
         parents = self.cast.rig.parents.tolist()
-        reaches = np.zeros(len(parents))
+        radii = np.zeros(len(parents))
         for j in range(len(parents)):
             parent = parents[j]
             while parent >= 0:
-                length = np.linalg.norm(self.rest[j] - self.rest[parent])
-                reaches[parent] = max(reaches[parent], float(length))
+                length = np.linalg.norm(
+                    self.rest_positions[j] - self.rest_positions[parent]
+                )
+                radii[parent] = max(radii[parent], float(length))
                 parent = parents[parent]
-        return np.asarray(reaches[self.cast.animated])
+        return np.asarray(radii[self.cast.animated])
 
     @cached_property
     def pose_joints(self) -> IntArray:
-        """Return the joints that define a pose: moving joints and feet."""
+        """Joints that define a pose: animated joints and feet."""
         cast = self.cast
         return np.union1d(cast.animated, np.array(cast.feet))
 
     @cached_property
     def chain(self) -> RotationChain:
-        """Return those joints as a chain, with static joints between them at rest."""
+        """The pose joints as a chain; static joints between them stay at rest."""
         rig, pose_joints = self.cast.rig, self.pose_joints.tolist()
-        numbers = {joint: m for m, joint in enumerate(self.cast.animated.tolist())}
+        animated_index = {
+            joint: m for m, joint in enumerate(self.cast.animated.tolist())
+        }
         parents, positions, rotations = [], [], []
         for joint in pose_joints:
             position, rotation = rig.rest_translations[joint], so3.IDENTITY
@@ -203,12 +208,12 @@ class _CharacterTrack:
             rotations.append(rotation)
         return RotationChain(
             np.array(parents),
-            np.array([numbers.get(joint, -1) for joint in pose_joints]),
+            np.array([animated_index.get(joint, -1) for joint in pose_joints]),
             np.array(positions),
             np.array(rotations),
             rig.rest_rotations[self.pose_joints],
             np.searchsorted(self.pose_joints, self.cast.feet),
-            self.size,
+            self.extent,
         )
 
 
@@ -225,59 +230,68 @@ class _CharacterGroup:
     def write(self, names: Sequence[str]) -> None:
         """Write all characters, by name."""
         track, report = self.track, self.owner.report
-        size = track.size * float(track.scales.max(initial=0.0))
-        report.error = max(report.error, JOINT_TOLERANCE * size)
-        report.slide = max(report.slide, FOOT_TOLERANCE * size)
-        shares_standing = self._is_reusable()
+        extent = track.extent * float(track.scales.max(initial=0.0))
+        report.error = max(report.error, JOINT_TOLERANCE * extent)
+        report.slide = max(report.slide, FOOT_TOLERANCE * extent)
+        is_standing = self._find_standing()
         for i, name in enumerate(names):
             path = f"{self.owner.path}/{name}"
-            if shares_standing[i]:
+            if is_standing[i]:
                 report.shared += 1
                 self._author_root(path, i, None)
-                self._use_shared(path, i)
+                self._reference_shared(path, i)
                 continue
             rotations = track.rotations[:, i].copy()
-            moves = rotating_joints(rotations, track.arms, track.size)
-            rotations[:, ~moves] = rotations[:1, ~moves]
-            written, corrections = kept_samples(
+            is_rotating = find_rotating_joints(
+                rotations, track.subtree_radii, track.extent
+            )
+            rotations[:, ~is_rotating] = rotations[:1, ~is_rotating]
+            is_written, corrections = select_samples(
                 rotations, track.chain, track.near_ground[:, i]
             )
             report.own += 1
-            report.samples += int(written.sum())
+            report.samples += int(is_written.sum())
             report.frames += len(track.codes)
             self._author_root(path, i, corrections)
-            self._animate(path, rotations, moves, written)
+            self._write_animation(path, rotations, is_rotating, is_written)
 
-    def bound(self) -> None:
+    def author_bounds(self) -> None:
         """Author bounds of the rig that contain every pose.
 
-        No pose reaches farther from the hips than the fully stretched rig.
+        Their radius is the largest distance of a rest joint from the hips, times a
+        factor.
         """
-        rest = self.track.rest
-        reach = float(np.linalg.norm(rest - rest[0], axis=1).max()) * SKIN_FACTOR
-        middle = rest[0] / self.owner.unit
+        rest_positions = self.track.rest_positions
+        radius = (
+            float(np.linalg.norm(rest_positions - rest_positions[0], axis=1).max())
+            * SKIN_EXTENT_FACTOR
+        )
+        hips = rest_positions[0] / self.owner.unit
         corners = np.stack(
-            [middle - reach / self.owner.unit, middle + reach / self.owner.unit]
+            [hips - radius / self.owner.unit, hips + radius / self.owner.unit]
         )
         root = self.layer.GetPrimAtPath(self.paths.root)
-        box = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
-        attribute_spec(root, "extent", _TYPES.Float3Array, box)
+        extent = Vt.Vec3fArray.FromNumpy(corners.astype(np.float32))
+        attribute_spec(root, "extent", _TYPES.Float3Array, extent)
 
-    def _is_reusable(self) -> BoolArray:
+    def _find_standing(self) -> BoolArray:
         """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
-        static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
-        static &= np.ptp(track.points, axis=0).max(axis=-1) <= SAME_POSITION
-        static &= np.ptp(track.headings, axis=0) <= SAME_HEADING
+        is_static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
+        is_static &= np.ptp(track.points, axis=0).max(axis=-1) <= POSITION_TOLERANCE
+        is_static &= np.ptp(track.headings, axis=0) <= HEADING_TOLERANCE
         # On uneven ground each leg has its own pose.
         cast = track.cast
-        for i in np.flatnonzero(static).tolist():
-            (at,) = _standing_values(cast, cast.rotations, track.clocks[:1, i])
-            is_standing_pose = (
-                np.abs((at * track.rotations[0, i]).sum(axis=-1)) > 1 - 1e-6
+        for i in np.flatnonzero(is_static).tolist():
+            (standing_rotations,) = _standing_values(
+                cast, cast.rotations, track.clocks[:1, i]
             )
-            static[i] = bool(is_standing_pose.all())
-        return np.asarray(static & (static.sum() > 1))
+            is_standing_pose = (
+                np.abs((standing_rotations * track.rotations[0, i]).sum(axis=-1))
+                > 1 - 1e-6
+            )
+            is_static[i] = bool(is_standing_pose.all())
+        return np.asarray(is_static & (is_static.sum() > 1))
 
     def _author_root(
         self, path: str, i: int, foot_correction: FloatArray | None
@@ -293,16 +307,19 @@ class _CharacterGroup:
         if foot_correction is not None:
             rest = track.cast.rig.rest_translations[0]
             motion = track.roots[:, i] - rest + foot_correction
-        half = track.headings[:, i] / 2
-        heading_rotations = np.zeros((len(half), 4))
-        heading_rotations[:, 1], heading_rotations[:, 3] = np.sin(half), np.cos(half)
+        half_angles = track.headings[:, i] / 2
+        heading_rotations = np.zeros((len(half_angles), 4))
+        heading_rotations[:, 1], heading_rotations[:, 3] = (
+            np.sin(half_angles),
+            np.cos(half_angles),
+        )
         hip_offset = so3.rotate(
             self.upright, so3.rotate(heading_rotations, motion * track.scales[i])
         )
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
-        order = ["xformOp:translate"]
+        op_names = ["xformOp:translate"]
         translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing_frames(positions, SAME_POSITION / unit)
+        rows = _changing_frames(positions, POSITION_TOLERANCE / unit)
         write_samples(
             self.layer,
             translate,
@@ -312,33 +329,33 @@ class _CharacterGroup:
         )
         if (self.upright != so3.IDENTITY).any():
             attribute_spec(spec, "xformOp:orient", _TYPES.Quatf, gf_quatf(self.upright))
-            order.append("xformOp:orient")
+            op_names.append("xformOp:orient")
         translate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
-        rows = _changing_frames(degrees[:, None], np.degrees(SAME_HEADING))
+        rows = _changing_frames(degrees[:, None], np.degrees(HEADING_TOLERANCE))
         write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
-        order.append("xformOp:rotateY")
+        op_names.append("xformOp:rotateY")
         if track.scales[i] != 1:
-            size = Gf.Vec3f(*[float(track.scales[i])] * 3)
-            attribute_spec(spec, "xformOp:scale", _TYPES.Float3, size)
-            order.append("xformOp:scale")
-        author_xform_order(spec, *order)
-        visible = track.visible[:, i]
-        if not visible.all():
+            scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
+            attribute_spec(spec, "xformOp:scale", _TYPES.Float3, scale)
+            op_names.append("xformOp:scale")
+        author_xform_order(spec, *op_names)
+        is_visible = track.visible[:, i]
+        if not is_visible.all():
             translate = attribute_spec(spec, "visibility", _TYPES.Token)
-            rows = np.flatnonzero(np.diff(visible, prepend=~visible[:1]))
-            text_rows = [
+            rows = np.flatnonzero(np.diff(is_visible, prepend=~is_visible[:1]))
+            tokens = [
                 "inherited" if position else "invisible"
-                for position in visible[rows].tolist()
+                for position in is_visible[rows].tolist()
             ]
-            write_samples(self.layer, translate, track.codes, rows, text_rows)
+            write_samples(self.layer, translate, track.codes, rows, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
         apply_schemas(rig, ["SkelBindingAPI"])
         author_relationship(rig, "skel:animationSource", f"{path}/Anim")
 
-    def _animate(
+    def _write_animation(
         self,
         path: str,
         poses: Float32Array,
@@ -347,11 +364,11 @@ class _CharacterGroup:
     ) -> None:
         """Write a separate animation of poses ``(F, M, 4)`` for a character.
 
-        Joints that do not move but are not at rest have a constant pose.
+        Static joints that are not at rest get a constant pose.
         """
         rest = self.track.cast.rig.rest_rotations[self.track.cast.animated]
         is_animated = is_animated | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
-        spec = self._animation(f"{path}/Anim", np.flatnonzero(is_animated))
+        spec = self._author_animation(f"{path}/Anim", np.flatnonzero(is_animated))
         rows = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
         arrays = [
@@ -360,10 +377,10 @@ class _CharacterGroup:
         ]
         write_samples(self.layer, rotations, self.track.codes, rows, arrays)
 
-    def _animation(self, path: str, joints_: IntArray) -> Any:
+    def _author_animation(self, path: str, animated_indices: IntArray) -> Any:
         """Author a SkelAnimation whose joints keep their rest translations."""
         cast, unit = self.track.cast, self.owner.unit
-        joints = cast.animated[joints_]
+        joints = cast.animated[animated_indices]
         spec = prim_spec(self.layer, path, "SkelAnimation")
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
@@ -377,7 +394,7 @@ class _CharacterGroup:
         attribute_spec(spec, "scales", _TYPES.Half3Array, unit_scales)
         return spec
 
-    def _use_shared(self, path: str, i: int) -> None:
+    def _reference_shared(self, path: str, i: int) -> None:
         """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
         shared_root = f"{self.paths.model}/{STANDING_SCOPE}"
@@ -393,7 +410,7 @@ class _CharacterGroup:
     def _write_shared(self, path: str) -> None:
         """Write the shared standing animation, from 0 s to its last use."""
         cast, fps, codes = self.track.cast, self.owner.fps, self.track.codes
-        spec = self._animation(path, np.arange(len(cast.animated)))
+        spec = self._author_animation(path, np.arange(len(cast.animated)))
         spec.SetInfo("customData", {"animtool": {"thinned": True, "shared": True}})
         # Standing characters start at most one period before the first frame.
         duration = (
@@ -426,9 +443,9 @@ class _CharacterGroup:
 def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
     """Return standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
-    at = clocks / (cast.period or 1.0) * count
-    index = np.floor(at).astype(np.int64)
-    fraction = at - index
+    table_position = clocks / (cast.period or 1.0) * count
+    index = np.floor(table_position).astype(np.int64)
+    fraction = table_position - index
     before, after = table[index % count], table[(index + 1) % count]
     if table.ndim == 2:
         return np.asarray(before + fraction[:, None] * (after - before))
@@ -440,15 +457,15 @@ def _align_signs(rotations: Float32Array) -> Float32Array:
     """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
     products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
-    continuous = rotations.copy()
-    continuous[1:] *= signs[..., None]
-    return continuous
+    aligned = rotations.copy()
+    aligned[1:] *= signs[..., None]
+    return aligned
 
 
 def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:
-    """Return the frames to keep of values ``(F, K)``, omitting repeated values."""
-    steps = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
-    if not steps.any():
+    """Return the frames before and after each change of values ``(F, K)``."""
+    is_change = (np.abs(np.diff(values, axis=0)) > tolerance).any(axis=1)
+    if not is_change.any():
         return np.zeros(1, np.int64)
-    is_kept = np.append(True, steps) | np.append(steps, True)
+    is_kept = np.append(True, is_change) | np.append(is_change, True)
     return np.flatnonzero(is_kept)

@@ -1,4 +1,4 @@
-"""Space in which props are written: a character's space, or the stage's world."""
+"""Converts prop tracks to the space of their parent prim in a layer."""
 
 from __future__ import annotations
 
@@ -33,61 +33,67 @@ class PropPlacements:
     model: str  # prim path of the character
     meters_per_unit: float  # unit of the rig [m]
     up: UpAxis  # up axis of the rig, and of the take
-    exists: Callable[[str], bool]  # whether another layer has a prim at a path
+    has_prim: Callable[[str], bool]  # whether another layer has a prim at a path
     target: RigTarget | None = None  # rig below a layer
     # Returns the placement from take space to that rig's space at time codes; None is
     # the identity.
-    to_rig: Callable[[FloatArray], Placement] | None = None
+    rig_from_take: Callable[[FloatArray], Placement] | None = None
     variant: str = ""  # path of the model in a take's variant; empty without variants
 
-    def unit(self, path: str) -> float:
-        """Return the length unit at a prim path [m]."""
-        if self.target is None or is_within(path, self.model):
+    def unit_at_path(self, path: str) -> float:
+        """Return the length unit of the space at a prim path [m]."""
+        if self.target is None or is_same_or_below(path, self.model):
             return self.meters_per_unit
         return self.target.unit
 
-    def spec(self, path: str) -> str:
+    def layer_path(self, path: str) -> str:
         """Return the layer path of a stage prim."""
         if not self.variant:
             return path
         return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
 
-    def located(
+    def to_parent_space(
         self, track: Track, path: str, codes: FloatArray, transforms: Transforms
     ) -> Transforms:
-        """Return a track at time codes ``(F,)``, in the space of its parent prim."""
+        """Convert a track's transforms at time codes ``(F,)`` to its parent's space."""
         if self.target is None or not track.placed:
             return transforms
-        if is_within(path, self.model):
-            if self.to_rig is not None:
-                transforms = placed_transforms(transforms, self.to_rig(codes))
-            parent_space = space_above(self.target, path, codes, inside=True)
+        if is_same_or_below(path, self.model):
+            if self.rig_from_take is not None:
+                transforms = placed_transforms(transforms, self.rig_from_take(codes))
+            parent_matrices = parent_from_space(
+                self.target, path, codes, in_skeleton_space=True
+            )
         else:
             if track.follows_placement:
-                transforms = self._with_rig(transforms, codes)
+                transforms = self._follow_rig_placement(transforms, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
                 transforms = placed_transforms(
                     transforms, Placement.from_rotation(np.array(up_rotation))
                 )
-            parent_space = space_above(self.target, path, codes, inside=False)
-        if parent_space is not None:
-            parent_space[:, :3, 3] *= self.unit(path)
-            transforms = _premultiplied_transforms(transforms, parent_space)
+            parent_matrices = parent_from_space(
+                self.target, path, codes, in_skeleton_space=False
+            )
+        if parent_matrices is not None:
+            parent_matrices[:, :3, 3] *= self.unit_at_path(path)
+            transforms = _premultiply(transforms, parent_matrices)
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
-    def _with_rig(self, transforms: Transforms, codes: FloatArray) -> Transforms:
-        """Return transforms of a take moved with the rig's stage placement."""
+    def _follow_rig_placement(
+        self, transforms: Transforms, codes: FloatArray
+    ) -> Transforms:
+        """Return transforms of a take that follow the rig's stage placement."""
         assert self.target is not None
         rig_placement = self.target.placement()
-        if rig_placement.uneven:
+        if rig_placement.unsupported_reason:
             # The rig was read without this transform, which its stage applies again.
             return transforms
         placement_matrices = (
-            self.target.placement(codes) if rig_placement.rides else rig_placement
+            self.target.placement(codes) if rig_placement.is_animated else rig_placement
         ).fixed
-        if self.to_rig is not None:
-            placement_matrices = placement_matrices.after(self.to_rig(codes))
+        if self.rig_from_take is not None:
+            placement_matrices = placement_matrices.after(self.rig_from_take(codes))
         return (
             transforms
             if placement_matrices.simplified().is_identity
@@ -95,16 +101,16 @@ class PropPlacements:
         )
 
 
-def prop_placements(
+def build_prop_placements(
     paths: RigPaths,
     target: RigTarget | None,
     rig_layer: object,
     meters_per_unit: float,
     up: UpAxis,
-    take: str = "",
-    to_rig: Callable[[FloatArray], Placement] | None = None,
+    take_name: str = "",
+    rig_from_take: Callable[[FloatArray], Placement] | None = None,
 ) -> PropPlacements:
-    """Return the placements of a take's tracks.
+    """Return the paths and spaces of a take's props.
 
     Args:
         paths: Prim paths of the character.
@@ -112,12 +118,12 @@ def prop_placements(
         rig_layer: Another layer with the rig, or None.
         meters_per_unit: Unit of the rig [m].
         up: Up axis of the rig.
-        take: Name of the take in a library.
-        to_rig: See `PropPlacements`.
+        take_name: Name of the take in a library.
+        rig_from_take: See `PropPlacements`.
     """
 
-    def exists(path: str) -> bool:
-        if take:
+    def has_prim(path: str) -> bool:
+        if take_name:
             # Another take may have this prim; only one take is bound at a time.
             return False
         if target is not None:
@@ -126,19 +132,22 @@ def prop_placements(
         return layer is not None and layer.GetPrimAtPath(path) is not None
 
     model = Sdf.Path(paths.model)
-    variant = str(model.AppendVariantSelection(TAKE_SET, take)) if take else ""
+    variant = (
+        str(model.AppendVariantSelection(TAKE_SET, take_name)) if take_name else ""
+    )
     return PropPlacements(
-        paths.model, meters_per_unit, up, exists, target, to_rig, variant
+        paths.model, meters_per_unit, up, has_prim, target, rig_from_take, variant
     )
 
 
-def space_above(
-    target: RigTarget, path: str, codes: FloatArray, *, inside: bool
+def parent_from_space(
+    target: RigTarget, path: str, codes: FloatArray, *, in_skeleton_space: bool
 ) -> FloatArray | None:
-    """Return the inverse world matrices of a layer path's parent at time codes.
+    """Return the matrices to the space of a layer path's parent at time codes.
 
-    Relative to the Skeleton's space or, without ``inside``, to the world: column
-    vectors in stage units ``(F, 4, 4)``, or one matrix if static; None is the identity.
+    They start from the Skeleton's space or, without ``in_skeleton_space``, from the
+    world. Column vectors in stage units ``(F, 4, 4)``, or one matrix if static; None is
+    the identity.
     """
     # A stage without a target rig needs no conversion.
     from animtool.usd.props.prim_transforms import world_matrices
@@ -149,7 +158,7 @@ def space_above(
     while not stage.GetPrimAtPath(parent_path):
         parent_path = parent_path.GetParentPath()
     matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(parent_path), codes))
-    if inside:
+    if in_skeleton_space:
         skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
         matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
     if np.abs(matrices - matrices[:1]).max() <= IDENTITY_TOLERANCE:
@@ -159,9 +168,9 @@ def space_above(
     return np.ascontiguousarray(matrices.swapaxes(1, 2))
 
 
-def matrices_inside(
+def parent_from_take(
     target: RigTarget,
-    to_rig: Callable[[FloatArray], Placement] | None,
+    rig_from_take: Callable[[FloatArray], Placement] | None,
     path: str,
     codes: FloatArray,
 ) -> FloatArray | None:
@@ -169,35 +178,43 @@ def matrices_inside(
 
     Column vectors in the unit of the rig ``(F, 4, 4)``; None is the identity.
     """
-    parent_space = space_above(target, path, codes, inside=True)
-    if to_rig is None:
-        return parent_space
-    placement, unit = to_rig(codes), target.skeleton.rig.meters_per_unit
+    parent_matrices = parent_from_space(target, path, codes, in_skeleton_space=True)
+    if rig_from_take is None:
+        return parent_matrices
+    placement, meters_per_unit = (
+        rig_from_take(codes),
+        target.skeleton.rig.meters_per_unit,
+    )
     if placement.is_identity:
-        return parent_space
-    local = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-    local[:, :3, :3] = so3.to_matrix(placement.rotations)
-    local[:, :3, :3] *= placement.sizes[:, None, None]
-    local[:, :3, 3] = placement.translations / unit
-    return local if parent_space is None else parent_space @ local
+        return parent_matrices
+    rig_matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+    rig_matrices[:, :3, :3] = so3.to_matrix(placement.rotations)
+    rig_matrices[:, :3, :3] *= placement.sizes[:, None, None]
+    rig_matrices[:, :3, 3] = placement.translations / meters_per_unit
+    return rig_matrices if parent_matrices is None else parent_matrices @ rig_matrices
 
 
-def _premultiplied_transforms(
-    transforms: Transforms, matrices: FloatArray
-) -> Transforms:
-    """Return transforms multiplied by matrices, as T, R, S if there is no shear."""
+def _premultiply(transforms: Transforms, matrices: FloatArray) -> Transforms:
+    """Return matrices times transforms; components unless the result has shear."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
-    sizes = np.cbrt(np.abs(scales).prod(axis=-1))
-    unscaled = np.tile(np.eye(4), (len(matrices), 1, 1))
-    unscaled[:, :3, :3] = so3.to_matrix(rotations) * sizes[:, None, None]
-    unscaled[:, :3, 3] = translations
-    if np.abs(unscaled - matrices).max() <= IDENTITY_TOLERANCE * np.abs(matrices).max():
-        return placed_transforms(transforms, Placement(translations, rotations, sizes))
+    uniform_scales = np.cbrt(np.abs(scales).prod(axis=-1))
+    similarity_matrices = np.tile(np.eye(4), (len(matrices), 1, 1))
+    similarity_matrices[:, :3, :3] = (
+        so3.to_matrix(rotations) * uniform_scales[:, None, None]
+    )
+    similarity_matrices[:, :3, 3] = translations
+    if (
+        np.abs(similarity_matrices - matrices).max()
+        <= IDENTITY_TOLERANCE * np.abs(matrices).max()
+    ):
+        return placed_transforms(
+            transforms, Placement(translations, rotations, uniform_scales)
+        )
     return transform_by_matrices(transforms, matrices)
 
 
-def is_within(path: str, ancestor: str) -> bool:
+def is_same_or_below(path: str, ancestor: str) -> bool:
     """Return whether a path equals another, or is below it."""
     return path == ancestor or path.startswith(f"{ancestor}/")

@@ -1,4 +1,4 @@
-"""World transforms of a stage prim over time, for goals of a rig."""
+"""Reads world transforms of a stage prim over time, for goals of a rig."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ from animtool.usd.rigs.prims import (
 )
 
 
-def open_prim(
-    path: Path, prim: str, rig: Rig, space: str | None = None
+def prim_transform_reader(
+    path: Path, prim_path: str, rig: Rig, space_path: str | None = None
 ) -> Callable[[FloatArray], tuple[FloatArray, FloatArray]]:
-    """Return a function of a prim's world transforms over time, in rig axes.
+    """Return a function that reads a prim's world transforms, in the rig's axes.
 
     Units and up axis of the stage are converted to the rig's; second 0 is time code 0.
     Scales of the prim are ignored.
 
     Args:
         path: The stage.
-        prim: Path of the prim.
+        prim_path: Path of the prim.
         rig: The rig.
-        space: Path of a prim whose local space is the rig's; None is the world.
+        space_path: Path of a prim whose local space is the rig's; None is the world.
 
     Returns:
         A function from seconds ``(F,)`` to positions ``(F, 3)`` [m] and rotations
@@ -45,9 +45,11 @@ def open_prim(
     """
     with usd_errors(path):
         stage = open_stage(path)
-        usd_prim = _require_prim(stage, path, prim)
+        usd_prim = _require_prim(stage, path, prim_path)
         space_prim = (
-            None if space is None else _require_prim(stage, path, space, "space")
+            None
+            if space_path is None
+            else _require_prim(stage, path, space_path, "space")
         )
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     up_rotation = up_from_up(rig.up, up_axis(stage))
@@ -55,13 +57,13 @@ def open_prim(
         unit, up_rotation = rig.meters_per_unit, None
 
     def transforms(seconds: FloatArray) -> tuple[FloatArray, FloatArray]:
-        # A reference keeps the stage, and so its prims, alive as long as the function.
+        # This reference keeps the stage and its prims alive as long as the function.
         codes = seconds * stage.GetTimeCodesPerSecond()
         with usd_errors(path):
             matrices = world_matrices(usd_prim, codes, space_prim)
         if not np.isfinite(matrices).all():
             message = "its transform is not finite"
-            PrimLocation(str(path), prim).fail("USD171", message)
+            PrimLocation(str(path), prim_path).fail("USD171", message)
         positions, rotations, _ = decompose(matrices)
         positions = positions * unit
         if up_rotation is not None:
@@ -86,7 +88,7 @@ def world_matrices(prim: Any, codes: FloatArray, relative_to: Any = None) -> Flo
 
 
 def _require_prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim; raise an error at ``where`` if it is missing."""
+    """Return a prim; raise `FormatError` at ``where`` if it is missing."""
     prim = find_prim(stage, name)
     if prim:
         return prim

@@ -39,7 +39,7 @@ from animtool.usd.rigs.prims import (
 )
 
 # Relative rounding error of float64 transforms composed along a hierarchy.
-ROUNDING = 1e-11
+SCALE_ROUNDING = 1e-11
 # Times closer to a key than this equal the key [time code].
 KEY_TOLERANCE = 1e-9
 
@@ -59,7 +59,7 @@ _STEPPED_TYPES = {
     "std::string",
     *(f"GfVec{width}i" for width in (2, 3, 4)),
 }
-# Attributes that determine a camera's view, even if not authored.
+# Attributes that determine a camera's view; read even if not authored.
 _LENS_ATTRIBUTES = ("focalLength", "horizontalAperture", "verticalAperture")
 _CAMERA_ATTRIBUTES = (
     *_LENS_ATTRIBUTES,
@@ -85,13 +85,11 @@ class PropSource:
     keys: FloatArray  # time codes of all its samples, ascending ``(K,)``
     # First and last time code; None if it is static.
     span: tuple[Fraction, Fraction] | None
-    unstated_range: tuple[
-        str, ...
-    ]  # attributes of a camera's view that are not authored
+    fallback_attributes: tuple[str, ...]  # lens attributes that are not authored
     # Whether its transform is a matrix because it has shear.
-    sheared: bool
-    # Returns the largest relative shear that was dropped between keys so far.
-    shear: Callable[[], float]
+    has_shear: bool
+    # Returns the largest relative shear dropped so far between keys.
+    max_shear: Callable[[], float]
 
 
 def open_prop(request: PropRequest, up: UpAxis) -> PropSource:
@@ -124,7 +122,7 @@ def _prop_source(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> Pro
         stage,
         prim,
         attributes,
-        tuple(_attribute_of(attribute) for attribute in attributes),
+        tuple(_attribute_type(attribute) for attribute in attributes),
         UsdGeom.GetStageMetersPerUnit(stage),
         up_from_up(up, up_axis(stage)),
         str(request.file),
@@ -133,26 +131,30 @@ def _prop_source(request: PropRequest, stage: Any, prim: Any, up: UpAxis) -> Pro
     sampler.find_constants()
     track = Track(
         request.path,
-        sampler.at,
-        _type_name(prim, request),
+        sampler.sample,
+        _output_type(prim, request),
         has_transform,
         sampler.is_animated,
-        sampler.descriptions,
+        sampler.attribute_types,
         _prop_reference(request, stage),
     )
-    lens = _LENS_ATTRIBUTES if prim.IsA(UsdGeom.Camera) else ()
+    lens_attributes = _LENS_ATTRIBUTES if prim.IsA(UsdGeom.Camera) else ()
     return PropSource(
         track,
         rate_from_float(stage.GetTimeCodesPerSecond()),
         sampler.keys,
         _stage_span(stage, sampler.keys) if sampler.is_animated else None,
-        tuple(n for n in lens if not prim.GetAttribute(n).HasAuthoredValue()),
-        sampler.sheared,
-        lambda: sampler.shear,
+        tuple(
+            name
+            for name in lens_attributes
+            if not prim.GetAttribute(name).HasAuthoredValue()
+        ),
+        sampler.has_shear,
+        lambda: sampler.max_shear,
     )
 
 
-def _type_name(prim: Any, request: PropRequest) -> str:
+def _output_type(prim: Any, request: PropRequest) -> str:
     """Return the prim type to write: camera or light, else Xform."""
     type_name = str(prim.GetTypeName())
     if prim.IsA(UsdGeom.Gprim) or prim.IsA(UsdGeom.PointInstancer) or not type_name:
@@ -177,20 +179,20 @@ def _prop_reference(request: PropRequest, stage: Any) -> PropReference | None:
 
 
 def _attributes_to_read(prim: Any, request: PropRequest) -> list[Any]:
-    """Return the attributes to read."""
+    """Return the attributes to read; raise `OptionError` for invalid requests."""
     attributes, faults = [], []
     if prim.IsA(UsdGeom.Camera):
-        # USD's fallback for lengths that are not authored depends on the unit.
-        always = {*_LENS_ATTRIBUTES, "clippingRange"}
+        # Fallback lengths of unauthored attributes depend on the unit.
+        required_names = {*_LENS_ATTRIBUTES, "clippingRange"}
         camera_attributes = [prim.GetAttribute(name) for name in _CAMERA_ATTRIBUTES]
         attributes = [
-            a
-            for a in camera_attributes
-            if a.GetName() in always or a.HasAuthoredValue()
+            attr
+            for attr in camera_attributes
+            if attr.GetName() in required_names or attr.HasAuthoredValue()
         ]
     for name in request.attributes:
         attribute = prim.GetAttribute(name)
-        if attribute and attribute.GetName() in {a.GetName() for a in attributes}:
+        if attribute and attribute.GetName() in {attr.GetName() for attr in attributes}:
             continue
         if name.startswith("xformOp"):
             message = (
@@ -199,7 +201,7 @@ def _attributes_to_read(prim: Any, request: PropRequest) -> list[Any]:
             )
             faults.append(Fault("SCN049", message, hint="remove it"))
         elif not attribute or not attribute.HasValue():
-            names = [a.GetName() for a in prim.GetAttributes() if a.HasValue()]
+            names = [attr.GetName() for attr in prim.GetAttributes() if attr.HasValue()]
             similar_name = most_similar(name, names)
             hint = f"did you mean {similar_name}?" if similar_name else None
             message = f"{request.prim} has no value of {excerpt(name)}"
@@ -220,18 +222,18 @@ def _value_kind(attribute: Any) -> str:
     return "array" if type_name.isArray else str(type_name.cppTypeName)
 
 
-def _attribute_of(attribute: Any) -> Attribute:
+def _attribute_type(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
     width = _TYPE_WIDTHS.get(_value_kind(attribute), 0)
     if width:
         return Attribute(name, type_name, width, length=name in _LENGTH_ATTRIBUTES)
-    times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
-    choices = dict.fromkeys(map(attribute.Get, times))
+    sample_times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
+    choices = dict.fromkeys(map(attribute.Get, sample_times))
     return Attribute(name, type_name, 0, tuple(choices))
 
 
 def _stage_span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
-    """Return the time codes of a prim: the stage's range and its keys."""
+    """Return the first and last time code of the stage's range and a prim's keys."""
     key_range = keys[[0, -1]].tolist() if len(keys) else []
     if stage.HasAuthoredTimeCodeRange() or not key_range:
         key_range += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
@@ -245,7 +247,7 @@ class _PrimSampler:
     stage: Any  # keeps the stage and its prims alive
     prim: Any
     attributes: Sequence[Any]
-    descriptions: tuple[Attribute, ...]  # types and names of the attributes
+    attribute_types: tuple[Attribute, ...]  # types and names of the attributes
     unit: float  # unit of the stage [m]
     # Rotation from its up axis to the rig's; None if equal.
     up_rotation: tuple[float, float, float, float] | None
@@ -254,14 +256,14 @@ class _PrimSampler:
     # Time codes of all samples, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
     is_animated: bool = True  # whether the transform or a value changes over time
-    sheared: bool = False  # whether transforms are written as matrices
-    shear: float = 0.0  # largest relative shear dropped so far
-    # The constant scales, if they vary only by rounding.
-    scales: FloatArray | None = None
+    has_shear: bool = False  # whether transforms are written as matrices
+    max_shear: float = 0.0  # largest relative shear dropped so far
+    # Scales of all times if they vary only by rounding, else None.
+    constant_scales: FloatArray | None = None
 
     def find_constants(self) -> None:
         """Collect the keys, and detect constant values."""
-        varying_objects = list(self._varying())
+        varying_objects = list(self._varying_sources())
         sample_times = {
             time for source in varying_objects for time in source.GetTimeSamples()
         }
@@ -269,10 +271,10 @@ class _PrimSampler:
         codes = self.keys
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])
-        self.sheared = (
-            self.has_transform and _decompose(self._matrices(codes))[3] > ROUNDING
+        self.has_shear = (
+            self.has_transform and _decompose(self._matrices(codes))[3] > SCALE_ROUNDING
         )
-        transforms = self.at(codes)
+        transforms = self.sample(codes)
         # Values such as splines vary over time without samples.
         self.is_animated = any(
             not source.GetTimeSamples() for source in varying_objects
@@ -281,15 +283,15 @@ class _PrimSampler:
             for values in (transforms.matrix(), *transforms.values)
         )
         has_constant_scales = (
-            np.abs(transforms.scales - transforms.scales[0]).max() <= ROUNDING
+            np.abs(transforms.scales - transforms.scales[0]).max() <= SCALE_ROUNDING
         )
-        self.scales = (
+        self.constant_scales = (
             _remove_rounding(transforms.scales[0])
-            if has_constant_scales and not self.sheared
+            if has_constant_scales and not self.has_shear
             else None
         )
 
-    def _varying(self) -> Iterator[Any]:
+    def _varying_sources(self) -> Iterator[Any]:
         """Yield attributes and xformables that may change over time."""
         for attribute in self.attributes:
             if attribute.ValueMightBeTimeVarying():
@@ -301,102 +303,108 @@ class _PrimSampler:
             if xformable and xformable.GetResetXformStack():
                 return
 
-    def at(self, times: FloatArray) -> Transforms:
+    def sample(self, times: FloatArray) -> Transforms:
         """Return the prim's transforms and values at time codes ``(F,)``.
 
         Raises:
             FormatError: Its transform or a value is not finite (USD171).
         """
-        codes = self._on_keys(times if self.is_animated else times[:1])
+        codes = self._snap_to_keys(times if self.is_animated else times[:1])
         count, matrices = len(codes), None
         positions, rotations = np.zeros((count, 3)), np.tile(so3.IDENTITY, (count, 1))
         scales = np.ones((count, 3))
-        if self.sheared:
+        if self.has_shear:
             matrices = self._matrices(codes)
         elif self.has_transform:
             positions, rotations, scales, shear = _decompose(self._matrices(codes))
-            self.shear = max(self.shear, shear)
-            if self.scales is not None:
-                is_constant = np.abs(scales - self.scales) <= ROUNDING * np.abs(
-                    self.scales
-                )
-                scales = np.where(is_constant, self.scales, scales)
+            self.max_shear = max(self.max_shear, shear)
+            if self.constant_scales is not None:
+                is_constant = np.abs(
+                    scales - self.constant_scales
+                ) <= SCALE_ROUNDING * np.abs(self.constant_scales)
+                scales = np.where(is_constant, self.constant_scales, scales)
         transforms = Transforms(
             positions, rotations, scales, matrices, self._values(codes)
         )
         if not self.is_animated:
-            return _repeated_transforms(transforms, len(times))
-        return replace(transforms, clamped=self._outside_samples(codes))
+            return _repeat_transforms(transforms, len(times))
+        return replace(transforms, clamped=self._find_clamped(codes))
 
-    def _outside_samples(self, codes: FloatArray) -> BoolArray | None:
+    def _find_clamped(self, codes: FloatArray) -> BoolArray | None:
         first, last = map(float, _stage_span(self.stage, self.keys))
-        # A frame, and its shutter before the next one, lasts up to the next frame.
+        # A frame, with its shutter interval, lasts until just before the next frame.
         frame_length = 1 - KEY_TOLERANCE
         is_outside = (codes < first - frame_length) | (codes > last + frame_length)
         return is_outside if is_outside.any() else None
 
-    def _on_keys(self, times: FloatArray) -> FloatArray:
+    def _snap_to_keys(self, times: FloatArray) -> FloatArray:
         """Return time codes snapped to keys within rounding."""
         if not len(self.keys):
             return times
         next_key = np.searchsorted(self.keys, times).clip(max=len(self.keys) - 1)
         previous_key = (next_key - 1).clip(min=0)
-        for at in (previous_key, next_key):
-            is_on_key = np.abs(times - self.keys[at]) <= KEY_TOLERANCE
-            times = np.where(is_on_key, self.keys[at], times)
+        for key_index in (previous_key, next_key):
+            is_on_key = np.abs(times - self.keys[key_index]) <= KEY_TOLERANCE
+            times = np.where(is_on_key, self.keys[key_index], times)
         return times
 
     def _values(self, codes: FloatArray) -> tuple[Any, ...]:
         columns: list[Any] = []
-        for attribute, about in zip(self.attributes, self.descriptions, strict=True):
+        for attribute, attribute_type in zip(
+            self.attributes, self.attribute_types, strict=True
+        ):
             with usd_errors(Path(self.where)):
                 rows = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
-            if about.width:
-                values = np.array(rows, np.float64).reshape(len(codes), about.width)
-                self._check(values)
-                columns.append(values * (self.unit if about.length else 1.0))
+            if attribute_type.width:
+                values = np.array(rows, np.float64).reshape(
+                    len(codes), attribute_type.width
+                )
+                self._check_finite(values)
+                columns.append(values * (self.unit if attribute_type.length else 1.0))
             else:
-                columns.append(np.array([about.choices.index(row) for row in rows]))
+                columns.append(
+                    np.array([attribute_type.choices.index(row) for row in rows])
+                )
         return tuple(columns)
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return world matrices, column vectors [m] ``(F, 4, 4)``."""
         with usd_errors(Path(self.where)):
             matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
-        self._check(matrices)
+        self._check_finite(matrices)
         matrices[:, :3, 3] *= self.unit
         if self.up_rotation is not None:
             matrices[:, :3] = so3.to_matrix(self.up_rotation) @ matrices[:, :3]
         return matrices
 
-    def _check(self, values: FloatArray) -> None:
+    def _check_finite(self, values: FloatArray) -> None:
         if not np.isfinite(values).all():
             message = "its transform, or a value of it, is not finite"
-            PrimLocation.of(self.where, self.prim).fail("USD171", message)
+            PrimLocation.from_prim(self.where, self.prim).fail("USD171", message)
 
 
 def _remove_rounding(scales: FloatArray) -> FloatArray:
-    """Return scales without the rounding error of short decimals."""
+    """Return scales snapped to nine decimals if they differ only by rounding."""
     rounded_scales = np.round(scales, 9)
     return np.where(
-        np.abs(rounded_scales - scales) <= ROUNDING * np.abs(scales),
+        np.abs(rounded_scales - scales) <= SCALE_ROUNDING * np.abs(scales),
         rounded_scales,
         scales,
     )
 
 
-def _repeated_transforms(transforms: Transforms, count: int) -> Transforms:
+def _repeat_transforms(transforms: Transforms, count: int) -> Transforms:
     """Return one transform and its values repeated for all times."""
 
-    def all_times(values: Any) -> Any:
+    def repeat_rows(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
 
     return Transforms(
-        all_times(transforms.translations),
-        all_times(transforms.rotations),
-        all_times(transforms.scales),
-        None if transforms.matrices is None else all_times(transforms.matrices),
-        tuple(map(all_times, transforms.values)),
+        repeat_rows(transforms.translations),
+        repeat_rows(transforms.rotations),
+        repeat_rows(transforms.scales),
+        None if transforms.matrices is None else repeat_rows(transforms.matrices),
+        tuple(map(repeat_rows, transforms.values)),
     )
 
 
@@ -407,7 +415,7 @@ def _decompose(
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
     recomposed = so3.to_matrix(rotations) * scales[:, None, :]
-    size = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
+    magnitude = np.abs(matrices[:, :3, :3]).max(axis=(1, 2))
     difference = np.abs(recomposed - matrices[:, :3, :3]).max(axis=(1, 2))
-    shares = difference / np.where(size > 0, size, 1.0)
-    return positions, rotations, scales, float(shares.max(initial=0.0))
+    relative_shears = difference / np.where(magnitude > 0, magnitude, 1.0)
+    return positions, rotations, scales, float(relative_shears.max(initial=0.0))

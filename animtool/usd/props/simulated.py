@@ -1,6 +1,6 @@
 """Writes simulated prims to a layer while the simulation runs.
 
-Each frame is a record of a prim's values; `FRAME_FORMS` says how each type is written.
+Each frame is a record of a prim's values; `FRAME_FORMS` maps each type to its writer.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ from animtool.usd.layers.chunks import (
     growing_crate,
     write_frames,
 )
-from animtool.usd.layers.finite import narrow_floats, rounded
+from animtool.usd.layers.finite import narrow_floats, round_to_float32
 from animtool.usd.layers.sdf import (
     SampleWriter,
     StageMetadata,
@@ -81,15 +81,17 @@ class _CurvesForm(FrameForm[CurvesFrame]):
     type_name = "BasisCurves"
     sampled = ("points", "velocities", "extent")
 
-    def shape(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
+    def topology(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
         """Return the number of points per curve."""
         return {"curveVertexCounts": frame.counts.astype(np.int32)}
 
-    def tears(self, frame: CurvesFrame) -> bool:
+    def can_tear(self, frame: CurvesFrame) -> bool:
         """Return whether a curve may split in two."""
         return frame.tears
 
-    def describe(self, writer: FramePrim, spec: Any, frame: CurvesFrame) -> None:
+    def author_constants(
+        self, writer: FramePrim, spec: Any, frame: CurvesFrame
+    ) -> None:
         """Author type and width of the curves."""
         author_values(spec, POLYLINE)
         author_width(spec, frame.width / writer.unit)
@@ -113,7 +115,7 @@ class _PointsForm(FrameForm[PointsFrame]):
         self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return ids, widths and bounds of the particles."""
-        widths = writer.narrowed("widths", 2 * frame.radii / writer.unit, code)
+        widths = writer.to_float32("widths", 2 * frame.radii / writer.unit, code)
         extent = bounds(points, widths[:, None] / 2)
         return {"ids": frame.ids, "widths": widths, "extent": extent}
 
@@ -127,14 +129,14 @@ FRAME_FORMS: dict[type[Frame], FrameForm[Any]] = {
 _XFORMS_FORM = XformsForm()
 
 
-def form_of(frame: Frame) -> FrameForm[Any]:
-    """Return the form that writes a type of frame."""
+def frame_form(frame: Frame) -> FrameForm[Any]:
+    """Return the `FrameForm` that writes a frame."""
     has_xforms = isinstance(frame, TransformsFrame) and frame.xforms
     return _XFORMS_FORM if has_xforms else FRAME_FORMS[type(frame)]
 
 
 class SimulatedPrim:
-    """Writer of one simulated prim: constants once, every frame as a block."""
+    """Writes one simulated prim: its constants, then blocks of frames."""
 
     def __init__(
         self,
@@ -149,78 +151,82 @@ class SimulatedPrim:
         self.rotation = so3.IDENTITY if rotation is None else rotation
         self.fps = fps  # time codes per second
         self._characters: CharactersWriter | None = None
-        self._first: Any = None
-        self._sampled: tuple[str, ...] = ()  # attributes of every frame, in order
+        self._first_frame: Any = None
+        self._sampled_names: tuple[str, ...] = ()  # attributes of every frame, in order
 
     @cached_property
     def triangles(self) -> IntArray:
         """Faces of the first frame as triangles ``(T, 3)``."""
-        return triangulated(self._first.counts, self._first.indices)
+        return triangulated(self._first_frame.counts, self._first_frame.indices)
 
     @cached_property
     def child_names(self) -> list[str]:
         """Names of the child prims of a frame with names."""
-        return instance_names(self._first.names).names
+        return instance_names(self._first_frame.names).names
 
-    def begin(self, layer: Any, frame: Frame) -> None:
-        """Write the prim at the first frame: attributes and constants."""
-        self._first, report = frame, self.report
+    def author_prim(self, layer: Any, frame: Frame) -> None:
+        """Write the prim with its attributes and constants, as of the first frame."""
+        self._first_frame, report = frame, self.report
         if isinstance(frame, CharactersFrame):
             from animtool.usd.props.characters import CharactersWriter
 
             self._characters = CharactersWriter(report.path, self.unit, self.fps)
-            self._characters.begin(layer, frame)
+            self._characters.author_prototypes(layer, frame)
             return
-        form = form_of(frame)
+        form = frame_form(frame)
         if isinstance(frame, TransformsFrame):
             report.names = frame.names
             if frame.xforms:
                 report.notices += instance_names(frame.names).notices
         spec = prim_spec(layer, report.path, form.type_name)
-        form.divide(spec, frame)
-        attribute_kinds, shape = form.kinds(frame), form.shape(frame)
-        self._sampled = tuple(attribute_kinds)
+        form.author_children(spec, frame)
+        attribute_kinds, topology = form.attribute_kinds(frame), form.topology(frame)
+        self._sampled_names = tuple(attribute_kinds)
         for name, kind in attribute_kinds.items():
             path, leaf = split_attribute(report.path, name)
-            owner = layer.GetPrimAtPath(path)
+            owner_spec = layer.GetPrimAtPath(path)
             attribute_spec(
-                owner, leaf, kind.type_name, interpolation=kind.interpolation
+                owner_spec, leaf, kind.type_name, interpolation=kind.interpolation
             )
         report.sampled = list(attribute_kinds)
-        if form.tears(frame):
-            report.sampled += shape
-            for name in shape:
+        if form.can_tear(frame):
+            report.sampled += topology
+            for name in topology:
                 attribute_spec(spec, name, ATTRIBUTES[name].type_name)
         else:
-            author_values(spec, shape)
-        form.describe(self, spec, frame)
+            author_values(spec, topology)
+        form.author_constants(self, spec, frame)
 
-    def block(self, number: int, code: float, frame: Frame) -> Block:
-        """Return a frame as a block to write; ``number`` is the prim's index."""
+    def build_block(self, prim_index: int, code: float, frame: Frame) -> Block:
+        """Return a frame as a block to write, for the prim of an index."""
         codes = np.array([code])
         if isinstance(frame, CharactersFrame):
             assert self._characters is not None
             self._characters.add(code, frame)
-            return Block(number, codes, {}, 0)
-        form = form_of(frame)
+            return Block(prim_index, codes, {}, 0)
+        form = frame_form(frame)
         if not form.points:
             no_points = np.zeros((0, 3), np.float32)
-            values_ = form.values(self, frame, no_points, code)
-            return Block(number, codes, _add_frame_axis(values_), len(frame.points))
-        points, error, vertex = self._rounded(form.points, frame.points, code)
+            form_values = form.values(self, frame, no_points, code)
+            return Block(
+                prim_index, codes, _add_frame_axis(form_values), len(frame.points)
+            )
+        points, error, vertex = self._round_points(form.points, frame.points, code)
         values = {form.points: points, **form.values(self, frame, points, code)}
         for name, array in frame.primvars.items():
             values[f"primvars:{name}"] = (
                 array.astype(np.int32)
                 if np.issubdtype(array.dtype, np.integer)
-                else self.narrowed(f"primvars:{name}", array, code)
+                else self.to_float32(f"primvars:{name}", array, code)
             )
-        values["velocities"] = self._rounded("velocities", frame.velocities, code)[0]
-        sampled_values = {name: values[name] for name in self._sampled}
-        if form.tears(frame):
-            sampled_values |= form.shape(frame)
+        values["velocities"] = self._round_points("velocities", frame.velocities, code)[
+            0
+        ]
+        sampled_values = {name: values[name] for name in self._sampled_names}
+        if form.can_tear(frame):
+            sampled_values |= form.topology(frame)
         return Block(
-            number,
+            prim_index,
             codes,
             _add_frame_axis(sampled_values),
             len(points),
@@ -230,7 +236,7 @@ class SimulatedPrim:
         )
 
     def finish(self, layer: Any) -> None:
-        """Author values that are known only after the last frame."""
+        """Author what depends on all frames: the characters."""
         if self._characters is not None:
             self._characters.finish(layer)
             report = self._characters.report
@@ -239,7 +245,7 @@ class SimulatedPrim:
             self.report.samples = len(self._characters.codes)
             self.report.error = report.error
 
-    def narrowed(
+    def to_float32(
         self, name: str, values: npt.NDArray[Any], code: float
     ) -> Float32Array:
         """Return values ``(N,)`` or ``(N, 3)`` of an attribute as float32."""
@@ -247,12 +253,12 @@ class SimulatedPrim:
         rows = narrow_floats(values[None], "f", labels, np.array([code]))
         return np.asarray(rows[0], np.float32)
 
-    def _rounded(
+    def _round_points(
         self, name: str, values: FloatArray, code: float
     ) -> tuple[Float32Array, float, int]:
         """Return rounded points ``(N, 3)``, the largest error [m] and its point."""
         labels = attribute_labels(self.report, name)
-        rows, error, _, vertex = rounded(
+        rows, error, _, vertex = round_to_float32(
             values[None], self.unit, labels, np.array([code])
         )
         return rows[0], error, vertex
@@ -260,10 +266,10 @@ class SimulatedPrim:
     def write_static(self, layer: Any, path: str, frame: Frame) -> None:
         """Write a frame as a static prim."""
         prim_writer = SimulatedPrim(path, self.unit)
-        prim_writer.begin(layer, frame)
+        prim_writer.author_prim(layer, frame)
         spec = layer.GetPrimAtPath(path)
         remove_attribute(spec, "velocities")
-        for name, rows in prim_writer.block(0, 0.0, frame).values.items():
+        for name, rows in prim_writer.build_block(0, 0.0, frame).values.items():
             if name != "velocities":
                 make = attribute_kind(name, rows[0]).make
                 SampleWriter(spec.attributes[name], make).finish(rows[0])
@@ -281,13 +287,13 @@ class SimulatedJob:
     """Settings of writing simulated prims."""
 
     model: str  # path of the prim above all others
-    names: Sequence[str]  # legal, distinct names of the prims
+    names: Sequence[str]  # legal, unique names of the prims
     metadata: StageMetadata  # metadata of the layer
     meters_per_unit: float  # length unit below the model [m]
     rotation: FloatArray | None = (
         None  # from Y up to the layer's up axis (4,); None for Y
     )
-    # From the world of a take to the space of the model, for all time codes: column
+    # From the world of a take to the space of the model at all time codes: column
     # vectors in the model's unit ``(F, 4, 4)``, or one matrix; None is the identity.
     placement_matrices: FloatArray | None = None
     codes: FloatArray | None = None  # time codes of the placement ``(F,)``
@@ -297,15 +303,15 @@ class SimulatedJob:
         """Paths of the prims."""
         return [f"{self.model}/{name}" for name in self.names]
 
-    def prims(self) -> list[SimulatedPrim]:
+    def prim_writers(self) -> list[SimulatedPrim]:
         """Return new writers of the prims."""
         unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
         return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
 
 
-def simulated_layer(job: SimulatedJob, output: Path) -> Any:
-    """Return a layer with only the parent prim.
+def new_simulated_layer(job: SimulatedJob, output: Path) -> Any:
+    """Return a new layer with metadata and the parent prim.
 
     ``output`` is the path of the file, or `STDOUT` for usda.
     """
@@ -315,37 +321,39 @@ def simulated_layer(job: SimulatedJob, output: Path) -> Any:
     return layer
 
 
-def grow_simulated(
+def write_simulated(
     job: SimulatedJob, rows: FrameRows, growing: GrowingLayer
 ) -> list[CachedMesh]:
     """Write prims to a layer frame by frame; return a report per prim."""
-    prims, layer = job.prims(), growing.layer
+    prims, layer = job.prim_writers(), growing.layer
     reports = [prim_writer.report for prim_writer in prims]
-    writer = OneLayer([PointWriter(layer, report, every=True) for report in reports])
+    writer = OneLayer(
+        [PointWriter(layer, report, every_frame=True) for report in reports]
+    )
     write_frames(_write_blocks(job, prims, rows, layer, growing), writer, reports)
     for prim_writer in prims:
         prim_writer.finish(layer)
     return reports
 
 
-def chunk_simulated(
-    job: SimulatedJob, rows: FrameRows, layer: Any, files: ClipFiles, size: int
+def write_simulated_chunks(
+    job: SimulatedJob, rows: FrameRows, layer: Any, files: ClipFiles, chunk_size: int
 ) -> tuple[list[Path], list[CachedMesh]]:
     """Write samples of prims to chunk files, combined by a layer.
 
-    The in-memory layer has the parent prim, and gets the other prims without samples.
+    The in-memory layer has the parent prim; the other prims are added without samples.
 
     Args:
         job: Settings of the prims.
         rows: Frames of all prims.
         layer: The combining layer.
         files: Paths of the chunks.
-        size: Samples per file.
+        chunk_size: Samples per file.
 
     Returns:
         The files, and a report per prim.
     """
-    prims = job.prims()
+    prims = job.prim_writers()
     reports = [writer.report for writer in prims]
 
     @contextmanager
@@ -359,22 +367,22 @@ def chunk_simulated(
                 PointWriter(
                     growing.layer,
                     report,
-                    every=True,
-                    first=number == 0,
+                    every_frame=True,
+                    with_default=number == 0,
                     on_added=growing.count_bytes,
                 )
                 for report in reports
             ]
             author_span(growing.layer, job.metadata)
 
-    with ChunkedWriter(files, size, len(prims), chunk) as chunks:
+    with ChunkedWriter(files, chunk_size, len(prims), chunk) as chunks:
         write_frames(_write_blocks(job, prims, rows, layer), chunks, reports)
     chunks.join(
         layer,
         job.model,
         job.metadata,
         lambda manifest: _declare_attributes(manifest, reports, layer),
-        defaults=True,
+        use_defaults=True,
     )
     return chunks.finish(), reports
 
@@ -384,19 +392,19 @@ def _write_blocks(
     prims: Sequence[SimulatedPrim],
     rows: FrameRows,
     layer: Any,
-    growing: GrowingLayer
+    byte_counter: GrowingLayer
     | None = None,  # counts the bytes of each row; None for chunks
 ) -> Iterator[Block]:
-    """Yield blocks of frames; the prims are created at the first one.
+    """Yield blocks of frames; create the prims at the first frame.
 
-    Prims are rotated to the layer's up axis, or moved to a rig's placement.
+    Prims are rotated to the layer's up axis, or get the placement of a rig.
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):
-        if growing is None:
+        if byte_counter is None:
             _refuse_characters(frames)
         for writer, frame in () if i else zip(prims, frames, strict=True):
-            writer.begin(layer, frame)
+            writer.author_prim(layer, frame)
             spec = layer.GetPrimAtPath(writer.report.path)
             if job.placement_matrices is not None:
                 _author_placement(spec, job, job.placement_matrices)
@@ -404,13 +412,13 @@ def _write_blocks(
                 rotation = gf_quaternion(job.rotation)
                 attribute_spec(spec, "xformOp:orient", types.Quatd, rotation)
                 author_xform_order(spec, "xformOp:orient")
-        size = 0
+        row_bytes = 0
         for k, (writer, frame) in enumerate(zip(prims, frames, strict=True)):
-            block = writer.block(k, code, frame)
-            size += block.bytes
+            block = writer.build_block(k, code, frame)
+            row_bytes += block.bytes
             yield block
-        if growing is not None:
-            growing.count_bytes(size)
+        if byte_counter is not None:
+            byte_counter.count_bytes(row_bytes)
 
 
 def _author_placement(
@@ -438,7 +446,7 @@ def _refuse_characters(frames: Sequence[Frame]) -> None:
 
 
 def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
-    """Declare the sampled attributes with the types of another layer."""
+    """Declare the sampled attributes, with their types in another layer."""
     for report in reports:
         prim_spec(layer, report.path, over=True)
         for name in report.sampled:

@@ -1,4 +1,4 @@
-"""Drops poses that interpolation between the others reproduces."""
+"""Removes poses that interpolation reproduces from animations."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# Largest joint error of a dropped pose, relative to the extent of the rig: two and a
-# half centimetres for a person, for a foot in the air seen from far away.
+# Largest joint error of a removed pose, relative to the extent of the rig: 2.5 cm for a
+# person.
 JOINT_TOLERANCE = 0.018
-# The same for planted feet (a millimetre), and for hips.
+# The same for planted feet (1 mm for a person), and for hips.
 FOOT_TOLERANCE, HIP_TOLERANCE = 0.0006, 0.004
 # A joint is static if its rotation moves its descendants by less than this, relative to
-# the rig.
+# the extent of the rig.
 STATIC_DISTANCE = 0.003
-# Distances of samples in frames, with the shorter spans that must fit before each is
-# tried.
+# Lengths of spans between samples [frames], and the shorter consecutive spans that must
+# be valid before each is tested.
 SPAN_SPLITS = {
     2: (1,),
     3: (2,),
@@ -35,103 +35,112 @@ class RotationChain:
 
     Attributes:
         parents: Index of each joint's parent among them, -1 for none ``(S,)``.
-        numbers: Index of each joint's rotation in a pose, -1 for its rest ``(S,)``.
+        rotation_indices: Index of each rotation in a pose, -1 for rest ``(S,)``.
         positions: Position in the frame of the parent ``(S, 3)`` [m].
-        before: Fixed rotation from the parent ``(S, 4)``.
-        rest: Rest rotation of each joint ``(S, 4)``.
+        parent_rotations: Fixed rotation from the parent ``(S, 4)``.
+        rest_rotations: Rest rotation of each joint ``(S, 4)``.
         feet: A joint of each foot ``(2,)``.
-        size: Reach of the rig [m].
+        rig_extent: Largest extent of the rig at rest [m].
     """
 
     parents: IntArray
-    numbers: IntArray
+    rotation_indices: IntArray
     positions: FloatArray
-    before: FloatArray
-    rest: FloatArray
+    parent_rotations: FloatArray
+    rest_rotations: FloatArray
     feet: IntArray
-    size: float
+    rig_extent: float
 
-    def fitting(
+    def find_valid_spans(
         self,
         rotations: FloatArray,
         is_planted: BoolArray,
         begins: IntArray,
         span: int,
     ) -> tuple[BoolArray, FloatArray]:
-        """Return which spans interpolate well, and the joint errors in them."""
+        """Return which spans interpolate within tolerance, and their joint offsets."""
         tolerances = (
-            fraction * self.size
+            fraction * self.rig_extent
             for fraction in (JOINT_TOLERANCE, FOOT_TOLERANCE, HIP_TOLERANCE)
         )
         return _kernels.fitting_spans(
-            rotations, self.parents, self.numbers, self.positions, self.before,
-            self.rest, self.feet, is_planted, begins, span, *tolerances,
+            rotations, self.parents, self.rotation_indices, self.positions,
+            self.parent_rotations, self.rest_rotations, self.feet, is_planted, begins,
+            span, *tolerances,
         )  # fmt: skip
 
 
-def kept_samples(
+def select_samples(
     rotations: Float32Array, chain: RotationChain, is_planted: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
-    """Return which poses ``(F, M, 4)`` of a character must be written ``(F,)``.
+    """Return which poses ``(F, M, 4)`` of a character to write ``(F,)``.
 
+    The result has the fewest samples within the tolerances, with slerp between samples.
     Also returns the offset of all joints in each pose that keeps the feet in place
-    ``(F, 3)`` [m]. Signs of quaternions are continuous, and USD slerps each joint
-    between two samples. The result has the fewest samples within the tolerances.
+    ``(F, 3)`` [m]. Signs of quaternions must be continuous.
 
     Args:
         rotations: Rotations of the joints.
         chain: The joints.
-        is_planted: When each foot is on the ground, or close to it ``(F, 2)``.
+        is_planted: Whether each foot is on or near the ground ``(F, 2)``.
     """
-    exact = rotations.astype(np.float64)
+    exact_rotations = rotations.astype(np.float64)
     count = len(rotations)
     offsets = np.zeros((count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
     valid_spans = {1: np.ones(count, np.bool_)}
-    for span, parts in SPAN_SPLITS.items():
-        can_begin = np.ones(max(count - span, 0), np.bool_)
+    for span, sub_spans in SPAN_SPLITS.items():
+        is_candidate = np.ones(max(count - span, 0), np.bool_)
         start = 0
-        for length in parts:
-            can_begin &= valid_spans[length][start : start + len(can_begin)]
+        for length in sub_spans:
+            is_candidate &= valid_spans[length][start : start + len(is_candidate)]
             start += length
-        begins = np.flatnonzero(can_begin)
+        candidates = np.flatnonzero(is_candidate)
         valid_spans[span] = np.zeros(count, np.bool_)
-        if len(begins):
-            fits_, corrections = chain.fitting(exact, is_planted, begins, span)
-            valid_spans[span][begins] = fits_
-            checked_spans[span] = begins, corrections
-    rows = _fewest_frames(valid_spans)
+        if len(candidates):
+            is_valid, span_offsets = chain.find_valid_spans(
+                exact_rotations, is_planted, candidates, span
+            )
+            valid_spans[span][candidates] = is_valid
+            checked_spans[span] = candidates, span_offsets
+    rows = _shortest_path(valid_spans)
     keys = np.flatnonzero(rows)
     for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
         if span > 1:
-            begins, corrections = checked_spans[span]
-            at = int(np.searchsorted(begins, begin))
-            offsets[begin + 1 : begin + span] = corrections[at]
+            candidates, span_offsets = checked_spans[span]
+            row = int(np.searchsorted(candidates, begin))
+            offsets[begin + 1 : begin + span] = span_offsets[row]
     return rows, offsets
 
 
-def _fewest_frames(spans_: dict[int, BoolArray]) -> BoolArray:
+def _shortest_path(spans_by_length: dict[int, BoolArray]) -> BoolArray:
     """Return the fewest frames that connect first and last by valid spans."""
-    count = len(spans_[1])
-    steps, best = [1] * count, [0] * count
-    valid_spans = {span: is_valid.tolist() for span, is_valid in spans_.items()}
-    for k in range(count - 2, -1, -1):
+    count = len(spans_by_length[1])
+    next_steps, sample_counts = [1] * count, [0] * count
+    valid_spans = {
+        span: is_valid.tolist() for span, is_valid in spans_by_length.items()
+    }
+    for frame in range(count - 2, -1, -1):
         fewest_samples = count
         for span, is_valid in valid_spans.items():
-            if is_valid[k] and k + span < count and best[k + span] < fewest_samples:
-                fewest_samples, steps[k] = best[k + span], span
-        best[k] = fewest_samples + 1
-    rows = np.zeros(count, bool)
-    k = 0
-    while k < count:
-        rows[k] = True
-        k += steps[k]
-    return rows
+            if (
+                is_valid[frame]
+                and frame + span < count
+                and sample_counts[frame + span] < fewest_samples
+            ):
+                fewest_samples, next_steps[frame] = sample_counts[frame + span], span
+        sample_counts[frame] = fewest_samples + 1
+    is_selected = np.zeros(count, bool)
+    frame = 0
+    while frame < count:
+        is_selected[frame] = True
+        frame += next_steps[frame]
+    return is_selected
 
 
-def slerp(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
-    """Return the slerp of unit quaternions ``(…, 4)`` in one hemisphere."""
-    cosine = np.clip(np.einsum("...k,...k->...", a, b), -1.0, 1.0)
+def slerp(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArray:
+    """Return the slerp of unit quaternions ``(…, 4)`` that lie in one hemisphere."""
+    cosine = np.clip(np.einsum("...k,...k->...", first, last), -1.0, 1.0)
     angle = np.arccos(cosine)
     sine = np.sin(angle)
     is_small = sine < 1e-6
@@ -140,17 +149,16 @@ def slerp(a: FloatArray, b: FloatArray, fraction: FloatArray) -> FloatArray:
         is_small, 1 - fraction, np.sin((1 - fraction) * angle) / safe_sine
     )
     last_weight = np.where(is_small, fraction, np.sin(fraction * angle) / safe_sine)
-    return np.asarray(first_weight[..., None] * a + last_weight[..., None] * b)
+    return np.asarray(first_weight[..., None] * first + last_weight[..., None] * last)
 
 
-def rotating_joints(
-    rotations: Float32Array, arms: FloatArray, size: float
+def find_rotating_joints(
+    rotations: Float32Array, subtree_radii: FloatArray, rig_extent: float
 ) -> BoolArray:
     """Return which joints rotate ``(M,)`` in poses ``(F, M, 4)``.
 
-    ``arms`` are the reaches of each joint's descendants ``(M,)`` [m], ``size`` that of
-    the rig [m].
+    X
     """
     cosine = np.abs((rotations * rotations[:1]).sum(axis=-1)).min(axis=0)
     angles = 2 * np.arccos(np.clip(cosine, 0.0, 1.0))
-    return np.asarray(angles * arms > STATIC_DISTANCE * size)
+    return np.asarray(angles * subtree_radii > STATIC_DISTANCE * rig_extent)

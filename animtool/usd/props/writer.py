@@ -1,6 +1,6 @@
 """Writes prims that move rigidly: props of a take, and instances of meshes.
 
-Props, cameras and lights are a prim each; instances a PointInstancer, or named Xforms.
+Each prop, camera or light is a prim. Instances are a PointInstancer or named Xforms.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from animtool.usd.layers.sdf import (
     gf_vector,
     prim_spec,
 )
-from animtool.usd.props.placement import PropPlacements, is_within
+from animtool.usd.props.placement import PropPlacements, is_same_or_below
 
 
 @dataclass(slots=True)
@@ -54,15 +54,15 @@ class PropSamples:
     # Time of each track at these frames ``(F, N)``, one array per block.
     times: list[FloatArray] = field(default_factory=list)
 
-    def see(self, codes: FloatArray, motion: Motion) -> None:
-        """Record which times of the tracks are written."""
+    def record(self, codes: FloatArray, motion: Motion) -> None:
+        """Record the time codes and track times of a block."""
         assert motion.track_times is not None
         self.codes.append(codes)
         self.times.append(motion.track_times.dense()[..., 0])
 
 
 # Converts a row of values to a USD value.
-_Convert: TypeAlias = Callable[[Any], Any]
+_ConvertRow: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
@@ -74,29 +74,29 @@ def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
 
 
 def check_props(
-    tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, library: bool
+    tracks: Sequence[Track], paths: RigPaths, stage: Any = None, *, is_library: bool
 ) -> None:
     """Refuse prop paths that overlap the character or each other.
 
-    ``stage`` is the one below the layer, if any; ``library`` says whether takes are
-    variants of the model.
+    ``stage`` is that of the rig below the layer, if any. ``is_library`` says whether
+    takes are variants of the model.
     """
     faults = []
     model, root = paths.model, paths.root
-    by_path = prop_paths(tracks, model)
-    for i, (track, path) in enumerate(zip(tracks, by_path, strict=True)):
+    prim_paths = prop_paths(tracks, model)
+    for i, (track, path) in enumerate(zip(tracks, prim_paths, strict=True)):
         existing_prim = None if stage is None else stage.GetPrimAtPath(path)
         message, hint = "", "choose another path, such as Props/box"
-        if overlap(path, root) or is_within(model, path):
+        if paths_overlap(path, root) or is_same_or_below(model, path):
             message = f"{path} is part of the character at {model}"
         elif existing_prim and existing_prim.IsInstanceProxy():
             message = f"{path} is inside an instance, which a layer cannot reach"
-        elif library and not is_within(path, model):
+        elif is_library and not is_same_or_below(path, model):
             message = f"{path} is not below {model}, whose variants are the takes"
         if message:
             faults.append(Fault("SCN047", message, hint=hint, where=track.path))
-        for other_path in by_path[:i]:
-            if overlap(path, other_path):
+        for other_path in prim_paths[:i]:
+            if paths_overlap(path, other_path):
                 message = f"{path} overlaps {other_path}, which another prop has"
                 hint = "each needs its own path, not below another's"
                 faults.append(Fault("SCN046", message, hint=hint, where=track.path))
@@ -104,9 +104,9 @@ def check_props(
         raise OptionError(faults)
 
 
-def overlap(first: str, second: str) -> bool:
+def paths_overlap(first: str, second: str) -> bool:
     """Return whether one path contains the other."""
-    return is_within(first, second) or is_within(second, first)
+    return is_same_or_below(first, second) or is_same_or_below(second, first)
 
 
 def author_props(
@@ -115,7 +115,7 @@ def author_props(
     placements: PropPlacements,
     output: Path,
 ) -> tuple[list[str], list[Fault]]:
-    """Write the prims of tracks, with samples of what changes.
+    """Write the prims of prop tracks; constant values become defaults.
 
     ``output`` is the path of the file, or `STDOUT`.
 
@@ -126,30 +126,34 @@ def author_props(
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _define_ancestors(layer, path, placements)
-        exists = placements.exists(path)
-        type_name = "" if exists else track.type_name
-        spec = prim_spec(layer, placements.spec(path), type_name, over=exists)
+        is_existing = placements.has_prim(path)
+        type_name = "" if is_existing else track.type_name
+        spec = prim_spec(
+            layer, placements.layer_path(path), type_name, over=is_existing
+        )
         if track.reference is not None:
             _author_reference(spec, track.reference, output)
-        transforms = placements.located(track, path, codes, track.at(times[:, i]))
-        _author_track(spec, track, codes, transforms, placements.unit(path))
+        transforms = placements.to_parent_space(
+            track, path, codes, track.at(times[:, i])
+        )
+        _author_track(spec, track, codes, transforms, placements.unit_at_path(path))
         if transforms.clamped is not None and transforms.clamped.any():
-            notices.append(_constant_notice(track, path, codes, transforms.clamped))
+            notices.append(_clamped_notice(track, path, codes, transforms.clamped))
     return paths, notices
 
 
-def _constant_notice(
-    track: Track, path: str, codes: FloatArray, constant: BoolArray
+def _clamped_notice(
+    track: Track, path: str, codes: FloatArray, is_clamped: BoolArray
 ) -> Fault:
-    """Return a notice of frames at which a prop is constant outside its range."""
+    """Return a notice about frames outside a prop's range, where it is constant."""
     spans = [
         " to ".join(dict.fromkeys(f"{codes[i]:.10g}" for i in (first, end - 1)))
-        for first, end in runs(constant)
+        for first, end in runs(is_clamped)
     ]
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"
     )
-    hint = "write `frame:` with the first frame of its file" if constant.all() else None
+    hint = "write `frame:` with the first frame of its file" if is_clamped.all() else None
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
@@ -157,10 +161,10 @@ def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None
     """Define the ancestor prims that no other layer defines."""
     for ancestor in list(Sdf.Path(path).GetAncestorsRange())[1:]:
         text = str(ancestor)
-        if ancestor.IsAbsoluteRootPath() or is_within(placements.model, text):
+        if ancestor.IsAbsoluteRootPath() or is_same_or_below(placements.model, text):
             continue
-        spec = placements.spec(text)
-        if layer.GetPrimAtPath(spec) is None and not placements.exists(text):
+        spec = placements.layer_path(text)
+        if layer.GetPrimAtPath(spec) is None and not placements.has_prim(text):
             prim_spec(layer, spec, "Xform")
 
 
@@ -171,50 +175,60 @@ def _author_reference(spec: Any, reference: PropReference, output: Path) -> None
 
 
 def _author_track(
-    spec: Any, track: Track, codes: FloatArray, sampled: Transforms, unit: float
+    spec: Any, track: Track, codes: FloatArray, transforms: Transforms, unit: float
 ) -> None:
     types = Sdf.ValueTypeNames
     # Points of a referenced file are in that file's unit.
-    factor = 1.0 if track.reference is None else track.reference.meters_per_unit / unit
+    reference_scale = (
+        1.0 if track.reference is None else track.reference.meters_per_unit / unit
+    )
 
-    def author(name: str, type_name: Any, rows: Any, make: _Convert) -> None:
-        quaternions = type_name == types.Quatd
+    def author(name: str, type_name: Any, rows: Any, convert: _ConvertRow) -> None:
+        are_quaternions = type_name == types.Quatd
         attr = attribute_spec(spec, name, type_name)
-        samples = SampleWriter(attr, make, quaternions=quaternions)
+        samples = SampleWriter(attr, convert, are_quaternions=are_quaternions)
         samples.add(codes, rows)
         samples.finish(rows[0])
 
-    if sampled.matrices is not None:
-        matrices = sampled.matrices.copy()
+    if transforms.matrices is not None:
+        matrices = transforms.matrices.copy()
         matrices[:, :3, 3] /= unit
-        matrices[:, :3, :3] *= factor
+        matrices[:, :3, :3] *= reference_scale
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _to_matrix)
         author_xform_order(spec, "xformOp:transform")
     elif track.placed:
         author(
-            "xformOp:translate", types.Double3, sampled.translations / unit, gf_vector
+            "xformOp:translate",
+            types.Double3,
+            transforms.translations / unit,
+            gf_vector,
         )
-        author("xformOp:orient", types.Quatd, sampled.rotations, gf_quaternion)
-        author("xformOp:scale", types.Double3, sampled.scales * factor, gf_vector)
+        author("xformOp:orient", types.Quatd, transforms.rotations, gf_quaternion)
+        author(
+            "xformOp:scale",
+            types.Double3,
+            transforms.scales * reference_scale,
+            gf_vector,
+        )
         author_xform_order(spec, "xformOp:translate", "xformOp:orient", "xformOp:scale")
-    for attribute_, values in zip(track.attributes, sampled.values, strict=True):
-        value_type = types.Find(attribute_.type_name)
-        if attribute_.width:
-            make = _to_float if attribute_.width == 1 else _to_vector
+    for attribute, values in zip(track.attributes, transforms.values, strict=True):
+        value_type = types.Find(attribute.type_name)
+        if attribute.width:
+            make = _to_float if attribute.width == 1 else _to_vector
             author(
-                attribute_.name,
+                attribute.name,
                 value_type,
-                values / (unit if attribute_.length else 1.0),
+                values / (unit if attribute.length else 1.0),
                 make,
             )
         else:
             author(
-                attribute_.name, value_type, values, _choice_text(attribute_.choices)
+                attribute.name, value_type, values, _choice_converter(attribute.choices)
             )
 
 
-def _choice_text(choices: Sequence[object]) -> Callable[[Any], object]:
+def _choice_converter(choices: Sequence[object]) -> Callable[[Any], object]:
     return lambda row: choices[int(row)]
 
 
@@ -250,7 +264,9 @@ class InstancerForm(FrameForm[TransformsFrame]):
     )
     points = "positions"
 
-    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+    def author_constants(
+        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+    ) -> None:
         """Write the prototype meshes below the prim."""
         author_relationship(
             spec, "prototypes", *_write_prototypes(writer, spec, frame.meshes)
@@ -264,17 +280,19 @@ class InstancerForm(FrameForm[TransformsFrame]):
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return prototype index, orientation and scale of each, and the bounds."""
-        boxes = np.stack([_bounds_corners(mesh.points) for mesh in frame.meshes])
-        corners = boxes[frame.mesh_indices] * (frame.scales[:, None] / writer.unit)
+        box_corners = np.stack([_bounds_corners(mesh.points) for mesh in frame.meshes])
+        corners = box_corners[frame.mesh_indices] * (
+            frame.scales[:, None] / writer.unit
+        )
         corners = so3.rotate(frame.rotations[:, None], corners) + points[:, None]
-        extent = writer.narrowed("extent", corners.reshape(-1, 3), code)
+        extent = writer.to_float32("extent", corners.reshape(-1, 3), code)
         return {
             "ids": frame.ids,
-            "orientationsf": writer.narrowed("orientationsf", frame.rotations, code),
-            "angularVelocities": writer.narrowed(
+            "orientationsf": writer.to_float32("orientationsf", frame.rotations, code),
+            "angularVelocities": writer.to_float32(
                 "angularVelocities", np.degrees(frame.spins), code
             ),
-            "scales": writer.narrowed("scales", frame.scales, code),
+            "scales": writer.to_float32("scales", frame.scales, code),
             "protoIndices": frame.mesh_indices.astype(np.int32),
             "extent": bounds(extent, 0.0),
         }
@@ -286,39 +304,43 @@ class XformsForm(FrameForm[TransformsFrame]):
     type_name = "Xform"
     points = ""
 
-    def kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
+    def attribute_kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
         """Return the transform ops of the animated instances."""
         return {
-            f"{part_name}.{name}": ATTRIBUTES[name]
-            for i, part_name in enumerate(instance_names(frame.names).names)
+            f"{instance_name}.{name}": ATTRIBUTES[name]
+            for i, instance_name in enumerate(instance_names(frame.names).names)
             if i not in frame.static
             for name in _XFORM_OPS
         }
 
-    def divide(self, spec: Any, frame: TransformsFrame) -> None:
+    def author_children(self, spec: Any, frame: TransformsFrame) -> None:
         """Create the Xforms, in order."""
         for name in instance_names(frame.names).names:
             prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
-    def describe(self, writer: FramePrim, spec: Any, frame: TransformsFrame) -> None:
+    def author_constants(
+        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+    ) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
-        The prototypes are a class, so they are not visible.
+        The prototypes are class prims, so that they are not drawn.
         """
         layer, paths = spec.layer, _write_prototypes(writer, spec, frame.meshes)
         layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
         for i, name in enumerate(writer.child_names):
-            body = layer.GetPrimAtPath(f"{spec.path}/{name}")
+            instance = layer.GetPrimAtPath(f"{spec.path}/{name}")
             names = list(_XFORM_OPS)
             if i in frame.static:
                 transform = _instance_transform(frame, i, writer.unit)
-                author_values(body, dict(zip(names, transform, strict=True)))
+                author_values(instance, dict(zip(names, transform, strict=True)))
             if not (frame.scales[i] == 1.0).all():
                 scale = Gf.Vec3f(*frame.scales[i].tolist())
-                attribute_spec(body, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale)
+                attribute_spec(
+                    instance, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale
+                )
                 names.append("xformOp:scale")
-            author_xform_order(body, *names)
-            mesh = prim_spec(layer, f"{body.path}/mesh")
+            author_xform_order(instance, *names)
+            mesh = prim_spec(layer, f"{instance.path}/mesh")
             mesh.referenceList.Prepend(Sdf.Reference("", paths[frame.mesh_indices[i]]))
         if frame.physics is not None:
             from animtool.usd.physics.write import PhysicsWriter
@@ -336,8 +358,8 @@ class XformsForm(FrameForm[TransformsFrame]):
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return the transforms of the animated instances."""
         return {
-            f"{part_name}.{name}": value
-            for i, part_name in enumerate(writer.child_names)
+            f"{instance_name}.{name}": value
+            for i, instance_name in enumerate(writer.child_names)
             if i not in frame.static
             for name, value in zip(
                 _XFORM_OPS, _instance_transform(frame, i, writer.unit), strict=True
@@ -353,16 +375,16 @@ def _instance_transform(
 
 
 def instance_names(names: Sequence[str]) -> UsdNames:
-    """Return legal, distinct names of instances.
+    """Return legal, unique names of instances.
 
     >>> instance_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
     all_names = [PROTOTYPES, PHYSICS, *names]
-    distinct = distinct_names(
+    unique_names = distinct_names(
         all_names, [name.removesuffix("]") for name in all_names], all_names
     )
-    return replace(distinct, names=distinct.names[2:])
+    return replace(unique_names, names=unique_names.names[2:])
 
 
 def _write_prototypes(
@@ -378,5 +400,5 @@ def _write_prototypes(
 
 def _bounds_corners(points: FloatArray) -> FloatArray:
     """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
-    bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])
-    return bounds_[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    return box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

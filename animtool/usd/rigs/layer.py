@@ -34,7 +34,7 @@ from animtool.usd.layers.sdf import (
 from animtool.usd.rigs.meshes import author_meshes
 from animtool.usd.rigs.skeleton import author_rig
 
-# Low above high locks an axis in UsdPhysics.
+# UsdPhysics locks an axis if low is above high.
 LOCKED_LIMITS = (1.0, -1.0)
 
 _TYPES = Sdf.ValueTypeNames
@@ -90,9 +90,9 @@ def _author_joint(
     meters_per_unit: float,
 ) -> None:
     joint = rig.joints[index]
-    spec = prim_spec(layer, f"{scope}/Joints/{names[index]}", _prim_type(joint))
-    token = attribute_spec(spec, "animtool:joint", _TYPES.Token, str(joint.type))
-    token.custom = True
+    spec = prim_spec(layer, f"{scope}/Joints/{names[index]}", _joint_prim_type(joint))
+    type_attr = attribute_spec(spec, "animtool:joint", _TYPES.Token, str(joint.type))
+    type_attr.custom = True
     if joint.parent >= 0:
         author_relationship(
             spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}"
@@ -111,8 +111,8 @@ def _author_joint(
     if axis:
         attribute_spec(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
     if isinstance(joint.limits, RangeLimit):
-        pin = joint.type is JointType.PIN
-        scale = math.degrees(1.0) if pin else 1.0 / meters_per_unit
+        is_pin = joint.type is JointType.PIN
+        scale = math.degrees(1.0) if is_pin else 1.0 / meters_per_unit
         attribute_spec(
             spec, "physics:lowerLimit", _TYPES.Float, joint.limits.low * scale
         )
@@ -120,16 +120,16 @@ def _author_joint(
             spec, "physics:upperLimit", _TYPES.Float, joint.limits.high * scale
         )
     elif isinstance(joint.limits, BallLimit):
-        twists = joint.limits.twist is not None
-        if schemas := author_ball(spec, joint.limits, locked=twists):
+        has_twist = joint.limits.twist is not None
+        if schemas := author_ball_limit(spec, joint.limits, is_twist_limited=has_twist):
             apply_schemas(spec, schemas)
 
 
-def _prim_type(joint: Joint) -> str:
+def _joint_prim_type(joint: Joint) -> str:
     if joint.type is JointType.BALL:
         limits = joint.limits
-        twists = isinstance(limits, BallLimit) and limits.twist is not None
-        return "PhysicsJoint" if twists else "PhysicsSphericalJoint"
+        has_twist = isinstance(limits, BallLimit) and limits.twist is not None
+        return "PhysicsJoint" if has_twist else "PhysicsSphericalJoint"
     return {
         JointType.PIN: "PhysicsRevoluteJoint",
         JointType.PRISMATIC: "PhysicsPrismaticJoint",
@@ -138,7 +138,7 @@ def _prim_type(joint: Joint) -> str:
 
 
 def _joint_frame(joint: Joint) -> tuple[str, FloatArray]:
-    """Return the axis token, empty for none, and the joint frame in the body."""
+    """Return the axis token (empty for none) and the joint frame in the body."""
     if isinstance(joint.limits, BallLimit):
         token = "" if joint.limits.twist is not None else "X"
         return token, so3.from_matrix(joint.limits.axes.T)
@@ -152,13 +152,16 @@ def _joint_frame(joint: Joint) -> tuple[str, FloatArray]:
     return "X", so3.from_matrix(BallLimit(twist_axis=joint.axis).axes.T)
 
 
-def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
+def author_ball_limit(
+    spec: Any, limits: BallLimit, *, is_twist_limited: bool
+) -> list[str]:
     """Author the limits of a ball joint; return the schemas to apply.
 
-    A ball joint whose twist is ``locked`` by limits is not a spherical joint.
+    With a limited twist it is an untyped joint with a limit per axis, as spherical
+    joints have no twist limits.
     """
     swing_degrees = None if limits.swing is None else np.degrees(limits.swing).tolist()
-    if not locked:
+    if not is_twist_limited:
         if swing_degrees is not None:
             # The first cone angle tilts towards Y, a rotation about Z.
             attribute_spec(
@@ -184,8 +187,8 @@ def author_ball(spec: Any, limits: BallLimit, *, locked: bool) -> list[str]:
     return [f"PhysicsLimitAPI:{name}" for name in ranges]
 
 
-def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
-    """Return the limits of a ball joint about an axis; None if free."""
+def read_ball_limit(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
+    """Return the limits of a ball joint with a twist axis; None if unlimited."""
 
     def limit(name: str) -> tuple[float, float] | None:
         lower, upper = (
@@ -211,10 +214,10 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
         # An infinite limit is 180 degrees.
         swing_y, swing_z = min(swing_y, 180.0), min(swing_z, 180.0)
         return BallLimit((math.radians(swing_y), math.radians(swing_z)), None, axis)
-    twist, about_y, about_z = limit("rotX"), limit("rotY"), limit("rotZ")
+    twist, swing_y_limits, swing_z_limits = limit("rotX"), limit("rotY"), limit("rotZ")
     swing_limits = None
-    if about_y is not None and about_z is not None:
-        swing_limits = (about_y[1], about_z[1])
+    if swing_y_limits is not None and swing_z_limits is not None:
+        swing_limits = (swing_y_limits[1], swing_z_limits[1])
     return (
         None
         if twist is None and swing_limits is None
@@ -222,30 +225,29 @@ def read_ball(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     )
 
 
-# USD's fallback rate; an animation over the rig adopts it.
-LAYER_RATE = Fraction(24)
+# USD's fallback rate; animation layers over the rig adopt it.
+FALLBACK_RATE = Fraction(24)
 
 
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     """Write a rig layer; return its size in bytes and notices about names.
 
-    It has the model, the SkelRoot, the Skeleton with bind and rest, the meshes and
-    blend shapes, and customData for what USD cannot express. It does not bind an
-    animation.
+    It has the model, SkelRoot, Skeleton, meshes and blend shapes, without an animation.
+    Properties that USD cannot express are stored as customData.
     """
-    layer, names = _rig_layer(rig, path)
-    return save_layer(layer, path), names
+    layer, notices = _rig_layer(rig, path)
+    return save_layer(layer, path), notices
 
 
 def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     names = joint_names(rig.joints)
-    paths = RigPaths.below(f"/{legal_name(rig.name)}")
+    paths = RigPaths.from_model(f"/{legal_name(rig.name)}")
     layer, meters = new_layer(path), rig.meters_per_unit
     with Sdf.ChangeBlock():
-        _metadata(layer, rig, paths)
+        _author_layer_metadata(layer, rig, paths)
         author_rig(layer, rig, names, paths, meters)
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
-        _, renamed = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        _, mesh_notices = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
         root = layer.GetPrimAtPath(paths.root)
         apply_schemas(root, ["SkelBindingAPI"])
         author_relationship(root, "skel:skeleton", paths.skeleton)
@@ -258,13 +260,13 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     with Sdf.ChangeBlock():
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute_spec(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
-    notices = [replace(fault, path=str(path)) for fault in names.notices + renamed]
+    notices = [replace(fault, path=str(path)) for fault in names.notices + mesh_notices]
     return layer, notices
 
 
-def _metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
+def _author_layer_metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:
     layer.defaultPrim = Sdf.Path(paths.model).name
-    layer.framesPerSecond = layer.timeCodesPerSecond = float(LAYER_RATE)
+    layer.framesPerSecond = layer.timeCodesPerSecond = float(FALLBACK_RATE)
     layer.pseudoRoot.SetInfo("metersPerUnit", rig.meters_per_unit)
     layer.pseudoRoot.SetInfo("upAxis", rig.up.value)
 
@@ -275,12 +277,14 @@ def write_physics_layer(rig: Rig, path: Path, rig_path: Path) -> tuple[int, int]
     Returns the size in bytes and the number of joints.
     """
     layer = new_layer(path)
-    paths = RigPaths.below(f"/{legal_name(rig.name)}")
+    paths = RigPaths.from_model(f"/{legal_name(rig.name)}")
     names = joint_names(rig.joints).names
     with Sdf.ChangeBlock():
-        _metadata(layer, rig, paths)
+        _author_layer_metadata(layer, rig, paths)
         layer.pseudoRoot.SetInfo("kilogramsPerUnit", 1.0)
         prim_spec(layer, paths.model, over=True)
-        counts = author_physics(layer, paths.model, rig, names, rig.meters_per_unit)
+        joint_count = author_physics(
+            layer, paths.model, rig, names, rig.meters_per_unit
+        )
     layer.subLayerPaths = [f"./{rig_path.name}"]
-    return save_layer(layer, path), counts
+    return save_layer(layer, path), joint_count

@@ -1,7 +1,6 @@
 """Writes mesh prims: skinned rig meshes with blend shapes, bones, and frames.
 
-`author_mesh` authors what all meshes have in common, such as `doubleSided` and
-subdivision.
+All mesh writers use `author_mesh`, for attributes such as `doubleSided`.
 """
 
 from __future__ import annotations
@@ -39,8 +38,8 @@ from animtool.usd.layers.sdf import (
 )
 from animtool.usd.rigs.skeleton import STRANDS_SCOPE
 
-# Shapes that move a smaller fraction of the vertices are written with indices: an index
-# takes a third of an offset's space.
+# Blend shapes that move a smaller fraction of the vertices are written with indices; an
+# index takes a third of the space of an offset.
 MAX_INDEXED_FRACTION = 0.75
 
 # Linear colors of meshes in order, and of bones.
@@ -62,15 +61,15 @@ _SKIN_METHODS = {"linear": "classicLinear", "dual_quaternion": "dualQuaternion"}
 
 
 def author_mesh(
-    spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", closed: bool
+    spec: Any, values: Mapping[str, Any], *, subdivision: str = "none", is_closed: bool
 ) -> None:
     """Author the constant attributes of a mesh.
 
-    ``values`` are its attributes in order; ``closed`` says whether only its outside is
-    visible.
+    ``values`` are its attributes in order; ``is_closed`` says whether only its outside
+    is visible.
     """
     author_values(spec, {**values, "subdivisionScheme": subdivision})
-    if not closed:
+    if not is_closed:
         author_values(spec, {"doubleSided": True})
 
 
@@ -80,20 +79,20 @@ class MeshForm(FrameForm[MeshFrame]):
     type_name = "Mesh"
     sampled = ("points", "velocities", "extent", "normals")
 
-    def shape(self, frame: MeshFrame) -> Mapping[str, IntArray]:
+    def topology(self, frame: MeshFrame) -> Mapping[str, IntArray]:
         """Return the topology attributes."""
         return {
             "faceVertexCounts": frame.counts.astype(np.int32),
             "faceVertexIndices": frame.indices.astype(np.int32),
         }
 
-    def tears(self, frame: MeshFrame) -> bool:
+    def can_tear(self, frame: MeshFrame) -> bool:
         """Return whether the topology may change."""
         return frame.tears
 
-    def describe(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+    def author_constants(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
         """Author subdivision scheme and sidedness."""
-        author_mesh(spec, {}, closed=frame.closed)
+        author_mesh(spec, {}, is_closed=frame.closed)
 
     def values(
         self,
@@ -102,7 +101,7 @@ class MeshForm(FrameForm[MeshFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return bounds and normals; untorn meshes keep the first frame's faces."""
+        """Return bounds and normals; only meshes that tear use the frame's faces."""
         faces = writer.triangles
         if frame.tears:
             faces = triangulated(frame.counts, frame.indices)
@@ -113,23 +112,21 @@ class MeshForm(FrameForm[MeshFrame]):
 def mesh_names(
     surfaces: Sequence[Surface], paths: RigPaths
 ) -> tuple[list[str], dict[str, str]]:
-    """Return prim paths of meshes, and the original names of renamed ones.
+    """Return prim paths of meshes, and the original names of renamed meshes by path.
 
     Meshes are siblings of Skeleton, animation and strands below the SkelRoot.
     """
-    used_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
-    used_names.append(STRANDS_SCOPE)
-    all_names = [*used_names, *(surface.name for surface in surfaces)]
+    reserved_names = [Sdf.Path(path).name for path in (paths.skeleton, paths.animation)]
+    reserved_names.append(STRANDS_SCOPE)
+    all_names = [*reserved_names, *(surface.name for surface in surfaces)]
     names = distinct_names(all_names, all_names, all_names)
-    paths_of_meshes = [
-        f"{paths.root}/{name}" for name in names.names[len(used_names) :]
-    ]
-    renamed = {
+    mesh_paths = [f"{paths.root}/{name}" for name in names.names[len(reserved_names) :]]
+    original_names = {
         path: surface.name
-        for path, surface in zip(paths_of_meshes, surfaces, strict=True)
+        for path, surface in zip(mesh_paths, surfaces, strict=True)
         if Sdf.Path(path).name != surface.name
     }
-    return paths_of_meshes, renamed
+    return mesh_paths, original_names
 
 
 def author_meshes(
@@ -139,7 +136,7 @@ def author_meshes(
     tokens: Mapping[str, str],
     meters_per_unit: float,
     *,
-    bound: bool = True,
+    with_bindings: bool = True,
 ) -> tuple[list[str], list[Fault]]:
     """Write meshes below the SkelRoot; return their paths and notices.
 
@@ -148,15 +145,15 @@ def author_meshes(
     ``meters_per_unit`` is the unit of the layer [m].
     """
     notices: list[Fault] = []
-    mesh_paths, renamed = mesh_names(surfaces, paths)
+    mesh_paths, original_names = mesh_names(surfaces, paths)
     for i, (path, surface) in enumerate(zip(mesh_paths, surfaces, strict=True)):
         spec = _author_mesh_prim(layer, path, surface, meters_per_unit)
         _author_color(spec, COLORS[i % len(COLORS)])
-        if path in renamed:
-            spec.SetInfo("customData", {"animtool": {"name": renamed[path]}})
+        if path in original_names:
+            spec.SetInfo("customData", {"animtool": {"name": original_names[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
             _author_transform(spec, surface.geom_bind, meters_per_unit)
-        if bound and (surface.skin is not None or surface.shapes):
+        if with_bindings and (surface.skin is not None or surface.shapes):
             apply_schemas(spec, ["SkelBindingAPI"])
             if surface.skin is not None:
                 notices += _author_skin(
@@ -185,7 +182,7 @@ def _author_mesh_prim(
         spec,
         values,
         subdivision=SUBDIVISION[surface.subdivision],
-        closed=closed(surface.counts, surface.indices),
+        is_closed=closed(surface.counts, surface.indices),
     )
     return spec
 
@@ -232,7 +229,7 @@ def _author_skin(
     meters_per_unit: float,
 ) -> list[Fault]:
     influences, report = read_influences(skin.indices, skin.weights, len(skin.joints))
-    indices, weights = _padded_influences(influences)
+    indices, weights = _pad_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
         attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
@@ -240,10 +237,10 @@ def _author_skin(
         bind = _stage_matrix(surface.geom_bind, meters_per_unit)
         attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
     joint_indices = np.ascontiguousarray(indices.ravel(), np.int32)
-    shares = np.ascontiguousarray(weights.ravel(), np.float32)
+    joint_weights = np.ascontiguousarray(weights.ravel(), np.float32)
     for name, kind, values in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
-        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(shares)),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(joint_weights)),
     ):
         attr = attribute_spec(
             spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
@@ -256,7 +253,7 @@ def _author_skin(
     return _influence_notices(surface.name, report)
 
 
-def _padded_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
+def _pad_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.row_starts)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
@@ -298,53 +295,63 @@ def _author_shapes(
 
 
 def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
-    delta_arrays = [shape.deltas, *(step.deltas for step in shape.inbetweens)]
-    normal_offsets = [shape.normals, *(step.normals for step in shape.inbetweens)]
-    offsets = [
+    delta_arrays = [shape.deltas, *(inbetween.deltas for inbetween in shape.inbetweens)]
+    normal_offsets = [
+        shape.normals,
+        *(inbetween.normals for inbetween in shape.inbetweens),
+    ]
+    offset_arrays = [
         offset_array
         for offset_array in [*delta_arrays, *normal_offsets]
         if offset_array is not None
     ]
-    is_moved = np.any([offset_array.any(axis=1) for offset_array in offsets], axis=0)
-    vertices, rows = shape.vertices, slice(None)
-    if vertices is None and is_moved.mean() < MAX_INDEXED_FRACTION:
-        vertices = np.flatnonzero(is_moved)
-        rows = is_moved
+    is_displaced = np.any(
+        [offset_array.any(axis=1) for offset_array in offset_arrays], axis=0
+    )
+    vertices, selected_rows = shape.vertices, slice(None)
+    if vertices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
+        vertices = np.flatnonzero(is_displaced)
+        selected_rows = is_displaced
     attribute_spec(
         spec,
         "offsets",
         _TYPES.Vector3fArray,
-        _vec3f(shape.deltas[rows] / meters_per_unit, f"{spec.path}.offsets"),
+        _vec3f(shape.deltas[selected_rows] / meters_per_unit, f"{spec.path}.offsets"),
         uniform=True,
     )
     if shape.normals is not None:
-        normals = _vec3f(shape.normals[rows], f"{spec.path}.normalOffsets")
+        normals = _vec3f(shape.normals[selected_rows], f"{spec.path}.normalOffsets")
         attribute_spec(
             spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True
         )
     if vertices is not None:
         points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
         attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
-    for i, step in enumerate(shape.inbetweens):
+    for i, inbetween in enumerate(shape.inbetweens):
         name = f"inbetweens:step_{i + 1}"
-        deltas = _vec3f(step.deltas[rows] / meters_per_unit, f"{spec.path}.{name}")
+        deltas = _vec3f(
+            inbetween.deltas[selected_rows] / meters_per_unit, f"{spec.path}.{name}"
+        )
         attr = attribute_spec(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
-        check_value(step.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
-        attr.SetInfo("weight", step.at)
-        if step.normals is not None:
+        check_value(inbetween.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
+        attr.SetInfo("weight", inbetween.at)
+        if inbetween.normals is not None:
             attribute_spec(
                 spec,
                 f"{name}:normalOffsets",
                 _TYPES.Vector3fArray,
-                _vec3f(step.normals[rows], f"{spec.path}.{name}:normalOffsets"),
+                _vec3f(
+                    inbetween.normals[selected_rows],
+                    f"{spec.path}.{name}:normalOffsets",
+                ),
                 uniform=True,
             )
 
 
-# A bone is an octahedron, widest at a fifth of its length.
+# A bone is drawn as an octahedron; position of its widest part, relative to the length.
 WAIST_POSITION = 0.2
 BONE_HALF_WIDTH = 0.08
-# Gap at either end, relative to the length: tools would merge points shared by bones.
+# Gap at both ends, relative to the length, so that tools do not merge points of bones.
 END_GAP = 0.005
 
 _OCTAHEDRON_FACES = np.array(
@@ -359,22 +366,24 @@ def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
     length are left out.
     """
     world = rest_world(rig)
-    ends, joints = [], []
+    segment_ends, joint_indices = [], []
     for i, joint in enumerate(rig.joints):
         if joint.parent >= 0:
-            ends.append((world.positions[0, joint.parent], world.positions[0, i]))
-            joints.append(joint.parent)
+            segment_ends.append(
+                (world.positions[0, joint.parent], world.positions[0, i])
+            )
+            joint_indices.append(joint.parent)
         for tip in joint.tips:
             joint_position = world.positions[0, i]
-            ends.append(
+            segment_ends.append(
                 (joint_position, joint_position + world.linear[0, i] @ np.asarray(tip))
             )
-            joints.append(i)
-    segments = np.array(ends, np.float64).reshape(-1, 2, 3)
-    owners = np.array(joints, np.int64)
+            joint_indices.append(i)
+    segments = np.array(segment_ends, np.float64).reshape(-1, 2, 3)
+    segment_joints = np.array(joint_indices, np.int64)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=-1)
     is_nonzero = lengths > 1e-6 * lengths.max(initial=0.0)
-    return segments[is_nonzero], owners[is_nonzero]
+    return segments[is_nonzero], segment_joints[is_nonzero]
 
 
 def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) -> bool:
@@ -382,11 +391,11 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
 
     Returns whether there was a bone to write.
     """
-    segments, owners = bone_segments(rig)
+    segments, joints = bone_segments(rig)
     if not len(segments):
         return False
-    corners, outwards = _octahedra(segments / meters_per_unit)
-    points = _to_float32(corners.reshape(-1, 3), f"{paths.root}/Bones.points")
+    corner_points, normals = _octahedra(segments / meters_per_unit)
+    points = _to_float32(corner_points.reshape(-1, 3), f"{paths.root}/Bones.points")
     faces = (
         _OCTAHEDRON_FACES.reshape(1, -1) + 6 * np.arange(len(segments))[:, None]
     ).reshape(-1)
@@ -396,20 +405,20 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
         "faceVertexCounts": np.full(len(faces) // 3, 3, np.int32),
         "faceVertexIndices": faces.astype(np.int32),
         "points": points,
-        "normals": outwards.reshape(-1, 3).astype(np.float32),
+        "normals": normals.reshape(-1, 3).astype(np.float32),
         "extent": np.stack([points.min(axis=0), points.max(axis=0)]),
     }
-    author_mesh(spec, values, closed=True)
+    author_mesh(spec, values, is_closed=True)
     _author_color(spec, BONE_COLOR)
-    # Marks the mesh, so that readers can tell it from the meshes of the rig.
+    # Marks the mesh, so that readers do not take it for a mesh of the rig.
     spec.SetInfo("customData", {"animtool": {"bones": True}})
-    joint_indices_ = np.repeat(owners, 6).astype(np.int32)
+    joint_indices = np.repeat(joints, 6).astype(np.int32)
     for name, kind, value in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices_)),
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
         (
             "jointWeights",
             _TYPES.FloatArray,
-            Vt.FloatArray.FromNumpy(np.ones(len(joint_indices_), np.float32)),
+            Vt.FloatArray.FromNumpy(np.ones(len(joint_indices), np.float32)),
         ),
     ):
         attr = attribute_spec(
@@ -432,18 +441,19 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
         segments[:, 0] + END_GAP * directions,
         segments[:, 1] - END_GAP * directions,
     )
-    length = np.linalg.norm(directions, axis=-1, keepdims=True)
-    direction = directions / length
-    # The coordinate axis least along the bone gives a side that is never degenerate.
-    least_axis = np.eye(3)[np.argmin(np.abs(direction), axis=-1)]
-    side_axis = np.cross(direction, least_axis)
+    lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
+    unit_directions = directions / lengths
+    # The cross product with the coordinate axis least along the bone is never
+    # degenerate.
+    least_axis = np.eye(3)[np.argmin(np.abs(unit_directions), axis=-1)]
+    side_axis = np.cross(unit_directions, least_axis)
     side_axis /= np.linalg.norm(side_axis, axis=-1, keepdims=True)
-    front_axis = np.cross(direction, side_axis)
+    front_axis = np.cross(unit_directions, side_axis)
     waist = head + WAIST_POSITION * directions
-    width = BONE_HALF_WIDTH * length
+    width = BONE_HALF_WIDTH * lengths
     corner_axes = [side_axis, front_axis, -side_axis, -front_axis]
-    waist_points = [waist + width * v for v in corner_axes]
+    waist_points = [waist + width * axis for axis in corner_axes]
     return (
         np.stack([head, *waist_points, tail], axis=1),
-        np.stack([-direction, *corner_axes, direction], axis=1),
+        np.stack([-unit_directions, *corner_axes, unit_directions], axis=1),
     )

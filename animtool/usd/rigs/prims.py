@@ -32,7 +32,7 @@ from animtool.usd.layers.faults import (
     unit_and_axis_faults,
 )
 from animtool.usd.layers.sdf import check_prim_path, find_layer
-from animtool.usd.rigs.rest_pose import readable_rest
+from animtool.usd.rigs.rest_pose import read_rest
 
 # Maximum prims whose names are compared with an unknown one.
 MAX_COMPARED_PATHS = 20_000
@@ -50,7 +50,7 @@ def array_value(attr: Any, time: Any = None) -> Any:
 
 
 def array_of(value: Any) -> Any:
-    """Return a value that is an array; otherwise an empty one."""
+    """Return a value if it is an array, otherwise an empty tuple."""
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
@@ -98,14 +98,14 @@ class SkeletonRig:
 
 
 def open_stage(path: Path) -> Any:
-    """Open a stage; an invalid rate, range, unit or up axis is refused."""
+    """Open a stage; refuse an invalid rate, range, unit or up axis."""
     stage = open_composed(find_layer(path), path)
     _check_metadata(stage, PrimLocation(str(path), "/"))
     return stage
 
 
 def _check_metadata(stage: Any, where: PrimLocation) -> None:
-    """Refuse metadata that make the numbers of a stage unreadable."""
+    """Refuse an invalid rate, range, unit or up axis of a stage."""
     rate = stage.GetTimeCodesPerSecond()
     if not MIN_METADATA <= rate <= MAX_METADATA:
         where.fail(
@@ -124,14 +124,14 @@ def _check_metadata(stage: Any, where: PrimLocation) -> None:
 
 def find_prim(stage: Any, name: str) -> Any:
     """Return the prim at an absolute path; None if missing."""
-    valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
-    return (stage.GetPrimAtPath(name) or None) if valid else None
+    is_valid = Sdf.Path.IsValidPathString(name) and Sdf.Path(name).IsAbsolutePath()
+    return (stage.GetPrimAtPath(name) or None) if is_valid else None
 
 
 def nearest_prim(stage: Any, name: str) -> str | None:
     """Return a hint that names the prim with the most similar path."""
-    all_of_them = islice(stage.Traverse(), MAX_COMPARED_PATHS)
-    names = [str(prim.GetPath()) for prim in all_of_them]
+    candidates = islice(stage.Traverse(), MAX_COMPARED_PATHS)
+    names = [str(prim.GetPath()) for prim in candidates]
     similar_path = most_similar(name, names)
     return f"did you mean {similar_path}?" if similar_path else None
 
@@ -143,7 +143,7 @@ def self_and_ancestors(prim: Any) -> Iterator[Any]:
         prim = prim.GetParent()
 
 
-def placing_times(prim: Any) -> set[float]:
+def transform_times(prim: Any) -> set[float]:
     """Return the sample times of a prim's world transform."""
     xformables = filter(None, map(UsdGeom.Xformable, self_and_ancestors(prim)))
     return {time for xformable in xformables for time in xformable.GetTimeSamples()}
@@ -155,7 +155,7 @@ def find_skeletons(stage: Any, root_path: str = "/") -> list[Any]:
     if not root_prim:
         return []
     prims = Usd.PrimRange(root_prim, Usd.TraverseInstanceProxies())
-    return [UsdSkel.Skeleton(p) for p in prims if p.IsA(UsdSkel.Skeleton)]
+    return [UsdSkel.Skeleton(prim) for prim in prims if prim.IsA(UsdSkel.Skeleton)]
 
 
 def animation_source(skeleton: Any) -> Any:
@@ -171,7 +171,7 @@ def animation_source(skeleton: Any) -> Any:
 
 
 def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Split row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
+    """Decompose row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
 
     A mirror becomes a negative scale on all three axes. Shear is dropped.
     """
@@ -179,22 +179,23 @@ def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]
     return matrices[..., 3, :3], rotations, scales
 
 
-def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> SkeletonRig:
+def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> SkeletonRig:
     """Return the rig of a Skeleton prim, in metres.
 
-    A character of blend shapes alone has no joints.
+    A character with only blend shapes has no joints.
 
-    ``animated`` says whether its bound animation poses it, unlike below a layer.
+    ``is_animated`` says whether its bound animation applies, which a layer over the rig
+    replaces.
     """
     stage = skeleton.GetPrim().GetStage()
-    where = PrimLocation.of(path, skeleton)
+    where = PrimLocation.from_prim(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
     rest, notices = np.zeros((0, 4, 4)), list[Fault]()
     if tokens:
-        rest, notices = readable_rest(skeleton, tokens, where, animated=animated)
-    data = stored_data(skeleton.GetPrim())
+        rest, notices = read_rest(skeleton, tokens, where, is_animated=is_animated)
+    custom_data = stored_data(skeleton.GetPrim())
     # Files written by animtool store the names.
-    joint_names = () if data else array_value(skeleton.GetJointNamesAttr())
+    joint_names = () if custom_data else array_value(skeleton.GetJointNamesAttr())
     model = skeleton.GetPrim().GetParent().GetParent() or skeleton.GetPrim()
     name = model.GetName() if model.GetName() != "/" else skeleton.GetPrim().GetName()
     transform_attrs = (
@@ -204,7 +205,14 @@ def skeleton_rig(skeleton: Any, path: Path, *, animated: bool = True) -> Skeleto
     authored_attrs = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
     meters, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
     rig = rig_from_tokens(
-        tokens, rest, name, where, meters, up, data, [str(name) for name in joint_names]
+        tokens,
+        rest,
+        name,
+        where,
+        meters,
+        up,
+        custom_data,
+        [str(name) for name in joint_names],
     )
     return replace(rig, notices=tuple(notices))
 
@@ -222,35 +230,38 @@ def rig_from_tokens(
     where: PrimLocation,
     meters_per_unit: float,
     up: UpAxis,
-    data: dict[str, Any],
+    custom_data: dict[str, Any],
     source_names: Sequence[str] = (),
 ) -> SkeletonRig:
     """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
 
-    Joints have the last component of their paths as names. Their source names are those
-    of ``data``, else ``source_names``, the Skeleton's ``jointNames``, if valid.
+    Joints are named by the last component of their paths. Their source names come from
+    ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if
+    valid.
     """
     index = {token: i for i, token in enumerate(tokens)}
     where.refuse(joint_order_faults(f"{where.where}.joints", tokens))
-    if not isinstance(data, dict) or not all(
-        isinstance(data.get(key, {}), dict) for key in ("names", "pins")
+    if not isinstance(custom_data, dict) or not all(
+        isinstance(custom_data.get(key, {}), dict) for key in ("names", "pins")
     ):
         where.fail("USD007", "customData animtool is malformed")
-    extras = _stored_extras(data, where)
-    originals = dict(data.get("names", {}))
-    names = (
-        source_names if _are_names(source_names, len(tokens)) else [""] * len(tokens)
+    extras = _parse_joint_extras(custom_data, where)
+    original_names = dict(custom_data.get("names", {}))
+    joint_names = (
+        source_names
+        if _are_valid_names(source_names, len(tokens))
+        else [""] * len(tokens)
     )
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
-    uniques = numbered_names(token.rpartition("/")[2] for token in tokens)
+    unique_names = numbered_names(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
         parent = _parent_index(token, index)
         leaf = token.rpartition("/")[2]
-        if match := _CONTROL_CHARACTER.search(f"{leaf}{originals.get(leaf, '')}"):
+        if match := _CONTROL_CHARACTER.search(f"{leaf}{original_names.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
             where.fail("DOC023", message)
-        unique = uniques[i]
+        unique = unique_names[i]
         settings = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
         a, b, c, w = rotations[i].tolist()
@@ -260,7 +271,9 @@ def rig_from_tokens(
                 parent,
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
-                source_name=_source_name(originals.get(leaf), names[i], leaf, unique),
+                source_name=_source_name(
+                    original_names.get(leaf), joint_names[i], leaf, unique
+                ),
                 channels=settings.get("channels"),
                 tips=settings.get("tips", ()),
             )
@@ -269,29 +282,29 @@ def rig_from_tokens(
     return SkeletonRig(rig, list(tokens), scales)
 
 
-def _are_names(names: Sequence[str], joints: int) -> bool:
+def _are_valid_names(names: Sequence[str], joints: int) -> bool:
     """Return whether there is a valid source name for each joint."""
     is_printable = all(name.strip() and name.isprintable() for name in names)
     return is_printable and len(set(names)) == len(names) == joints
 
 
-def _source_name(original: Any, joint_name: str, leaf: str, unique: str) -> str:
+def _source_name(stored_name: Any, joint_name: str, leaf: str, unique: str) -> str:
     """Return the original name of a joint; empty if unchanged."""
-    if original is not None:
-        return str(original)
+    if stored_name is not None:
+        return str(stored_name)
     name = joint_name or leaf
     return "" if name == unique else name
 
 
 def _parent_index(token: str, index: dict[str, int]) -> int:
-    """Return the nearest ancestor that is a joint, as UsdSkel.Topology does."""
+    """Return the nearest ancestor joint, as UsdSkel.Topology does; -1 for none."""
     while token := token.rpartition("/")[0]:
         if token in index:
             return index[token]
     return -1
 
 
-def _stored_extras(
+def _parse_joint_extras(
     data: dict[str, Any], where: PrimLocation
 ) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
@@ -325,8 +338,8 @@ def _joint_extras(entry: dict[str, Any]) -> dict[str, Any]:
 def _authored_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
     """Return unit [m] and up axis of the layer that authors an attribute.
 
-    A shot in metres may reference a rig in centimetres: the numbers of the rig, and of
-    an animation for it, are still in centimetres.
+    A shot in metres may reference a rig in centimetres; the numbers of the rig and its
+    animations stay in centimetres.
     """
     meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     stack = attr.GetPropertyStack(Usd.TimeCode.Default())
@@ -343,14 +356,14 @@ def up_axis(stage: Any) -> UpAxis:
     return UpAxis(str(UsdGeom.GetStageUpAxis(stage)))
 
 
-def prim_below(stage: Any, prim_path: str | None) -> str:
-    """Return the prim to search below: the given, default or pseudo-root prim."""
+def search_root(stage: Any, prim_path: str | None) -> str:
+    """Return the path to search below: as configured, else the default prim or root."""
     if prim_path is not None:
         check_prim_path(prim_path)
         return prim_path
-    default = stage.GetDefaultPrim()
-    if default and find_skeletons(stage, str(default.GetPath())):
-        return str(default.GetPath())
+    default_prim = stage.GetDefaultPrim()
+    if default_prim and find_skeletons(stage, str(default_prim.GetPath())):
+        return str(default_prim.GetPath())
     return "/"
 
 
@@ -363,10 +376,10 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
     ]
 
 
-def others_notice(
+def skipped_skeletons_notice(
     skeletons: list[Any], where: str, hint: str | None = None
 ) -> list[Fault]:
-    """Report the characters that are skipped if there are several."""
+    """Report the Skeletons that are skipped if there are several."""
     if len(skeletons) < 2:
         return []
     first_path, *other_paths = [str(skeleton.GetPath()) for skeleton in skeletons]

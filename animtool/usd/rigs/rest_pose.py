@@ -1,7 +1,6 @@
 """The rest pose of a Skeleton, and its replacement if none is authored.
 
-UsdSkel poses a Skeleton without restTransforms by an animation of all its joints, and
-does not pose it by one that lacks some.
+UsdSkel poses a Skeleton without restTransforms only if its animation has all joints.
 """
 
 from __future__ import annotations
@@ -20,17 +19,17 @@ from animtool.core.rules import finding
 from animtool.maths import so3
 from animtool.usd.layers.faults import (
     PrimLocation,
+    is_singular,
     joint_parents,
     matrix_array,
     non_finite_faults,
-    singular,
     token_array,
     transform_attributes,
 )
 
 MAX_LISTED_JOINTS = 6
-# A bone without length, and one with; in lengths of the longest bone.
-NO_LENGTH, MIN_LENGTH = 1e-5, 0.02
+# Largest length of a collapsed bone and smallest of another, relative to the longest.
+MAX_COLLAPSED_LENGTH, MIN_BONE_LENGTH = 1e-5, 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,19 +37,19 @@ class RestPose:
     """Rest transforms of a Skeleton's joints."""
 
     matrices: FloatArray  # relative to the parents, row vectors ``(J, 4, 4)``
-    source: str = ""  # replacement that they come from; empty if authored
+    source: str = ""  # where replaced transforms come from; empty if authored
 
 
-def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
-    """Return the rest pose of a Skeleton, authored if possible.
+def find_rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
+    """Return the rest pose of a Skeleton; None if there is none.
 
-    Otherwise the bind pose, or the first sample of a bound animation of all joints.
-    None if there is neither.
+    It is the authored one, else the bind pose, else the first sample of a bound
+    animation of all joints.
     """
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):
         return RestPose(rest)
-    bind = relative_bind(skeleton, joints)
+    bind = local_bind_transforms(skeleton, joints)
     if bind is not None:
         return RestPose(bind, "the bind pose")
     first_pose = _first_pose(_bound_animation(skeleton), joints)
@@ -61,44 +60,49 @@ def rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     )
 
 
-def relative_bind(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
+def local_bind_transforms(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
     """Return the bind transforms relative to their parents ``(J, 4, 4)``.
 
-    None if their number is wrong, they are not finite or singular, or identities of
-    several joints, which are placeholders.
+    None if their count is wrong, if one is not finite or singular, or if several joints
+    have identities, which are placeholders.
     """
     bind = matrix_array(skeleton.GetBindTransformsAttr())
     if len(bind) != len(joints) or not np.isfinite(bind).all():
         return None
-    if singular(bind).any() or (len(bind) > 1 and (bind == np.eye(4)).all()):
+    if is_singular(bind).any() or (len(bind) > 1 and (bind == np.eye(4)).all()):
         return None
-    rest = np.array(bind, np.float64)
+    local = np.array(bind, np.float64)
     for joint, parent in enumerate(joint_parents(joints).tolist()):
         if parent >= 0:
-            rest[joint] = bind[joint] @ np.linalg.inv(bind[parent])
-    return np.ascontiguousarray(rest)
+            local[joint] = bind[joint] @ np.linalg.inv(bind[parent])
+    return np.ascontiguousarray(local)
 
 
-def collapsed_bones(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
-    """Yield a warning about bones with a length at rest and none when bound (USD290).
+def collapsed_bone_faults(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
+    """Yield a warning about bones that only the bind pose collapses (USD290).
 
-    Joints that share a place with their parent in both poses are helpers.
+    Helper joints, at the position of their parent in both poses, are not reported.
     """
     attr = skeleton.GetBindTransformsAttr()
     bind = matrix_array(attr)
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     parents = joint_parents(joints)
-    in_order = bool((parents < np.arange(len(joints))).all())
-    if not (in_order and len(bind) == len(rest) == len(joints)):
+    is_ordered = bool((parents < np.arange(len(joints))).all())
+    if not (is_ordered and len(bind) == len(rest) == len(joints)):
         return
-    world = rest.copy()
+    rest_in_skeleton = rest.copy()
     for joint, parent in enumerate(parents.tolist()):
         if parent >= 0:
-            world[joint] = rest[joint] @ world[parent]
-    bind_lengths, lengths = (_bone_lengths(pose, parents) for pose in (bind, world))
-    size, bind_size = lengths.max(initial=0.0), bind_lengths.max(initial=0.0)
-    is_collapsed = (lengths > MIN_LENGTH * size) & (
-        bind_lengths < NO_LENGTH * bind_size
+            rest_in_skeleton[joint] = rest[joint] @ rest_in_skeleton[parent]
+    bind_lengths, rest_lengths = (
+        _bone_lengths(pose, parents) for pose in (bind, rest_in_skeleton)
+    )
+    max_length, max_bind_length = (
+        rest_lengths.max(initial=0.0),
+        bind_lengths.max(initial=0.0),
+    )
+    is_collapsed = (rest_lengths > MIN_BONE_LENGTH * max_length) & (
+        bind_lengths < MAX_COLLAPSED_LENGTH * max_bind_length
     )
     names = [
         joints[j].rpartition("/")[2] for j in np.flatnonzero(is_collapsed).tolist()
@@ -108,7 +112,7 @@ def collapsed_bones(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
     message = (
         f"{counted(len(names), 'joint')} with the bind position of the parent, but "
         f"another one at rest: {listed(names, MAX_LISTED_JOINTS)}; {names[0]!r} rests "
-        f"{lengths[is_collapsed][0]:.4g} from it"
+        f"{rest_lengths[is_collapsed][0]:.4g} from it"
     )
     yield finding("USD290", attr.GetPath(), message)
 
@@ -121,16 +125,17 @@ def _bone_lengths(matrices: FloatArray, parents: IntArray) -> FloatArray:
 
 
 def rest_faults(
-    skeleton: Any, joints: Sequence[str], *, animated: bool = True
+    skeleton: Any, joints: Sequence[str], *, is_animated: bool = True
 ) -> Iterator[Fault]:
     """Yield faults of the rest transforms of a Skeleton with joints.
 
-    ``animated`` says whether its bound animation applies, unlike below a layer.
+    ``is_animated`` says whether its bound animation applies, which a layer over the rig
+    replaces.
     """
     attr = skeleton.GetRestTransformsAttr()
     rest = matrix_array(attr)
     if not len(rest):
-        yield _missing_rest_fault(skeleton, joints, animated=animated)
+        yield _missing_rest_fault(skeleton, joints, is_animated=is_animated)
     elif len(rest) != len(joints):
         message = f"{counted(len(rest), 'restTransform')}"
         message += f" for {counted(len(joints), 'joint')}"
@@ -140,13 +145,13 @@ def rest_faults(
 
 
 def _missing_rest_fault(
-    skeleton: Any, joints: Sequence[str], *, animated: bool
+    skeleton: Any, joints: Sequence[str], *, is_animated: bool
 ) -> Fault:
-    """Return the fault of missing rest transforms: a warning if replaced."""
+    """Return the fault of missing rest transforms; a warning if replaceable."""
     where = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     unanimated_joints = (
-        _unanimated_joints(_bound_animation(skeleton), joints) if animated else []
+        _unanimated_joints(_bound_animation(skeleton), joints) if is_animated else []
     )
     if unanimated_joints:
         message += (
@@ -154,7 +159,7 @@ def _missing_rest_fault(
         )
         message += f"{listed(unanimated_joints, MAX_LISTED_JOINTS)}; UsdSkel poses none"
         return finding("USD239", where, message)
-    pose = rest_pose(skeleton, joints)
+    pose = find_rest_pose(skeleton, joints)
     if pose is None:
         message += (
             ", and neither bindTransforms nor an animation of all joints to use instead"
@@ -163,17 +168,21 @@ def _missing_rest_fault(
     return finding("USD229", where, f"{message}; using {pose.source} as the rest pose")
 
 
-def readable_rest(
-    skeleton: Any, joints: Sequence[str], where: PrimLocation, *, animated: bool = True
+def read_rest(
+    skeleton: Any,
+    joints: Sequence[str],
+    where: PrimLocation,
+    *,
+    is_animated: bool = True,
 ) -> tuple[FloatArray, list[Fault]]:
     """Return rest transforms ``(J, 4, 4)``, and a warning if they are replaced.
 
     Faults that readers cannot accept are raised.
     """
-    faults = list(rest_faults(skeleton, joints, animated=animated))
+    faults = list(rest_faults(skeleton, joints, is_animated=is_animated))
     replacement_faults = [fault for fault in faults if fault.code == "USD229"]
     where.refuse(fault for fault in faults if fault not in replacement_faults)
-    pose = rest_pose(skeleton, joints)
+    pose = find_rest_pose(skeleton, joints)
     matrices = np.zeros((0, 4, 4)) if pose is None else pose.matrices
     warning = Severity.WARNING
     return matrices, [
@@ -190,7 +199,7 @@ def _bound_animation(skeleton: Any) -> Any:
 
 
 def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
-    """Return the joints missing from an animation that has joints."""
+    """Return the joints that an animation with other joints lacks."""
     if animation is None:
         return []
     animated_joints = set(token_array(animation.GetJointsAttr()))

@@ -1,4 +1,4 @@
-"""Authoring a rig's prims: model, SkelRoot, Skeleton, strands."""
+"""Writes a rig's prims: model, SkelRoot, Skeleton and strands."""
 
 from __future__ import annotations
 
@@ -36,30 +36,30 @@ if TYPE_CHECKING:
     from animtool.usd.layers.faults import PrimLocation
 
 
-RECORD_KEY = "stands"
+PLACEMENT_KEY = "stands"
 
 
-def rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
-    """Return the record of a rig's rest placement; empty if it has none.
+def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
+    """Return the rest placement of a rig as customData; empty if it has none.
 
-    ``rest_pose_rig`` is the rig with the file's rest pose; None is the same rig. If
-    that one is placed, a take without placement is recorded as such.
+    ``rest_pose_rig`` is the rig whose rest pose the file has; None is the same rig. If
+    it is placed, the identity is recorded for a take without placement.
     """
     rigs = (rig,) if rest_pose_rig is None else (rig, rest_pose_rig)
-    if all(rig_.stands is None and not rig_.rides for rig_ in rigs):
+    if all(candidate.stands is None and not candidate.rides for candidate in rigs):
         return {}
-    placement_ = rig.stands or Placement.from_rotation(so3.IDENTITY)
+    rest_placement = rig.stands or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
-        "translate": Gf.Vec3d(*placement_.translations[0].tolist()),
-        "rotate": gf_quaternion(placement_.rotations[0]),
+        "translate": Gf.Vec3d(*rest_placement.translations[0].tolist()),
+        "rotate": gf_quaternion(rest_placement.rotations[0]),
     }
     return record | ({"rides": True} if rig.rides else {})
 
 
-def with_recorded_rest(
+def apply_recorded_rest(
     rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
 ) -> Rig:
-    """Return a rig with the rest placement recorded in its motion file.
+    """Return a rig at the rest placement that is recorded in customData.
 
     Args:
         rig: The rig.
@@ -73,26 +73,28 @@ def with_recorded_rest(
     )
     if motion_placement is None:
         return rig
-    stands, rides = motion_placement
+    motion_rest, is_animated = motion_placement
     if skeleton is not None and rest_placement is not motion_placement:
-        # The rest pose belongs to another take of a library, or has no placement.
+        # The Skeleton's rest pose is that of another library take, or has no placement.
         relative_placement = (
-            stands
+            motion_rest
             if rest_placement is None
-            else stands.after(rest_placement[0].inverse())
+            else motion_rest.after(rest_placement[0].inverse())
         )
         rig = placed_rig(rig, relative_placement)
-    return replace(rig, stands=None if stands.is_identity else stands, rides=rides)
+    return replace(
+        rig, stands=None if motion_rest.is_identity else motion_rest, rides=is_animated
+    )
 
 
 def _recorded_placement(
     prim: Any, where: PrimLocation
 ) -> tuple[Placement, bool] | None:
-    """Return the recorded placement of a prim, and whether it moves; None if absent."""
+    """Return a prim's recorded placement and whether it is animated; None if absent."""
     # Writing does not need stages.
     from animtool.usd.rigs.prims import stored_data
 
-    record = stored_data(prim).get(RECORD_KEY)
+    record = stored_data(prim).get(PLACEMENT_KEY)
     if record is None:
         return None
     position, orientation = (
@@ -100,12 +102,12 @@ def _recorded_placement(
         for key in ("translate", "rotate")
     )
     if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
-        where.fail("USD007", f"customData animtool:{RECORD_KEY} is malformed")
+        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
     translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
-        where.fail("USD007", f"customData animtool:{RECORD_KEY} is malformed")
+        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     placement = Placement(translation[None], rotation[None] / length, np.ones(1))
     return placement, bool(record.get("rides", False))
 
@@ -128,36 +130,37 @@ def author_rig(
     types = Sdf.ValueTypeNames
     tokens = Vt.TokenArray(rig.paths(names.names))
     attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
-    world = bind_matrices(rig)
-    bind = _row_matrices(world[:, :3, 3] / meters_per_unit, world[:, :3, :3])
-    local = so3.to_matrix(rig.rest_rotations)
-    rest = _row_matrices(rig.rest_translations / meters_per_unit, local)
+    bind_world = bind_matrices(rig)
+    bind = _row_matrices(bind_world[:, :3, 3] / meters_per_unit, bind_world[:, :3, :3])
+    local_linear = so3.to_matrix(rig.rest_rotations)
+    rest = _row_matrices(rig.rest_translations / meters_per_unit, local_linear)
     matrices = types.Matrix4dArray
     attribute_spec(spec, "bindTransforms", matrices, bind, uniform=True)
     attribute_spec(spec, "restTransforms", matrices, rest, uniform=True)
     if any(entry.points is not None for entry in rig.attach):
         paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
-    data: dict[str, Any] = {}
+    custom_data: dict[str, Any] = {}
     if has_extra_data(rig):
-        data["rig"] = rig_text(without_arrays(rig))
+        custom_data["rig"] = rig_text(strip_arrays(rig))
         if pins := _pins_by_cloth(rig):
-            data["pins"] = pins
-        data["hash"] = skeleton_hash(tokens, rest, bind)
-    if extras := joint_extras(rig, names.names):
-        data["joints"] = extras
+            custom_data["pins"] = pins
+        custom_data["hash"] = skeleton_hash(tokens, rest, bind)
+    if extras_json := joint_extras_json(rig, names.names):
+        custom_data["joints"] = extras_json
     if names.originals:
-        data["names"] = names.originals
-    if record := rest_record(rig):
-        data[RECORD_KEY] = record
-    if data:
-        spec.SetInfo("customData", {"animtool": data})
+        custom_data["names"] = names.originals
+    if record := build_rest_record(rig):
+        custom_data[PLACEMENT_KEY] = record
+    if custom_data:
+        spec.SetInfo("customData", {"animtool": custom_data})
 
 
 def has_extra_data(rig: Rig) -> bool:
     """Return whether a rig contains data that USD cannot express.
 
-    Types of joints with channels follow from the channels, which are stored separately.
+    Joint types that follow from channels do not count, as channels are stored
+    separately.
     """
     extras = (rig.controls, rig.chains, rig.attach, rig.colliders, rig.masses)
     has_products = any(shape.combine for shape in rig.shapes)
@@ -174,7 +177,7 @@ def has_extra_data(rig: Rig) -> bool:
     )
 
 
-def without_arrays(rig: Rig) -> Rig:
+def strip_arrays(rig: Rig) -> Rig:
     """Return a rig without the arrays that USD stores."""
     shapes = tuple(
         Shape(shape.name, combine=shape.combine, driven=shape.driven)
@@ -217,10 +220,10 @@ def _row_matrices(positions: FloatArray, linear: FloatArray) -> Any:
     return Vt.Matrix4dArray.FromNumpy(matrices)
 
 
-def joint_extras(rig: Rig, names: list[str]) -> str:
-    """Return joint data that USD cannot express, as canonical JSON; else empty.
+def joint_extras_json(rig: Rig, names: list[str]) -> str:
+    """Return joint data that USD cannot express as canonical JSON; empty if none.
 
-    Channel orders and tips [m], by USD joint name.
+    The data are channel orders and tips [m], by USD joint name.
     """
     joints: dict[str, dict[str, object]] = {}
     for joint, name in zip(rig.joints, names, strict=True):
@@ -237,17 +240,17 @@ def joint_extras(rig: Rig, names: list[str]) -> str:
     return json.dumps(content, sort_keys=True, separators=(",", ":"))
 
 
-def author_binding(
-    layer: Any, paths: RigPaths, *, skeleton: bool, animation: bool = True
+def bind_animation(
+    layer: Any, paths: RigPaths, *, bind_skeleton: bool, bind_source: bool = True
 ) -> None:
-    """Bind the animation, and the skeleton if the rig does not."""
+    """Apply SkelBindingAPI; bind the animation, the skeleton, or both."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
         spec = prim_spec(layer, paths.binding, over=True)
     apply_schemas(spec, ["SkelBindingAPI"])
-    if animation:
+    if bind_source:
         author_relationship(spec, "skel:animationSource", paths.animation)
-    if skeleton:
+    if bind_skeleton:
         author_relationship(spec, "skel:skeleton", paths.skeleton)
 
 
@@ -265,7 +268,7 @@ def author_strands(
     tokens: Mapping[str, str],
     meters_per_unit: float,  # unit of the layer [m]
     *,
-    bound: bool = True,
+    with_bindings: bool = True,
 ) -> None:
     """Write strands as linear curves below the SkelRoot, each bound to its joint."""
     if not strands:
@@ -278,7 +281,7 @@ def author_strands(
         _author_curves(
             spec, entry.points / meters_per_unit, STRAND_WIDTH / meters_per_unit
         )
-        if bound:
+        if with_bindings:
             _bind_to_joint(spec, tokens[entry.joint])
 
 

@@ -23,17 +23,17 @@ from animtool.usd.rigs.prims import (
 )
 
 
-def is_bones(prim: Any) -> bool:
+def is_bone_mesh(prim: Any) -> bool:
     """Return whether a prim is a mesh that visualizes bones."""
     return bool(prim.GetCustomDataByKey("animtool:bones"))
 
 
-def is_shown_mesh(prim: Any) -> bool:
+def is_rig_mesh(prim: Any) -> bool:
     """Return whether a prim is a visible mesh, not a guide or bones."""
     return bool(
         prim.IsA(UsdGeom.Mesh)
         and UsdGeom.Imageable(prim).ComputePurpose() != UsdGeom.Tokens.guide
-        and not is_bones(prim)
+        and not is_bone_mesh(prim)
     )
 
 
@@ -80,8 +80,8 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
 
-def ignored_binding(skeleton: Any) -> str:
-    """Return the prim whose binding UsdSkel ignores for lack of its schema, or None."""
+def unapplied_binding_path(skeleton: Any) -> str:
+    """Return the path of a binding without SkelBindingAPI; empty if there is none."""
     for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         if (
@@ -93,8 +93,8 @@ def ignored_binding(skeleton: Any) -> str:
     return ""
 
 
-def missing_animation(skeleton: Any) -> str:
-    """Return which animation a skeleton is bound to, and why it has no effect."""
+def missing_animation_reason(skeleton: Any) -> str:
+    """Return why the animation bound to a skeleton is missing; empty if it is not."""
     for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         targets = relationship.GetTargets() if relationship else ()
@@ -118,7 +118,7 @@ def prim_name(prim: Any) -> str:
 
 
 def unique_name(name: str, used_names: set[str]) -> str:
-    """Return a name, numbered if already used, and add it to the used names."""
+    """Return a unique name, numbered if needed, and add it to the used names."""
     unique, number = name, 2
     while unique in used_names:
         unique, number = f"{name}_{number}", number + 1
@@ -126,30 +126,34 @@ def unique_name(name: str, used_names: set[str]) -> str:
     return unique
 
 
-def float_rows(
-    attr: Any, width: int, at: PrimLocation, code: str = "USD017"
+def read_float_rows(
+    attr: Any, width: int, location: PrimLocation, code: str = "USD017"
 ) -> FloatArray:
     """Return the rows of an attribute ``(N, width)``.
 
     ``code`` is that of the fault for non-finite rows.
     """
-    # Points without a default are those of the first sample.
+    # The earliest time also reads values that have samples but no default.
     values = number_rows(attr, width, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} contain a value that is not finite"
-        at.fail(code, message)
+        location.fail(code, message)
     return values
 
 
-def joint_names(query: Any, rig: SkeletonRig, at: PrimLocation) -> tuple[str, ...]:
+def influence_joint_names(
+    query: Any, rig: SkeletonRig, location: PrimLocation
+) -> tuple[str, ...]:
     """Return the rig joint names that a prim's joint indices refer to."""
-    order = query.GetJointOrder()
+    joint_order = query.GetJointOrder()
     index = {token: i for i, token in enumerate(rig.tokens)}
-    tokens: Sequence[str] = rig.tokens if order is None else [str(t) for t in order]
-    unknown = [token for token in tokens if token not in index]
-    if unknown:
-        message = f"{unknown[0]!r} is not a joint of the Skeleton"
-        at.fail("USD238", message)
+    tokens: Sequence[str] = (
+        rig.tokens if joint_order is None else [str(t) for t in joint_order]
+    )
+    unknown_tokens = [token for token in tokens if token not in index]
+    if unknown_tokens:
+        message = f"{unknown_tokens[0]!r} is not a joint of the Skeleton"
+        location.fail("USD238", message)
     return tuple(rig.rig.names[index[token]] for token in tokens)
 
 
@@ -172,7 +176,7 @@ def usdskel_world(path: Path, codes: FloatArray) -> WorldTransforms:
         time_code = Usd.TimeCode(code)
         local[i] = query.ComputeJointSkelTransforms(time_code)
         matrices[i] = UsdGeom.Xformable(prim).ComputeLocalToWorldTransform(time_code)
-    # Rows of USD's matrices are columns of ours.
+    # USD uses row vectors; our matrices are for column vectors.
     world = np.swapaxes(local @ matrices, -1, -2)
     positions = world[..., :3, 3] * UsdGeom.GetStageMetersPerUnit(stage)
     return WorldTransforms(
@@ -184,7 +188,7 @@ MAX_LISTED_PRIMS = 40
 
 
 def character_paths(stage: Any) -> list[str]:
-    """Return the root prims of the characters of a stage.
+    """Return the paths of the root prims of a stage's characters.
 
     For each Skeleton this is its component, or its SkelRoot without one.
     """
@@ -201,17 +205,16 @@ def _character_root(skeleton: Any) -> str:
     return str(top_prim.GetPath())
 
 
-def holds_character(stage: Any, prim_path: str, where: str) -> bool:
-    """Return whether a stage has a character at a path, or could place one there.
+def can_have_character(stage: Any, prim_path: str, where: str) -> bool:
+    """Return whether a stage has a character at a path; False for a movable rig layer.
 
-    A rig layer has one character at the top, and no prim at the start of the path: a
-    shot will place it at the path. Any other stage is the shot itself, and needs a
-    character at the path.
+    A rig layer has a single character at the top and no prim at the start of the path.
+    Other stages are shots and must have a character at the path (USD033).
     """
     if find_skeletons(stage, prim_path):
         return True
     characters = character_paths(stage)
-    if not characters or _is_rig_alone(stage, prim_path, characters):
+    if not characters or _is_movable_rig(stage, prim_path, characters):
         return False
     existing = listed(characters, MAX_LISTED_PRIMS)
     message = f"has no character at {prim_path}, but at {existing}"
@@ -219,7 +222,7 @@ def holds_character(stage: Any, prim_path: str, where: str) -> bool:
     raise OptionError(Fault("USD033", message, where, (), hint))
 
 
-def _is_rig_alone(stage: Any, prim_path: str, characters: list[str]) -> bool:
+def _is_movable_rig(stage: Any, prim_path: str, characters: list[str]) -> bool:
     if stage.GetPrimAtPath(Sdf.Path(prim_path).GetPrefixes()[0]):
         return False
     if len(characters) > 1:

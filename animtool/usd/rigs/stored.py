@@ -26,7 +26,7 @@ from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
-from animtool.usd.rigs.placement import local_placement, rest_rig, uneven_notice
+from animtool.usd.rigs.placement import local_placement, rest_rig, unsupported_notice
 from animtool.usd.rigs.prims import (
     MAX_REST_VALUE,
     SkeletonRig,
@@ -36,9 +36,9 @@ from animtool.usd.rigs.prims import (
     find_skeletons,
     number_rows,
     open_stage,
-    others_notice,
-    prim_below,
+    search_root,
     skeleton_rig,
+    skipped_skeletons_notice,
     stored_data,
 )
 from animtool.usd.rigs.skeleton import skeleton_hash
@@ -333,19 +333,19 @@ def read_rig_with_data(
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
-        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        skeletons = find_skeletons(stage, search_root(stage, prim_path))
         if not skeletons:
             location = "" if prim_path is None else f" at {prim_path}"
             message = f"has no Skeleton{location}"
             hint = unresolved_hint(stage)
             raise FormatError(Fault("USD008", message, str(path), (), hint))
-        of_skeleton = skeleton_rig(skeletons[0], path, animated=False)
+        of_skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
-        where = PrimLocation.of(path, skeleton)
+        where = PrimLocation.from_prim(path, skeleton)
         check_animatable(len(of_skeleton.rig.joints), len(shapes), where)
         notices += of_skeleton.notices
-        notices += others_notice(
+        notices += skipped_skeletons_notice(
             skeletons, str(path), f"choose one with {argument('source.prim_path')}"
         )
         notices += composition_notices(stage, str(path))
@@ -369,7 +369,7 @@ def read_rig_with_data(
         )
         complete, losses = with_attachments(merged_rig, rig, data, path)
         placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
-        notices += uneven_notice(placement, where)
+        notices += unsupported_notice(placement, where)
         placed = rest_rig(complete, placement, choice)
         return placed, notices + edits + losses
 

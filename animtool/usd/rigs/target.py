@@ -22,7 +22,7 @@ from animtool.usd.layers.sdf import check_prim_path, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.placement import (
     SkeletonPlacement,
-    moves_root,
+    is_root_motion,
     skeleton_placement,
 )
 from animtool.usd.rigs.prims import (
@@ -31,13 +31,13 @@ from animtool.usd.rigs.prims import (
     composition_notices,
     find_skeletons,
     open_stage,
-    others_notice,
-    prim_below,
+    search_root,
     skeleton_rig,
+    skipped_skeletons_notice,
     up_axis,
 )
 from animtool.usd.rigs.skinned import (
-    holds_character,
+    can_have_character,
     unbound_notice,
 )
 
@@ -99,9 +99,9 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     moved_to: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
-        if not holds_character(stage, prim_path, str(path)):
+        if not can_have_character(stage, prim_path, str(path)):
             prim_path, moved_to = None, prim_path
-    skeletons, root = _skeletons_below(stage, path, prim_below(stage, prim_path))
+    skeletons, root = _skeletons_below(stage, path, search_root(stage, prim_path))
     prim = skeletons[0].GetPrim()
     model = _model_path(stage, root, prim_path)
     paths = RigPaths(
@@ -117,9 +117,9 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     placing_ops, motion_ops = _xform_ops(root)
-    skeleton = skeleton_rig(skeletons[0], path, animated=False)
+    skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))
-    notices += others_notice(
+    notices += skipped_skeletons_notice(
         skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
     if moved_to is None:
@@ -197,7 +197,7 @@ def _xform_ops(root: Any) -> tuple[list[str], list[str]]:
     placing_ops: list[str] = []
     motion_ops: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
-        names = motion_ops if moves_root(operation) else placing_ops
+        names = motion_ops if is_root_motion(operation) else placing_ops
         names.append(str(operation.GetOpName()))
     return placing_ops, motion_ops
 

@@ -14,7 +14,7 @@ from animtool.usd.caches.reader import PointReader
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
 from animtool.usd.rigs.prims import number_rows
-from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_shown_mesh
+from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_rig_mesh
 
 # Maximum times at which a transform is evaluated.
 MAX_SAMPLED_TIMES = 256
@@ -37,7 +37,7 @@ def unskinned_notice(
     distances = {
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
-        if is_shown_mesh(prim) and prim.GetPath() not in skinned_paths
+        if is_rig_mesh(prim) and prim.GetPath() not in skinned_paths
         if (distance := _moved_distance(prim, skeleton.GetPrim(), choice))
         > MOTION_TOLERANCE
     }

@@ -25,7 +25,10 @@ from animtool.usd.layers.faults import (
     transform_attributes,
     unknown_joint_faults,
 )
-from animtool.usd.rigs.placement import animated_ancestors, rotates_or_scales
+from animtool.usd.rigs.placement import (
+    animated_ancestors,
+    has_animated_rotation_or_scale,
+)
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     check_animatable,
@@ -80,7 +83,7 @@ def read_animation(
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
     grid = sample_grid(stage, animation, times, where)
-    if prim is not None and rotates_or_scales(prim):
+    if prim is not None and has_animated_rotation_or_scale(prim):
         grid = on_every_frame(grid, stage, where)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
@@ -221,7 +224,7 @@ def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
 def rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     """Return the rig of an animation layer alone: its joints at their first sample."""
     joints = token_array(animation.GetJointsAttr())
-    where = PrimLocation.of(path, animation)
+    where = PrimLocation.from_prim(path, animation)
     where.refuse(duplicate_name_faults(animation.GetJointsAttr()))
     data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))

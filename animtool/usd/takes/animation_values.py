@@ -74,7 +74,7 @@ def sampled_values(
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
             message += f" for {counted(count, noun)}"
             hint = f"{_time_text(time)}; UsdSkel falls back to rest"
-            where.at(attr).fail(
+            where.at_prim(attr).fail(
                 "USD206" if noun == "shape" else "USD200", message, hint
             )
         rows[i] = value
@@ -82,7 +82,7 @@ def sampled_values(
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
         hint = f"{_time_text(time_codes[frame])}, {noun} {joint}"
-        where.at(attr).fail("USD202", message, hint)
+        where.at_prim(attr).fail("USD202", message, hint)
     return rows
 
 

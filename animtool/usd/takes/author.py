@@ -31,7 +31,7 @@ from animtool.usd.layers.jobs import (
     check_suffix,
     output_paths,
 )
-from animtool.usd.layers.names import RigPaths, joint_names, legal_name, plain_text
+from animtool.usd.layers.names import RigPaths, joint_names, legal_name, valid_text
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -43,10 +43,10 @@ from animtool.usd.layers.sdf import (
 )
 from animtool.usd.layers.stderr import without_usd_warnings, without_version_warnings
 from animtool.usd.rigs.skeleton import (
-    RECORD_KEY,
-    author_binding,
+    PLACEMENT_KEY,
     author_rig,
-    rest_record,
+    bind_animation,
+    build_rest_record,
 )
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
@@ -80,7 +80,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
                     authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
                 )
                 authored.visible = True
-            if job.bones:
+            if job.show_bones:
                 from animtool.usd.rigs.meshes import author_bones
 
                 authored.visible |= author_bones(
@@ -136,13 +136,13 @@ def _author_take(
         from animtool.usd.takes.library import take_paths
 
         paths = take_paths(job.paths, take.name)
-    writer = AnimationWriter(layer, paths, job.joints, take.written_joints, take.shapes)
+    writer = AnimationWriter(layer, paths, job.joints, take.joint_mask, take.shapes)
     if take.name or authored.rig is not layer:
         prim_spec(layer, paths.root, over=True)
     if take.name and first:
         _begin_library(job, authored, take.name)
     with_skeleton = job.form is not LayerForm.LAYER and not take.name
-    author_binding(layer, paths, skeleton=with_skeleton)
+    bind_animation(layer, paths, bind_skeleton=with_skeleton)
     write_frames(take.blocks, OneLayer([writer]), [writer.rounding])
     if job.target is None:
         writer.finish([], replaces_motion=False)
@@ -150,18 +150,18 @@ def _author_take(
         writer.finish(job.target.operations, replaces_motion=job.target.moves)
     written_take = _written_take(job, take, writer)
     if take.props is not None:
-        from animtool.usd.props.placement import prop_placements
+        from animtool.usd.props.placement import build_prop_placements
         from animtool.usd.props.writer import author_props
 
         rig_layer = None if authored.rig is layer else authored.rig
-        placements = prop_placements(
+        placements = build_prop_placements(
             job.paths,
             job.target,
             rig_layer,
             job.meters_per_unit,
             job.rig.up,
             take.name,
-            take.to_rig,
+            take.rig_from_take,
         )
         written_take.props, written_take.notices = author_props(
             layer, take.props, placements, job.output
@@ -172,17 +172,19 @@ def _author_take(
         author_range(
             layer,
             paths.animation,
-            plain_text(take.source_name),
+            valid_text(take.source_name),
             written_take.span.first,
             written_take.span.last,
         )
     if job.form is LayerForm.LAYER and job.names.originals:
         # For readers without the rig: source names of joints.
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
-    if take.reduced:
+    if take.is_reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
     if take.rest_record:
-        _author_data(layer.GetPrimAtPath(paths.animation), RECORD_KEY, take.rest_record)
+        _author_data(
+            layer.GetPrimAtPath(paths.animation), PLACEMENT_KEY, take.rest_record
+        )
     return _LayerPart(writer, written_take, take.curves)
 
 
@@ -206,8 +208,8 @@ def _written_take(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> Writte
         take.name,
         samples,
         joints=len(job.joints)
-        if take.written_joints is None
-        else int(take.written_joints.sum()),
+        if take.joint_mask is None
+        else int(take.joint_mask.sum()),
         rounding=writer.rounding,
     )
 
@@ -218,7 +220,9 @@ def _begin_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
 
     author_selection(authored.animation, job.paths, name)
     if job.form is not LayerForm.LAYER:
-        author_binding(authored.animation, job.paths, skeleton=True, animation=False)
+        bind_animation(
+            authored.animation, job.paths, bind_skeleton=True, bind_source=False
+        )
 
 
 @dataclass(slots=True)
@@ -365,19 +369,19 @@ def _stage_job(
         rig=rig,
         names=names,
         joints=rig.paths(names.names),
-        paths=RigPaths.below(prim_path or f"/{legal_name(rig.name)}"),
+        paths=RigPaths.from_model(prim_path or f"/{legal_name(rig.name)}"),
         fps=clock.fps,
         meters_per_unit=rig.meters_per_unit
         if unit is None
         else _unit_meters(unit).meters,
-        bones=bones,
+        show_bones=bones,
     )
     usd_take = UsdTake(
         round_blocks(_take_blocks(take), rig, job.meters_per_unit),
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
-        rest_record=rest_record(rig),
+        rest_record=build_rest_record(rig),
     )
     return job, usd_take, [replace(n, path=str(path)) for n in names.notices]
 
@@ -404,7 +408,7 @@ def _layer_job(
     )
     take = converted_take.stream.collect()
     mapping = map_joints(
-        take.rig, target, 0, force_fit=force_fit, converted=converted_take
+        take.rig, target, 0, force_fit=force_fit, converted_take=converted_take
     )
     clock = replace(
         take.clock, fps=target.fps, step=take.clock.step * target.fps / take.clock.fps
@@ -421,14 +425,16 @@ def _layer_job(
         target=target,
     )
     blocks = (
-        (codes, mapping.at(codes, motion))
+        (codes, mapping.map_placed_motion(codes, motion))
         for codes, motion in _take_blocks(replace(take, clock=clock))
     )
     usd_take = UsdTake(
         round_blocks(blocks, mapping.rig, job.meters_per_unit),
         clock.start,
         clock.step,
-        written_joints=mapping.source >= 0 if (mapping.source < 0).any() else None,
+        joint_mask=mapping.source_joints >= 0
+        if (mapping.source_joints < 0).any()
+        else None,
         shapes=mapping.shapes,
     )
     notices = target.notices + converted_take.notices + mapping.notices

@@ -38,7 +38,7 @@ def shape_bounds(
     for mesh in Usd.PrimRange(root, Usd.TraverseInstanceProxies()):
         if not mesh.IsA(UsdGeom.Mesh):
             continue
-        points = PointReader(mesh).at(Usd.TimeCode.Default())
+        points = PointReader(mesh).points_at(Usd.TimeCode.Default())
         if not len(points):
             continue
         local, _ = cache.ComputeRelativeTransform(mesh, root)

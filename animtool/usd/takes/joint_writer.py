@@ -146,7 +146,7 @@ class AnimationWriter:
     layer: Any
     paths: RigPaths  # prim paths of the character
     joints: list[str]  # paths of the J joints in the Skeleton
-    written_joints: BoolArray | None = None  # joints to write ``(J,)``; None is all
+    joint_mask: BoolArray | None = None  # joints to write ``(J,)``; None is all
     # Names of the rig's S shapes; empty writes no weights.
     shapes: tuple[str, ...] = ()
     rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
@@ -156,10 +156,10 @@ class AnimationWriter:
         spec = prim_spec(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
-        if self.written_joints is not None:
+        if self.joint_mask is not None:
             names = [
                 n
-                for n, is_written in zip(names, self.written_joints, strict=True)
+                for n, is_written in zip(names, self.joint_mask, strict=True)
                 if is_written
             ]
         self._count = len(names)
@@ -171,7 +171,7 @@ class AnimationWriter:
                 name: SampleWriter(
                     attribute_spec(spec, name, kind),
                     make,
-                    quaternions=name == "rotations",
+                    are_quaternions=name == "rotations",
                     noun="joint",
                     names=names,
                 )
@@ -185,7 +185,7 @@ class AnimationWriter:
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames."""
-        columns = slice(None) if self.written_joints is None else self.written_joints
+        columns = slice(None) if self.joint_mask is None else self.joint_mask
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,
             "rotations": block.rotations,
@@ -206,7 +206,7 @@ class AnimationWriter:
     def sampled(self) -> list[str]:
         """Names of the attributes that change over time."""
         writers = {**self._transforms, "blendShapeWeights": self._weight_samples}
-        return [n for n, samples in writers.items() if samples and samples.sampled]
+        return [n for n, samples in writers.items() if samples and samples.has_samples]
 
     def finish(self, placing_ops: list[str], *, replaces_motion: bool) -> None:
         """Author constant values as defaults, and the SkelRoot's motion.
@@ -277,7 +277,9 @@ class AnimationWriter:
             attribute_spec(spec, names[0], types.Double3), gf_vector
         )
         samples = SampleWriter(
-            attribute_spec(spec, names[1], types.Quatd), gf_quaternion, quaternions=True
+            attribute_spec(spec, names[1], types.Quatd),
+            gf_quaternion,
+            are_quaternions=True,
         )
         author_xform_order(spec, *placing_ops, *names)
         for codes, path in zip(self._codes, self._root_path, strict=True):

@@ -28,7 +28,7 @@ from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
 from animtool.usd.rigs.prims import (
     find_skeletons,
     open_stage,
-    prim_below,
+    search_root,
     self_and_ancestors,
 )
 
@@ -44,7 +44,7 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
 
     An empty name is for a file with a single take, without variants.
 
-    >>> take_paths(RigPaths.below("/hero"), "run").binding
+    >>> take_paths(RigPaths.from_model("/hero"), "run").binding
     '/hero{take=run}Rig'
     """
     if not name:
@@ -160,7 +160,7 @@ def check_library(
     """
     with usd_errors(path):
         stage = open_stage(path)
-        skeletons = find_skeletons(stage, prim_below(stage, prim_path))
+        skeletons = find_skeletons(stage, search_root(stage, prim_path))
         takes = find_take_set(skeletons[0].GetPrim()) if skeletons else None
     if takes is None:
         message = "is not a clip library that a take can be added to"

@@ -1,4 +1,4 @@
-"""Converts a take for a layer over a rig that a stage places."""
+"""Converts a take to the space of a rig layer that a stage places."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from animtool.usd.rigs.placement import (
     DROP,
     KEEP,
     SkeletonPlacement,
-    refuse_uneven,
-    uneven_notice,
+    refuse_unsupported,
+    unsupported_notice,
 )
 
 
@@ -31,19 +31,19 @@ class OverRig:
     """A take converted to the space of a rig layer."""
 
     stream: TakeStream  # the take, without its placement if dropped
-    sized: Placement  # scale and upright rotation from rig to take
+    upright_scale: Placement  # scale and upright rotation from rig to take
     # Returns the placement from take space to the rig's space at time codes ``(F,)``;
     # None is the identity.
-    to_rig: Callable[[FloatArray], Placement] | None
+    rig_from_take: Callable[[FloatArray], Placement] | None
     notices: list[Fault]  # notices about kept and dropped placements
 
 
 def convert_over_rig(
     stream: TakeStream,
-    placement: Callable[[FloatArray | None], SkeletonPlacement],
+    placement_at: Callable[[FloatArray | None], SkeletonPlacement],
     choice: str | None,
     where: str,
-    raw: Rig,
+    local_rig: Rig,
 ) -> OverRig:
     """Return a take in the space of a rig that a stage places.
 
@@ -52,64 +52,73 @@ def convert_over_rig(
 
     Args:
         stream: The take, with the up axis of the rig.
-        placement: Returns the stage placement of the rig at time codes; None is the
+        placement_at: Returns the rig's stage placement at time codes; None is the
             first.
-        choice: ``keep``, ``drop``, or None: drop if the rig is placed, unless the take
-            moves with a prim that the rig does not follow.
+        choice: ``keep`` or ``drop``. None drops it if the rig is placed, unless the
+            take follows an animated prim that the rig does not follow.
         where: Path of the rig layer, for notices.
-        raw: The rig in local values.
+        local_rig: The rig in local space.
     """
-    rig_placement = placement(None)
+    rig_placement = placement_at(None)
     location = PrimLocation(where, "")
     if choice == KEEP:
-        refuse_uneven(rig_placement, location)
-    notices = uneven_notice(rig_placement, location)
+        refuse_unsupported(rig_placement, location)
+    notices = unsupported_notice(rig_placement, location)
     scale_notices = [notice for notice in stream.notices if notice.code == "USD109"]
     if (
-        rig_placement.uneven
+        rig_placement.unsupported_reason
         and scale_notices
-        and all(rig_placement.uneven in notice.message for notice in scale_notices)
+        and all(
+            rig_placement.unsupported_reason in notice.message
+            for notice in scale_notices
+        )
     ):
-        # The rig has the same transform that the take was read without.
+        # The take was read without the transform that the rig has too.
         other_notices = [
             notice for notice in stream.notices if notice not in scale_notices
         ]
         stream, notices = replace(stream, notices=other_notices), []
-    stands, rig = rig_placement.stands, stream.rig
-    is_placed = rig_placement.rides or not rig_placement.fixed.is_identity
-    if choice is None and _rests_at_stage_placement(rig, raw, rig_placement):
-        # The values include the rig's placement, which is not recorded.
-        rig = replace(rig, stands=stands, rides=rig_placement.rides)
+    heading_placement, rig = rig_placement.heading_placement, stream.rig
+    is_transformed = rig_placement.is_animated or not rig_placement.fixed.is_identity
+    if choice is None and _is_rest_placed(rig, local_rig, rig_placement):
+        # The values include the rig's placement, although it is not recorded.
+        rig = replace(rig, stands=heading_placement, rides=rig_placement.is_animated)
         stream = replace(stream, rig=rig)
     has_no_rest = not rig.has_rest and rig.stands is None and choice != KEEP
-    if has_no_rest and _is_sized(rig, raw, rig_placement.sized.size):
+    if has_no_rest and _has_world_lengths(
+        rig, local_rig, rig_placement.upright_scale.size
+    ):
         has_no_rest, choice = False, choice or KEEP
-    if rig_placement.uneven or has_no_rest or not is_placed:
+    if rig_placement.unsupported_reason or has_no_rest or not is_transformed:
         # Without a rest pose the take is in the space of its rig, which is this one.
         stream = unplace_take(stream) if choice == DROP else stream
-        keeps_placement = choice != DROP
+        keep_placement = choice != DROP
         notices += placement_notice(
-            rig, where, kept=keeps_placement, over=rig_placement.stands
+            rig, where, kept=keep_placement, over=rig_placement.heading_placement
         )
         return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
-    somewhere = rig_placement.rides or not stands.is_identity
-    keeps_placement = choice == KEEP or (
-        choice is None and (stream.rig.rides or not somewhere)
+    has_placement = rig_placement.is_animated or not heading_placement.is_identity
+    keep_placement = choice == KEEP or (
+        choice is None and (stream.rig.rides or not has_placement)
     )
     notices += placement_notice(
-        rig, where, kept=keeps_placement, over=rig_placement.stands
+        rig, where, kept=keep_placement, over=rig_placement.heading_placement
     )
-    if not keeps_placement:
-        inverse_size = rig_placement.sized.inverse()
-        to_rig = None if inverse_size.is_identity else lambda _: inverse_size
-        return OverRig(unplace_take(stream), rig_placement.sized, to_rig, notices)
-    if not rig_placement.rides:
-        inverse_size = rig_placement.fixed.inverse()
-        return OverRig(stream, rig_placement.sized, lambda _: inverse_size, notices)
+    if not keep_placement:
+        inverse_scale = rig_placement.upright_scale.inverse()
+        rig_from_take = None if inverse_scale.is_identity else lambda _: inverse_scale
+        return OverRig(
+            unplace_take(stream), rig_placement.upright_scale, rig_from_take, notices
+        )
+    if not rig_placement.is_animated:
+        inverse_scale = rig_placement.fixed.inverse()
+        return OverRig(
+            stream, rig_placement.upright_scale, lambda _: inverse_scale, notices
+        )
     return OverRig(
         stream,
-        rig_placement.sized,
-        lambda codes: placement(codes).fixed.inverse(),
+        rig_placement.upright_scale,
+        lambda codes: placement_at(codes).fixed.inverse(),
         notices,
     )
 
@@ -123,60 +132,69 @@ _IDENTITY_PLACEMENT = Placement(
 REST_TOLERANCE = 1e-3
 
 
-def _rests_at_stage_placement(
-    take: Rig, raw: Rig, rig_placement: SkeletonPlacement
+def _is_rest_placed(
+    take: Rig, local_rig: Rig, rig_placement: SkeletonPlacement
 ) -> bool:
-    """Return whether a take rests at the stage placement of the rig, not its own.
+    """Return whether a take's rest pose is at the stage placement of the rig.
 
-    This is so for a take that was read from such a stage and converted to another
-    format: a BVH, whose joints have no rest rotation, has its roots there.
+    This holds for takes read from such a stage and converted to another format. In a
+    BVH, whose joints have no rest rotation, only the roots are there.
     """
-    if take.stands is not None or not take.has_rest or rig_placement.stands.is_identity:
+    if (
+        take.stands is not None
+        or not take.has_rest
+        or rig_placement.heading_placement.is_identity
+    ):
         return False
-    index = {joint.source_name or joint.name: j for j, joint in enumerate(raw.joints)}
-    pairs = [
-        (j, index[name])
+    rig_index = {
+        joint.source_name or joint.name: j for j, joint in enumerate(local_rig.joints)
+    }
+    joint_pairs = [
+        (j, rig_index[name])
         for j, joint in enumerate(take.joints)
-        if (name := joint.source_name or joint.name) in index
+        if (name := joint.source_name or joint.name) in rig_index
     ]
-    if len(pairs) < 2:
+    if len(joint_pairs) < 2:
         return False
-    take_joints, rig_joints = np.array(pairs).T
-    rests = rest_world(take).positions[0, take_joints]
-    size = float(np.ptp(rests, axis=0).max())
-    fits_placed, fits_unplaced = (
-        np.abs(rest_world(placed_rig(raw, at)).positions[0, rig_joints] - rests).max(
-            axis=1
-        )
-        for at in (rig_placement.rest, rig_placement.sized)
+    take_joints, rig_joints = np.array(joint_pairs).T
+    rest_positions = rest_world(take).positions[0, take_joints]
+    extent = float(np.ptp(rest_positions, axis=0).max())
+    placed_errors, unplaced_errors = (
+        np.abs(
+            rest_world(placed_rig(local_rig, candidate)).positions[0, rig_joints]
+            - rest_positions
+        ).max(axis=1)
+        for candidate in (rig_placement.rest_placement, rig_placement.upright_scale)
     )
-    roots = np.array([take.joints[j].parent < 0 for j, _ in pairs])
+    is_root = np.array([take.joints[j].parent < 0 for j, _ in joint_pairs])
     return any(
         bool(
-            fits_placed[selected].max()
-            <= REST_TOLERANCE * size
-            < fits_unplaced[selected].max()
+            placed_errors[selected].max()
+            <= REST_TOLERANCE * extent
+            < unplaced_errors[selected].max()
         )
-        for selected in (np.full(len(pairs), True), roots)
+        for selected in (np.full(len(joint_pairs), True), is_root)
         if selected.any()
     )
 
 
-def _is_sized(take: Rig, raw: Rig, size: float) -> bool:
-    """Return whether bone lengths match the rig in world scale, not in local scale.
+def _has_world_lengths(take: Rig, local_rig: Rig, scale: float) -> bool:
+    """Return whether bone lengths match the rig in world scale rather than local scale.
 
-    Without its Skeleton, the space of an animation is not stated.
+    An animation without its Skeleton does not state its space.
     """
-    lengths = {j.name: float(np.linalg.norm(j.translation)) for j in raw.joints}
-    pairs = [
+    lengths = {j.name: float(np.linalg.norm(j.translation)) for j in local_rig.joints}
+    length_pairs = [
         (float(np.linalg.norm(joint.translation)), lengths[joint.name])
         for joint in take.joints
         if joint.parent >= 0 and joint.name in lengths
     ]
     take_length, raw_length = (
-        (sum(row) for row in zip(*pairs, strict=True)) if pairs else (0, 0)
+        (sum(row) for row in zip(*length_pairs, strict=True))
+        if length_pairs
+        else (0, 0)
     )
     if not take_length or not raw_length:
         return False
     ratio = np.log(take_length / raw_length)
-    return bool(abs(ratio - np.log(size)) < abs(ratio))
+    return bool(abs(ratio - np.log(scale)) < abs(ratio))

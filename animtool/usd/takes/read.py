@@ -36,11 +36,11 @@ from animtool.usd.rigs.placement import (
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
-    refuse_uneven,
+    refuse_unsupported,
     rest_rig,
     skeleton_placement,
-    uneven_notice,
     unit_mismatch_notice,
+    unsupported_notice,
 )
 from animtool.usd.rigs.prims import (
     SkeletonRig,
@@ -49,18 +49,18 @@ from animtool.usd.rigs.prims import (
     composition_notices,
     find_skeletons,
     open_stage,
-    others_notice,
-    prim_below,
+    search_root,
     skeleton_rig,
+    skipped_skeletons_notice,
     stored_data,
 )
-from animtool.usd.rigs.skeleton import with_recorded_rest
+from animtool.usd.rigs.skeleton import apply_recorded_rest
 from animtool.usd.rigs.skinned import (
     BINDING_HINT,
     MAX_LISTED_PRIMS,
     character_paths,
-    ignored_binding,
-    missing_animation,
+    missing_animation_reason,
+    unapplied_binding_path,
 )
 from animtool.usd.takes.animation import (
     first_animation,
@@ -105,7 +105,7 @@ def _read_stage(
     take: str | None,
     choice: str | None,
 ) -> TakeStream:
-    root_path = prim_below(stage, prim_path)
+    root_path = search_root(stage, prim_path)
     takes = _take_set(stage, root_path)
     if take is not None:
         takes = select_take(takes, take, str(path))
@@ -162,17 +162,17 @@ def read_character(
     animation_prim = None if animation is None else animation.GetPrim()
     if prim is None:
         stream.notices += root_motion_notice(
-            animation, PrimLocation.of(path, animation)
+            animation, PrimLocation.from_prim(path, animation)
         )
     else:
         _join_stored(stream, skeletons[0], skeleton, path)
-    where = PrimLocation.of(path, prim or animation_prim)
-    stream.rig = with_recorded_rest(stream.rig, prim, animation_prim, where)
+    where = PrimLocation.from_prim(path, prim or animation_prim)
+    stream.rig = apply_recorded_rest(stream.rig, prim, animation_prim, where)
     if choice == DROP:
         stream = _without_placement(stream, placement, prim, str(path))
     else:
         stream.rig = rest_rig(stream.rig, placement)
-    stream.notices += others_notice(
+    stream.notices += skipped_skeletons_notice(
         skeletons,
         str(path),
         f"choose one with {argument('source.prim_path')}",
@@ -193,10 +193,10 @@ def _placement_at(
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
     if choice != DROP:
-        refuse_uneven(placement, where)
-    notices = uneven_notice(placement, where)
+        refuse_unsupported(placement, where)
+    notices = unsupported_notice(placement, where)
     notices += unit_mismatch_notice(placement, where.path or "")
-    return (NO_PLACEMENT if placement.uneven else placement), notices
+    return (NO_PLACEMENT if placement.unsupported_reason else placement), notices
 
 
 def _placed_on_stage(
@@ -219,7 +219,7 @@ def _without_placement(
     """
     raw = stream.rig
     placed_rig = rest_rig(raw, placement)
-    rig_ = replace(placed_rig, rides=placement.rides)
+    rig_ = replace(placed_rig, rides=placement.is_animated)
     stream.notices += placement_notice(rig_, path, kept=False, stays=raw.rides)
     stream.rig = rest_rig(raw, placement, DROP)
     stands = stream.rig.stands
@@ -238,7 +238,7 @@ def _dropped_placement(
 
     def placement_at(codes: FloatArray) -> Placement:
         at_codes = placement
-        if placement.rides:
+        if placement.is_animated:
             # A reference keeps the stage and its prims alive as long as the function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
             at_codes = skeleton_placement(skeleton, rig, codes.tolist())
@@ -310,7 +310,7 @@ def _rest_take(
     """Return a take of one frame at rest, for a rig without animation."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
-    check_animatable(len(rig.joints), len(shapes), PrimLocation.of(path, prim))
+    check_animatable(len(rig.joints), len(shapes), PrimLocation.from_prim(path, prim))
     rig = replace(rig, shapes=tuple(Shape(name) for name in shapes))
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
@@ -319,7 +319,7 @@ def _rest_take(
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
     placement, notices = _placement_at(
-        prim, rig, None, PrimLocation.of(path, prim), choice
+        prim, rig, None, PrimLocation.from_prim(path, prim), choice
     )
     motion = _placed_on_stage(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
@@ -331,10 +331,10 @@ def _rest_take(
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
     hint = None
-    if ignored := ignored_binding(prim):
+    if ignored := unapplied_binding_path(prim):
         message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
         hint = BINDING_HINT
-    elif missing := missing_animation(prim):
+    elif missing := missing_animation_reason(prim):
         message = f"its animation {missing}; the skeleton is read at rest"
         hint = "activate it, or correct the targets of skel:animationSource"
     warning = Severity.WARNING
@@ -352,7 +352,7 @@ def _animated_take(
     choice: str | None,
 ) -> tuple[TakeStream, SkeletonPlacement]:
     """Return the take of an animation, and the placement of its Skeleton."""
-    where = PrimLocation.of(path, animation)
+    where = PrimLocation.from_prim(path, animation)
     values = read_animation(stage, skeleton, animation, prim, where)
     ancestors = [] if prim is None else animated_ancestors(prim)
     sample_times = sorted(

@@ -78,7 +78,7 @@ class LayerDraft:
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 try:
-                    layer.edit_of(fault)
+                    layer.find_edit(fault)
                 except NotFixableError:
                     continue
                 yield fault
@@ -104,6 +104,6 @@ def _apply_fix(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
 
     prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "
     try:
-        return "", f"{prefix}{layer.edit_of(fault)()}"
+        return "", f"{prefix}{layer.find_edit(fault)()}"
     except NotFixableError as error:
         return f"{prefix}{error}", ""

@@ -97,7 +97,7 @@ def open_usd(path: Path) -> CheckedFile:
 
     layer = inspect_layer(path)
     takes = tuple(_layer_subject(path, take) for take in layer.takes)
-    profile = "layer" if layer.alone else None
+    profile = "layer" if layer.has_only_overs else None
     return CheckedFile(Kind.USD, layer.faults, takes=takes, profile=profile)
 
 
@@ -116,8 +116,8 @@ def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
         take.codes,
         take.frame_range,
         has_rest=take.has_rest,
-        influencing=take.influencing,
-        bind=take.bind,
-        shown_rate=take.shown_rate,
-        reduced=take.reduced,
+        influencing=take.influencing_joints,
+        bind=take.bind_positions,
+        shown_rate=take.frames_per_second,
+        reduced=take.is_reduced,
     )

@@ -22,7 +22,7 @@ from animtool.scene.sources.open import SourceOptions
 from animtool.usd.caches.info import describe_points
 from animtool.usd.checks.run import inspect_layer
 from animtool.usd.layers.sdf import forget_layers, limit_usd_threads
-from animtool.usd.rigs.mesh_read import source_meshes
+from animtool.usd.rigs.mesh_read import read_source_meshes
 from animtool.usd.rigs.stored import read_rig_with_data
 from animtool.usd.rigs.target import open_target
 from animtool.usd.takes.read import read_usd
@@ -231,7 +231,7 @@ def _rig(path: Path) -> str:
 
 
 def _meshes(path: Path) -> str:
-    source_meshes(path, None)
+    read_source_meshes(path, None)
     return "meshes"
 
 

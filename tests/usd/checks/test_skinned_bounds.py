@@ -14,7 +14,7 @@ from support.skinned_rig import write_pair
 
 from animtool.usd.checks import check_layer
 from animtool.usd.checks import skinned_bounds as module
-from animtool.usd.checks.skinned_bounds import SkinnedBounds, overhang
+from animtool.usd.checks.skinned_bounds import SkinnedBounds, find_overhang
 from animtool.validation.fixes.run import fix_copy
 
 ROOT = "/pair/Rig"
@@ -62,7 +62,7 @@ def test_bounds_are_those_of_baked_points(pair: Path) -> None:
     stage = Usd.Stage.Open(str(pair))
     bounds = SkinnedBounds(stage.GetPrimAtPath(ROOT))
     for time in (1.0, 4.0, 7.0, 9.0):
-        found = bounds.at(Usd.TimeCode(time))
+        found = bounds.at_time(Usd.TimeCode(time))
         assert_allclose(found, posed(pair, time), atol=1e-4)
 
 
@@ -103,12 +103,12 @@ def test_of_more_points_than_fit_some_samples_are_looked_at(
     stage = Usd.Stage.Open(str(pair))
     root = stage.GetPrimAtPath(ROOT)
     nothing = np.zeros((1, 2, 3))
-    worst, when, of_all = overhang(root, nothing, TIMES) or (0.0, 0.0, False)
+    worst, when, of_all = find_overhang(root, nothing, TIMES) or (0.0, 0.0, False)
     assert of_all
     assert worst == pytest.approx(np.abs(posed(pair, when)).max(), rel=1e-6)
-    count = SkinnedBounds(root).points
+    count = SkinnedBounds(root).point_count
     monkeypatch.setattr(module, "MAX_SKINNED_POINTS", 3 * count)
-    some = overhang(root, nothing, TIMES)
+    some = find_overhang(root, nothing, TIMES)
     assert some is not None
     assert not some[2]
     assert some[0] <= worst

@@ -45,7 +45,7 @@ def test_samples_are_those_of_usd(
 ) -> None:
     stage = layered(offset, scale, rate, counts)
     attr = stage.GetAttributeAtPath("/A.x")
-    found = StageSubject(stage).sampled(attr)
+    found = StageSubject(stage).sampled_array(attr)
     assert found.times.tolist() == attr.GetTimeSamples()
     for time, array, count in zip(found.times, found.arrays, found.counts, strict=True):
         theirs = attr.Get(time)
@@ -64,10 +64,10 @@ def test_a_sample_is_read_once(monkeypatch: pytest.MonkeyPatch) -> None:
     attr = subject.stage.GetAttributeAtPath("/A.x")
     reads: list[object] = []
     monkeypatch.setattr(
-        StageSubject, "read", lambda _, attr: reads.append(attr) or attr
+        StageSubject, "read_array", lambda _, attr: reads.append(attr) or attr
     )
-    subject.sampled(attr)
-    subject.sampled(attr)
+    subject.sampled_array(attr)
+    subject.sampled_array(attr)
     assert len(reads) == 1
 
 

@@ -17,7 +17,7 @@ from animtool.maths.curves import cubic_curves, evaluate
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
 from animtool.usd.caches.writer import Block, CachedMesh, PointWriter
-from animtool.usd.layers.finite import ValueLabels, narrow_floats, rounded
+from animtool.usd.layers.finite import ValueLabels, narrow_floats, round_to_float32
 from animtool.usd.layers.sdf import SampleWriter, attribute_spec, new_layer, prim_spec
 from animtool.usd.takes.joint_writer import round_blocks
 from animtool.usd.takes.splines import author_curve
@@ -124,7 +124,7 @@ def test_half_scales_that_are_too_small_become_zero() -> None:
         iter([(np.ones(1), motion(np.zeros((1, 2, 3)), scales))]), PAIR, 1.0
     )
     block = next(blocks)
-    assert block.scales_rounded
+    assert block.has_rounded_scales
     assert not np.asarray(block.scales).any()
 
 
@@ -168,12 +168,12 @@ def test_points_beyond_float32_are_named() -> None:
     points[1, 2, 0] = -1e39
     labels, codes = ValueLabels("points", "point"), np.array([1.0, 2.0])
     with raises(OutputError, "USD170", match=r"points: point 2 at frame 2 is -1e\+39"):
-        rounded(points, 1.0, labels, codes)
+        round_to_float32(points, 1.0, labels, codes)
     points[1, 2, 0] = 3.3999999e38
-    assert rounded(points, 1.0, labels, codes)[0].max() < np.inf
+    assert round_to_float32(points, 1.0, labels, codes)[0].max() < np.inf
     points[1, 2, 0] = np.nan
     with raises(OutputError, "USD170", match="nan"):
-        rounded(points, 1.0, labels, codes)
+        round_to_float32(points, 1.0, labels, codes)
     with raises(OutputError, "USD170", match="point 1"):
         narrow_floats(np.array([[0.0], [1e39]]), "f", labels)
 
@@ -181,7 +181,7 @@ def test_points_beyond_float32_are_named() -> None:
 def test_a_frame_of_a_simulation_is_checked() -> None:
     layer = new_layer(Path("o.usda"))
     attribute_spec(prim_spec(layer, "/a", "Points"), "widths", TYPES.FloatArray)
-    writer = PointWriter(layer, CachedMesh("/a"), every=True)
+    writer = PointWriter(layer, CachedMesh("/a"), every_frame=True)
     widths = np.array([[1.0, np.inf]], np.float32)
     with raises(OutputError, "USD170", match=r"/a\.widths: point 1 at frame 4 is inf"):
         writer.add(Block(0, np.array([4.0]), {"widths": widths}, 2))

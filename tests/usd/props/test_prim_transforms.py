@@ -14,7 +14,7 @@ from animtool.core.errors import FormatError
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.props.prim_transforms import open_prim
+from animtool.usd.props.prim_transforms import prim_transform_reader
 
 RIG = Rig("hero", (Joint("hips", -1),))
 
@@ -41,7 +41,7 @@ def stage_at(path: Path, up: str = "Y", unit: float = 1.0, rate: float = 24.0) -
 
 
 def test_a_prim_is_followed(tmp_path: Path) -> None:
-    motion = open_prim(stage_at(tmp_path / "s.usda"), "/World/prop", RIG)
+    motion = prim_transform_reader(stage_at(tmp_path / "s.usda"), "/World/prop", RIG)
     positions, rotations = motion(np.array([0.0, 0.5, 1.0]))
     assert_allclose(positions, [[0, 10, 3], [2.5, 10, 3], [5, 10, 3]])
     turns = so3.log(rotations)
@@ -52,25 +52,27 @@ def test_a_prim_is_followed(tmp_path: Path) -> None:
 
 def test_seconds_are_those_of_the_stage(tmp_path: Path) -> None:
     path = stage_at(tmp_path / "s.usda", rate=48)
-    positions, _ = open_prim(path, "/World/prop", RIG)(np.array([0.25]))
+    positions, _ = prim_transform_reader(path, "/World/prop", RIG)(np.array([0.25]))
     assert_allclose(positions, [[2.5, 10, 3]])
 
 
 def test_units_and_up_axis_become_the_rigs(tmp_path: Path) -> None:
     path = stage_at(tmp_path / "s.usda", up="Z", unit=0.01)
-    positions, rotations = open_prim(path, "/World/prop", RIG)(np.array([1.0]))
+    positions, rotations = prim_transform_reader(path, "/World/prop", RIG)(
+        np.array([1.0])
+    )
     assert_allclose(positions, [[0.05, 0.03, -0.1]], atol=1e-12)
     # What was up in the stage is up in the rig's world.
     assert_allclose(so3.rotate(rotations, [0, 0, 1])[0], [0, 0, 1], atol=1e-7)
     upright = replace(RIG, up=UpAxis.Z)
-    positions, _ = open_prim(path, "/World/prop", upright)(np.array([1.0]))
+    positions, _ = prim_transform_reader(path, "/World/prop", upright)(np.array([1.0]))
     assert_allclose(positions, [[0.05, 0.1, 0.03]])
 
 
 def test_the_rig_may_stand_in_another_prims_frame(tmp_path: Path) -> None:
     path = stage_at(tmp_path / "s.usda")
     rig = replace(RIG, meters_per_unit=0.01)
-    motion = open_prim(path, "/World/prop", rig, "/World/hero")
+    motion = prim_transform_reader(path, "/World/prop", rig, "/World/hero")
     positions, _ = motion(np.array([0.0, 1.0]))
     # 5 units of the shot are 500 of the rig, which counts centimetres.
     assert_allclose(positions, [[0, 0, 0], [5, 0, 0]], atol=1e-6)
@@ -80,12 +82,12 @@ def test_the_rig_may_stand_in_another_prims_frame(tmp_path: Path) -> None:
 def test_a_prim_that_is_not_there(tmp_path: Path, name: str) -> None:
     path = stage_at(tmp_path / "s.usda")
     with pytest.raises(FormatError) as caught:
-        open_prim(path, name, RIG)
+        prim_transform_reader(path, name, RIG)
     assert caught.value.code == "USD034"
     if name == "/World/prob":
         assert caught.value.faults[0].hint == "did you mean /World/prop?"
     with pytest.raises(FormatError) as caught:
-        open_prim(path, "/World/prop", RIG, name)
+        prim_transform_reader(path, "/World/prop", RIG, name)
     assert caught.value.code == "USD034"
 
 
@@ -94,5 +96,5 @@ def test_a_transform_that_is_not_finite(tmp_path: Path) -> None:
     text = path.read_text().replace("24: (5, 0, 3)", "24: (inf, 0, 3)")
     path.write_text(text)
     with pytest.raises(FormatError) as caught:
-        open_prim(path, "/World/prop", RIG)(np.array([1.0]))
+        prim_transform_reader(path, "/World/prop", RIG)(np.array([1.0]))
     assert caught.value.code == "USD171"

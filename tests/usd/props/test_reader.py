@@ -74,7 +74,7 @@ def test_times_that_rounding_left_props_a_key_are_on_it(tmp_path: Path) -> None:
 def test_shear_is_a_matrix(tmp_path: Path) -> None:
     path = write_props(tmp_path / "props.usda", shear=True)
     source = opened(path, "/Set/box")
-    assert source.sheared
+    assert source.has_shear
     found = source.track.at(CODES)
     expected = in_metres(prop_matrices(path, "/Set/box", CODES), 0.01)
     assert_allclose(found.matrix(), expected, atol=1e-12)
@@ -84,10 +84,10 @@ def test_shear_between_keys_is_measured(tmp_path: Path) -> None:
     path = write_props(tmp_path / "props.usda")
     source = opened(path, "/Set/camera")
     source.track.at(CODES)
-    assert source.shear() < 1e-11
+    assert source.max_shear() < 1e-11
     # USD blends matrices number by number.
     source.track.at(CODES[:-1] + 0.5)
-    assert 1e-9 < source.shear() < 1e-3
+    assert 1e-9 < source.max_shear() < 1e-3
 
 
 def test_what_a_camera_has(tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_what_a_camera_has(tmp_path: Path) -> None:
         zip([a.name for a in track.attributes], track.at(CODES).values, strict=True)
     )
     assert track.type_name == "Camera"
-    assert source.unstated_range == ()
+    assert source.fallback_attributes == ()
     assert_allclose(found["focalLength"][:, 0], 0.01 * (35 + CODES / 10), rtol=1e-6)
     assert_allclose(found["clippingRange"], [[0.01, 50]] * 40, rtol=1e-6)
     assert_allclose(found["focusDistance"][:, 0], 6 - 0.04 * CODES, rtol=1e-6)
@@ -113,7 +113,7 @@ def test_what_a_camera_has(tmp_path: Path) -> None:
 def test_a_camera_without_values(tmp_path: Path) -> None:
     source = opened(write_props(tmp_path / "props.usda"), "/Bare")
     names = ("focalLength", "horizontalAperture", "verticalAperture")
-    assert source.unstated_range == names
+    assert source.fallback_attributes == names
     assert source.span is None
     values = source.track.at(CODES).values
     assert_allclose(values[0], np.full((40, 1), 0.5))

@@ -61,12 +61,12 @@ def test_named_arrays_of_every_frame_are_sampled_primvars() -> None:
     for frame in FRAMES:
         layer = Sdf.Layer.CreateAnonymous(".usda")
         simulated = SimulatedPrim("/it", 0.01)
-        simulated.begin(layer, frame)
-        writer = PointWriter(layer, simulated.report, every=True)
-        writer.add(simulated.block(0, 1.0, frame))
+        simulated.author_prim(layer, frame)
+        writer = PointWriter(layer, simulated.report, every_frame=True)
+        writer.add(simulated.build_block(0, 1.0, frame))
         other = {name: values + 1 for name, values in PRIMVARS.items()}
         changed = replace(frame, primvars=other)
-        writer.add(simulated.block(0, 2.0, changed))
+        writer.add(simulated.build_block(0, 2.0, changed))
         stage = Usd.Stage.Open(layer)
         prim = stage.GetPrimAtPath("/it")
         for name, values in PRIMVARS.items():
@@ -88,10 +88,10 @@ def test_copies_of_meshes_are_where_they_are_told() -> None:
     empty = replace(
         COPIES, primvars=some, **{n: getattr(COPIES, n)[nothing] for n in ROWS}
     )
-    simulated.begin(layer, COPIES)
-    writer = PointWriter(layer, simulated.report, every=True)
+    simulated.author_prim(layer, COPIES)
+    writer = PointWriter(layer, simulated.report, every_frame=True)
     for code, frame in ((1.0, COPIES), (2.0, empty)):
-        writer.add(simulated.block(0, code, frame))
+        writer.add(simulated.build_block(0, code, frame))
     stage = Usd.Stage.Open(layer)
     instancer = UsdGeom.PointInstancer(stage.GetPrimAtPath("/it"))
     found = np.array(instancer.ComputeInstanceTransformsAtTime(1.0, 1.0))
@@ -122,7 +122,7 @@ def test_what_is_too_large_is_of_a_body_or_a_point(
 ) -> None:
     frame = replace(COPIES, names=names)
     simulated = SimulatedPrim("/it", 1.0)
-    simulated.begin(Sdf.Layer.CreateAnonymous(".usda"), frame)
+    simulated.author_prim(Sdf.Layer.CreateAnonymous(".usda"), frame)
     points = POINTS * [[1], [1e39], [1]]
     with raises(OutputError, "USD170", match=f"{which} at frame 2 is 4e"):
-        simulated.block(0, 2.0, replace(frame, points=points))
+        simulated.build_block(0, 2.0, replace(frame, points=points))

@@ -551,7 +551,7 @@ def test_any_takes_come_back_as_if_alone(
             rig=one.rig,
             names=names,
             joints=one.rig.paths(names.names),
-            paths=RigPaths.below("/any"),
+            paths=RigPaths.from_model("/any"),
             fps=one.clock.fps,
             meters_per_unit=1.0,
         )
