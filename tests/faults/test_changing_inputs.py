@@ -127,14 +127,14 @@ def test_a_library_that_two_add_a_take_to(
         bake(disk / f"{name}.bvh", library, BakeOptions(form="library"))
 
     add("one")
-    merged = usd_library.merge_library
+    merged = usd_library.merge_take
 
     def late(*arguments: Any) -> Any:
-        monkeypatch.setattr(usd_library, "merge_library", merged)
+        monkeypatch.setattr(usd_library, "merge_take", merged)
         assert in_child(lambda: Context().run(add, "three")) == 0
         return merged(*arguments)
 
-    monkeypatch.setattr(usd_library, "merge_library", late)
+    monkeypatch.setattr(usd_library, "merge_take", late)
     with pytest.raises(FormatError) as caught:
         add("two")
     assert caught.value.code == "IO004"

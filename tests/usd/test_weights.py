@@ -192,7 +192,7 @@ def test_a_layer_moves_the_shapes_of_its_rig(
     tmp_path: Path, rig_file: Path, prim_path: str | None
 ) -> None:
     target = open_target(rig_file, prim_path)
-    taken = map_joints(RIG, target, 0).apply(motion(moving()))
+    taken = map_joints(RIG, target, 0).map_motion(motion(moving()))
     assert taken.weights is not None
     over = job(
         tmp_path / "over.usda",
@@ -226,7 +226,7 @@ def test_a_layer_moves_the_shapes_of_its_rig(
 
 
 def test_a_rig_without_meshes_lacks_no_shape(tmp_path: Path) -> None:
-    write(job(tmp_path / "rig.usda", bones=True), motion(None))
+    write(job(tmp_path / "rig.usda", show_bones=True), motion(None))
     target = open_target(tmp_path / "rig.usda", None)
     assert match_shapes(target, SHAPES) == (tuple(SHAPES), [])
 
@@ -249,6 +249,6 @@ def test_shapes_of_arkit_are_found_however_they_are_spelled(tmp_path: Path) -> N
 def test_controls_pass_through_the_map(rig_file: Path) -> None:
     controls = Channel.from_dense(np.ones((7, 1, 1)))
     taken = replace(motion(moving()), controls=controls)
-    assert map_joints(RIG, open_target(rig_file, None), 0).apply(taken).controls is (
+    assert map_joints(RIG, open_target(rig_file, None), 0).map_motion(taken).controls is (
         controls
     )

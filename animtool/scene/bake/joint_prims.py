@@ -42,9 +42,9 @@ class JointPrims:
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored, result = author(job, usd_takes)
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
-            from animtool.usd.takes.library import merge_library
+            from animtool.usd.takes.library import merge_take
 
-            authored.animation = merge_library(
+            authored.animation = merge_take(
                 plan.target.path, authored.animation, job.paths, plan.takes[0].name
             )
         notices = [notice for take in plan.takes for notice in take.stream.notices]
@@ -126,7 +126,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
             job.rig,
             job.meters_per_unit,
             root_motion=root_motion,
-            size=1.0 if joint_map is None else joint_map.world_scale,
+            rig_scale=1.0 if joint_map is None else joint_map.world_scale,
         )
         prefetched_blocks = prefetch(timed(rounded_blocks, take.seconds, "read"))
         try:

@@ -258,10 +258,10 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
     overwrite = options.overwrite or (library and path.exists())
     check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
     if library and path.exists():
-        from animtool.usd.takes.library import check_library
+        from animtool.usd.takes.library import check_can_add_take
 
         name = take_name(options, source)
-        check_library(path, name, options.prim_path, overwrite=options.overwrite)
+        check_can_add_take(path, name, options.prim_path, overwrite=options.overwrite)
 
 
 def check_settings(entry: OutputEntry) -> None:

@@ -310,7 +310,7 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
 
 def _is_foreign_prim(target: RigTarget, path: str) -> bool:
     """Return whether a prim at a path was not written by an earlier bake."""
-    prim = target.stage.GetPrimAtPath(target.on_stage(path))
+    prim = target.stage.GetPrimAtPath(target.to_stage_path(path))
     if not prim or any(map(prim.IsA, ("PointBased", "PointInstancer"))):
         return False
     # Instanced copies are Xforms with names, whose prototypes are classes.

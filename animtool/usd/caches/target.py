@@ -67,8 +67,8 @@ class CacheTarget:
         """Write overs on the SkelRoot, the meshes and the strands."""
         # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
         root = prim_spec(layer, self.rig.paths.root, "Xform", over=True)
-        if self.rig.moves:
-            author_xform_order(root, *self.rig.operations)
+        if self.rig.has_root_motion:
+            author_xform_order(root, *self.rig.placing_ops)
         for mesh in self.prims:
             spec = prim_spec(layer, mesh.path, over=True)
             blocked = mesh.blocked_attributes
@@ -114,7 +114,7 @@ def open_cache_target(
     curve_shapes: Mapping[str, tuple[int, ...]],
 ) -> CacheTarget:
     """Return the rig's meshes and strands that a cache overrides, matched by name."""
-    skeleton_prim = rig.stage.GetPrimAtPath(rig.on_stage(rig.paths.skeleton))
+    skeleton_prim = rig.stage.GetPrimAtPath(rig.to_stage_path(rig.paths.skeleton))
     skeleton = UsdSkel.Skeleton(skeleton_prim)
     root = UsdSkel.Root.Find(skeleton_prim).GetPrim()
     prims_by_name = {name: query.GetPrim() for name, query in bound_meshes(skeleton)}
@@ -202,7 +202,7 @@ def _target_mesh(mesh: Any, name: str, skeleton: Any, rig: RigTarget) -> TargetM
     )
     return TargetMesh(
         name,
-        rig.on_layer(mesh.GetPath()),
+        rig.to_layer_path(mesh.GetPath()),
         PointSpace(_space_matrix(mesh, skeleton) if is_skinned else None),
         has_vertex_normals,
         _unusable_normals(mesh, has_vertex_normals=has_vertex_normals),
@@ -215,7 +215,7 @@ def _target_strands(
     widths = curves.GetWidthsAttr().Get(Usd.TimeCode.EarliestTime()) or (0.0,)
     return TargetMesh(
         name,
-        rig.on_layer(curves.GetPath()),
+        rig.to_layer_path(curves.GetPath()),
         PointSpace(_space_matrix(curves, skeleton), max(widths) / 2),
         False,
         _unusable_normals(curves, has_vertex_normals=False),

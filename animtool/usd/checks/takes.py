@@ -45,10 +45,10 @@ from animtool.usd.rigs.prims import (
     up_axis,
 )
 from animtool.usd.takes.animation_values import (
-    scale_channel,
-    with_rest,
+    build_scale_channel,
+    fill_with_rest,
 )
-from animtool.usd.takes.library import take_range
+from animtool.usd.takes.library import stored_take_range
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,7 +186,7 @@ def _animation_take(
     motion_channels = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(rotations),
-        scale_channel(scales),
+        build_scale_channel(scales),
         None if weights is None else Channel.from_dense(weights),
     )
     placement = NO_PLACEMENT
@@ -297,7 +297,7 @@ def _build_motion(
     index = {token: i for i, token in enumerate(rig_data.tokens)}
     columns = np.array([index.get(token, -1) for token in joints], np.int64)
     translations, rotations, scales = (
-        with_rest(rest, row, columns, frames)
+        fill_with_rest(rest, row, columns, frames)
         for rest, row in zip(rests, rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
@@ -320,7 +320,7 @@ def _frame_range(
 
     The stage's range does not apply if other prims have samples over a longer time.
     """
-    authored_range = take_range(animation)
+    authored_range = stored_take_range(animation)
     if authored_range is not None:
         return float(authored_range[0]), float(authored_range[1])
     stage = subject.stage

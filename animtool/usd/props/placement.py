@@ -127,7 +127,7 @@ def build_prop_placements(
             # Another take may have this prim; only one take is bound at a time.
             return False
         if target is not None:
-            return bool(target.stage.GetPrimAtPath(target.on_stage(path)))
+            return bool(target.stage.GetPrimAtPath(target.to_stage_path(path)))
         layer: Any = rig_layer
         return layer is not None and layer.GetPrimAtPath(path) is not None
 
@@ -154,12 +154,12 @@ def parent_from_space(
     from animtool.usd.rigs.placement import fixed_matrices
 
     stage = target.stage
-    parent_path = Sdf.Path(target.on_stage(path)).GetParentPath()
+    parent_path = Sdf.Path(target.to_stage_path(path)).GetParentPath()
     while not stage.GetPrimAtPath(parent_path):
         parent_path = parent_path.GetParentPath()
     matrices = np.linalg.inv(world_matrices(stage.GetPrimAtPath(parent_path), codes))
     if in_skeleton_space:
-        skeleton = stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
+        skeleton = stage.GetPrimAtPath(target.to_stage_path(target.paths.skeleton))
         matrices = fixed_matrices(skeleton, codes.tolist()) @ matrices
     if np.abs(matrices - matrices[:1]).max() <= IDENTITY_TOLERANCE:
         matrices = matrices[:1]

@@ -284,7 +284,7 @@ def match_shapes(
 
 def _rig_shapes(target: RigTarget) -> set[str] | None:
     """Return the blend shapes of a rig's meshes; None without meshes."""
-    root = target.stage.GetPrimAtPath(target.on_stage(target.paths.root))
+    root = target.stage.GetPrimAtPath(target.to_stage_path(target.paths.root))
     meshes = [
         prim
         for prim in Usd.PrimRange(root, Usd.TraverseInstanceProxies())

@@ -53,7 +53,7 @@ from animtool.usd.rigs.skinned import (
     unique_name,
 )
 from animtool.usd.rigs.target import RigTarget
-from animtool.usd.rigs.unskinned import unskinned_notice
+from animtool.usd.rigs.unskinned import animated_mesh_notice
 
 _SKIN_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
@@ -410,14 +410,14 @@ def read_source_meshes(
             else rig_placement.rest_placement
         )
         meshes = _stage_meshes(skeletons[0], rig, path, rest_placement)
-        unskinned_notices = unskinned_notice(skeletons[0], str(path), placement)
+        unskinned_notices = animated_mesh_notice(skeletons[0], str(path), placement)
         return replace(meshes, notices=meshes.notices + unskinned_notices)
 
 
 def read_target_meshes(target: RigTarget) -> StageMeshes:
     """Return the meshes and strands of a rig layer."""
     with usd_errors(target.path), without_usd_warnings():
-        prim = target.stage.GetPrimAtPath(target.on_stage(target.paths.skeleton))
+        prim = target.stage.GetPrimAtPath(target.to_stage_path(target.paths.skeleton))
         meshes = _stage_meshes(UsdSkel.Skeleton(prim), target.skeleton, target.path)
         new_notices = [
             notice for notice in meshes.notices if notice not in target.notices

@@ -48,19 +48,21 @@ from animtool.usd.rigs.skinned import unique_name
 def merge_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
-    """Return a rig's attachments with arrays, and names of dropped ones.
+    """Return a rig's attachments with their arrays from USD, and names of dropped ones.
 
-    Strands come from USD; those unknown to the rig are last. Entries are dropped if
-    their mesh or curves, or the vertices they pin, no longer exist.
+    Strands that the rig does not know come last. Entries are dropped if their mesh,
+    curves or pinned vertices no longer exist.
     """
     unknown_strands = dict(strands)
-    counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
+    vertex_counts = {mesh.name: len(mesh.points.load()) for mesh in rig.meshes}
     attachments: list[Attachment] = []
     dropped_names: list[str] = []
     for entry in rig.attach:
         if entry.kind == AttachKind.STRANDS and entry.name in unknown_strands:
             attachments.append(unknown_strands.pop(entry.name))
-        elif entry.kind == AttachKind.CLOTH and _is_valid_cloth(entry, counts, pins):
+        elif entry.kind == AttachKind.CLOTH and _is_valid_cloth(
+            entry, vertex_counts, pins
+        ):
             pin_values = (
                 np.array(pins[entry.name], float) if entry.name in pins else None
             )
@@ -82,13 +84,17 @@ def merge_attachments(
 
 
 def _is_valid_cloth(
-    entry: Attachment, counts: dict[str, int], pins: Mapping[str, Any]
+    entry: Attachment, vertex_counts: dict[str, int], pins: Mapping[str, Any]
 ) -> bool:
     """Return whether a cloth's mesh exists and its pins are valid vertices."""
     indices = np.array(pins.get(entry.name, ()))
-    count = counts.get(entry.mesh, 0)
-    integral = indices.ndim == 1 and (not len(indices) or indices.dtype.kind in "iu")
-    return bool(count and integral and ((indices >= 0) & (indices < count)).all())
+    vertex_count = vertex_counts.get(entry.mesh, 0)
+    is_integral = indices.ndim == 1 and (not len(indices) or indices.dtype.kind in "iu")
+    return bool(
+        vertex_count
+        and is_integral
+        and ((indices >= 0) & (indices < vertex_count)).all()
+    )
 
 
 # Rest transforms closer than this [m], [1] differ only by rounding.
@@ -99,20 +105,20 @@ UNIT_TOLERANCE = 1e-3
 
 def merge_rig(
     usd_rig: Rig,
-    data: dict[str, Any],
+    custom_data: dict[str, Any],
     tokens: list[str],
     rest: Any,
     bind: Any,
     path: Path,
 ) -> tuple[Rig, list[Fault]]:
-    """Return a rig with the data of its customData.
+    """Merge a rig read from USD with the rig stored in customData.
 
-    If the Skeleton is unchanged since it was written, joints equal those of the source
-    rig. Otherwise USD's hierarchy, rest and bind win, references to removed joints are
-    dropped with a warning (USD117). Cloth and strands have no arrays yet; see
-    `with_attachments`.
+    If the Skeleton is unchanged since it was written, joints equal those of the stored
+    rig. Otherwise USD's hierarchy, rest and bind replace them, and references to
+    removed joints are dropped with a warning (USD117). Cloth and strands get their
+    arrays in `merge_usd_attachments`.
     """
-    text = data.get("rig")
+    text = custom_data.get("rig")
     if not text:
         return usd_rig, []
     document = document_of(str(text), path)
@@ -124,7 +130,7 @@ def merge_rig(
         reason = error.faults[0].message
         message = f"customData animtool:rig is malformed: {reason}"
         raise FormatError(Fault("USD007", message, str(path))) from error
-    shapes = _merged_shapes(stored_rig, usd_rig)
+    shapes = _merge_shapes(stored_rig, usd_rig)
     merged_rig = replace(
         stored_rig,
         meshes=usd_rig.meshes,
@@ -133,14 +139,14 @@ def merge_rig(
     )
     notices: list[Fault] = []
     resized = _resized_notice(stored_rig, usd_rig, path)
-    if data.get("hash") != skeleton_hash(tokens, rest, bind):
-        merged_rig, notices = _merged_with_usd(merged_rig, usd_rig, str(path))
+    if custom_data.get("hash") != skeleton_hash(tokens, rest, bind):
+        merged_rig, notices = _merge_skeleton(merged_rig, usd_rig, str(path))
     elif resized is not None:
         # The numbers are the same, and only their unit is another.
-        merged_rig, _ = _merged_with_usd(merged_rig, usd_rig, str(path))
+        merged_rig, _ = _merge_skeleton(merged_rig, usd_rig, str(path))
         notices = [resized]
-    names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
-    meshes = tuple(_with_joint_names(mesh, names) for mesh in merged_rig.meshes)
+    joint_names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
+    meshes = tuple(_rename_skin_joints(mesh, joint_names) for mesh in merged_rig.meshes)
     return replace(merged_rig, meshes=meshes), notices
 
 
@@ -160,31 +166,37 @@ def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
     return Fault("USD126", message, str(path), (), hint, Severity.WARNING)
 
 
-def with_attachments(
-    joined: Rig, usd_rig: Rig, data: dict[str, Any], path: Path
+def merge_usd_attachments(
+    merged_rig: Rig, usd_rig: Rig, custom_data: dict[str, Any], path: Path
 ) -> tuple[Rig, list[Fault]]:
-    """Return a joined rig whose cloth and strands have their USD arrays.
+    """Return a merged rig whose cloth and strands have their USD arrays.
 
-    Those with missing or invalid mesh or curves are dropped and reported (USD119).
+    Attachments with a missing or invalid mesh or curves are dropped and reported
+    (USD119).
     """
-    if not data.get("rig"):
-        return joined, []
-    names = dict(zip(usd_rig.names, joined.names, strict=True))
+    if not custom_data.get("rig"):
+        return merged_rig, []
+    joint_names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
     strands = {
-        entry.name: replace(entry, joints=tuple(names[name] for name in entry.joints))
+        entry.name: replace(
+            entry, joints=tuple(joint_names[name] for name in entry.joints)
+        )
         for entry in usd_rig.attach
     }
-    attach, dropped = merge_attachments(joined, strands, data.get("pins", {}))
-    rig = replace(joined, attach=attach)
-    if not dropped:
+    attach, dropped_names = merge_attachments(
+        merged_rig, strands, custom_data.get("pins", {})
+    )
+    rig = replace(merged_rig, attach=attach)
+    if not dropped_names:
         return rig, []
     message = (
-        f"attachments whose mesh or curves were removed or edited: {listed(dropped)}"
+        "attachments whose mesh or curves were removed or edited: "
+        f"{listed(dropped_names)}"
     )
     return rig, [Fault("USD119", message, str(path), severity=Severity.WARNING)]
 
 
-def _with_joint_names(mesh: Mesh, names: dict[str, str]) -> Mesh:
+def _rename_skin_joints(mesh: Mesh, names: dict[str, str]) -> Mesh:
     """Return a mesh whose skin uses the rig's joint names."""
     if mesh.skin is None:
         return mesh
@@ -192,14 +204,14 @@ def _with_joint_names(mesh: Mesh, names: dict[str, str]) -> Mesh:
     return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
-def _merged_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
+def _merge_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
     """Return shapes in stored order, with USD's arrays."""
-    by_name = {shape.name: shape for shape in usd_rig.shapes}
+    usd_shapes = {shape.name: shape for shape in usd_rig.shapes}
     stored_names = {shape.name for shape in stored_rig.shapes}
     return (
         *(
-            replace(by_name[shape.name], combine=shape.combine, driven=shape.driven)
-            if shape.name in by_name
+            replace(usd_shapes[shape.name], combine=shape.combine, driven=shape.driven)
+            if shape.name in usd_shapes
             else shape
             for shape in stored_rig.shapes
         ),
@@ -207,7 +219,7 @@ def _merged_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
     )
 
 
-def _merged_with_usd(
+def _merge_skeleton(
     stored_rig: Rig, usd_rig: Rig, where: str
 ) -> tuple[Rig, list[Fault]]:
     stored_joints = {joint.name: joint for joint in stored_rig.joints}
@@ -223,7 +235,9 @@ def _merged_with_usd(
         if stored_joint is None:
             changed_names.append(joint.name)
             joints.append(joint)
-        elif parents[stored_joint.name] == parent and _equal_rest(stored_joint, joint):
+        elif parents[stored_joint.name] == parent and _has_equal_rest(
+            stored_joint, joint
+        ):
             joints.append(replace(stored_joint, parent=joint.parent))
         else:
             changed_names.append(stored_joint.name)
@@ -244,18 +258,18 @@ def _merged_with_usd(
     if removed_names:
         message += f"; removed: {listed(removed_names)}"
     notice = Fault("USD117", message, where, severity=Severity.WARNING)
-    return _without_joints(
+    return _remove_joints(
         replace(stored_rig, joints=tuple(joints), bind=usd_rig.bind), removed_names
     ), [notice]
 
 
-def _equal_rest(first: Joint, second: Joint) -> bool:
+def _has_equal_rest(first: Joint, second: Joint) -> bool:
     offset = np.abs(np.subtract(first.translation, second.translation)).max()
     rotation_dot = abs(float(np.dot(first.rotation, second.rotation)))
     return bool(offset <= REST_TOLERANCE and rotation_dot >= 1 - REST_TOLERANCE)
 
 
-def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
+def _remove_joints(rig: Rig, removed_names: list[str]) -> Rig:
     """Return a rig without references to removed joints."""
     removed = set(removed_names)
     joints = tuple(
@@ -263,7 +277,7 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
             joint,
             mirror="" if joint.mirror in removed else joint.mirror,
             mimic=None if joint.mimic and joint.mimic.joint in removed else joint.mimic,
-            driven=_driver_without(joint.driven, removed),
+            driven=_remove_from_driver(joint.driven, removed),
         )
         for joint in rig.joints
     )
@@ -271,10 +285,12 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
         rig,
         joints=joints,
         shapes=tuple(
-            replace(shape, driven=_driver_without(shape.driven, removed))
+            replace(shape, driven=_remove_from_driver(shape.driven, removed))
             for shape in rig.shapes
         ),
-        controls=tuple(_control_without(control, removed) for control in rig.controls),
+        controls=tuple(
+            _remove_from_control(control, removed) for control in rig.controls
+        ),
         chains=tuple(
             chain for chain in rig.chains if not {chain.root, chain.tip} & removed
         ),
@@ -288,19 +304,19 @@ def _without_joints(rig: Rig, removed_names: list[str]) -> Rig:
     )
 
 
-def _control_without(control: Control, removed: set[str]) -> Control:
+def _remove_from_control(control: Control, removed: set[str]) -> Control:
     drives = tuple(
         drive
         for drive in control.drives
         if not any(drive.target.startswith(f"joint/{name}.") for name in removed)
     )
     return replace(
-        control, drives=drives, driven=_driver_without(control.driven, removed)
+        control, drives=drives, driven=_remove_from_driver(control.driven, removed)
     )
 
 
-def _driver_without(driver: Driver | None, removed: set[str]) -> Driver | None:
-    """Return a driver; None if it reads a removed joint."""
+def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
+    """Return a driver, or None if it reads a removed joint."""
     driver_names = () if driver is None else driver.names
     return (
         None
@@ -309,14 +325,14 @@ def _driver_without(driver: Driver | None, removed: set[str]) -> Driver | None:
     )
 
 
-# A bind pose closer to rest than this equals it: rounding of other tools [rad], [1].
+# Tolerance of a bind pose equal to rest, for rounding of other tools [rad], [1].
 BIND_TOLERANCE = 1e-6
-# A scale closer to 1 than this is 1: rounding of other tools.
+# Tolerance of a scale of 1, for rounding of other tools.
 SCALE_TOLERANCE = 1e-4
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file with its notices."""
+    """Return the rig of a USD file; its notices are in the rig."""
     rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
@@ -328,7 +344,7 @@ def read_rig_with_data(
 
     ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
-    Includes bind pose, meshes, shapes and strands, and the customData that USD cannot
+    It has bind pose, meshes, shapes and strands, and the customData that USD cannot
     express.
     """
     with usd_errors(path), without_usd_warnings():
@@ -339,79 +355,78 @@ def read_rig_with_data(
             message = f"has no Skeleton{location}"
             hint = unresolved_hint(stage)
             raise FormatError(Fault("USD008", message, str(path), (), hint))
-        of_skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
+        usd_skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
         skeleton = skeletons[0]
-        meshes, shapes, notices = read_meshes(skeleton, of_skeleton, str(path))
+        meshes, shapes, notices = read_meshes(skeleton, usd_skeleton, str(path))
         where = PrimLocation.from_prim(path, skeleton)
-        check_animatable(len(of_skeleton.rig.joints), len(shapes), where)
-        notices += of_skeleton.notices
+        check_animatable(len(usd_skeleton.rig.joints), len(shapes), where)
+        notices += usd_skeleton.notices
         notices += skipped_skeletons_notice(
             skeletons, str(path), f"choose one with {argument('source.prim_path')}"
         )
         notices += composition_notices(stage, str(path))
-        bind, bind_scales = _bind_poses(skeleton, of_skeleton)
-        notices += _scale_notice(of_skeleton, bind_scales, str(path))
+        bind, bind_scales = _bind_poses(skeleton, usd_skeleton)
+        notices += _scale_notice(usd_skeleton, bind_scales, str(path))
         rig = replace(
-            of_skeleton.rig,
+            usd_skeleton.rig,
             bind=bind,
             meshes=meshes,
             shapes=shapes,
-            attach=read_strands(skeleton, of_skeleton, str(path)),
+            attach=read_strands(skeleton, usd_skeleton, str(path)),
         )
-        data = stored_data(skeleton.GetPrim())
-        merged_rig, edits = merge_rig(
+        custom_data = stored_data(skeleton.GetPrim())
+        merged_rig, edit_notices = merge_rig(
             rig,
-            data,
-            of_skeleton.tokens,
+            custom_data,
+            usd_skeleton.tokens,
             matrix_array(skeleton.GetRestTransformsAttr()),
             matrix_array(skeleton.GetBindTransformsAttr()),
             path,
         )
-        complete, losses = with_attachments(merged_rig, rig, data, path)
-        placement = local_placement(skeleton.GetPrim(), of_skeleton.rig)
+        full_rig, dropped_notices = merge_usd_attachments(
+            merged_rig, rig, custom_data, path
+        )
+        placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
         notices += unsupported_notice(placement, where)
-        placed = rest_rig(complete, placement, choice)
-        return placed, notices + edits + losses
+        rig_at_rest = rest_rig(full_rig, placement, choice)
+        return rig_at_rest, notices + edit_notices + dropped_notices
 
 
 def _bind_poses(
     skeleton: Any, skeleton_rig: SkeletonRig
 ) -> tuple[dict[str, Pose], FloatArray]:
-    """Return local bind transforms that differ from rest, and their scales.
-
-    The scales ``(J, 3)`` are not part of the poses.
-    """
+    """Return local bind poses that differ from rest, and all bind scales ``(J, 3)``."""
     rig = skeleton_rig.rig
-    world = number_rows(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
+    bind_world = number_rows(skeleton.GetBindTransformsAttr(), 16).reshape(-1, 4, 4)
     if (
         not rig.joints
-        or len(world) != len(rig.joints)
-        or not (np.abs(world) <= MAX_REST_VALUE).all()
+        or len(bind_world) != len(rig.joints)
+        or not (np.abs(bind_world) <= MAX_REST_VALUE).all()
     ):
         return {}, np.ones((len(rig.joints), 3))
-    parent_world = np.where(
-        (rig.parents < 0)[:, None, None], np.eye(4), world[rig.parents]
+    parent_bind = np.where(
+        (rig.parents < 0)[:, None, None], np.eye(4), bind_world[rig.parents]
     )
-    if (np.linalg.det(parent_world) == 0).any():
+    if (np.linalg.det(parent_bind) == 0).any():
         return {}, np.ones((len(rig.joints), 3))
-    translations, rotations, scales = decompose(world @ np.linalg.inv(parent_world))
+    translations, rotations, scales = decompose(bind_world @ np.linalg.inv(parent_bind))
     translations = translations * rig.meters_per_unit
-    distances = np.abs(translations - rig.rest_translations).max(axis=1)
-    distances = distances > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
-    distances |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
+    is_different = np.abs(translations - rig.rest_translations).max(axis=1)
+    is_different = is_different > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
+    is_different |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
     poses = {
         rig.names[j]: Pose(
             tuple(translations[j].tolist()), tuple(rotations[j].tolist())
         )
-        for j in np.flatnonzero(distances).tolist()
+        for j in np.flatnonzero(is_different).tolist()
     }
     return poses, scales
 
 
-def _scale_notice(rig: SkeletonRig, bind: FloatArray, where: str) -> list[Fault]:
+def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list[Fault]:
     """Report joints with a rest or bind scale, which rigs cannot store."""
-    deviation = np.abs(np.stack([rig.rest_scales, bind]) - 1.0).max(axis=(0, 2))
-    names = [rig.rig.names[j] for j in np.flatnonzero(deviation > SCALE_TOLERANCE)]
+    deviations = np.abs(np.stack([rig.rest_scales, bind_scales]) - 1.0).max(axis=(0, 2))
+    names = [rig.rig.names[j] for j in np.flatnonzero(deviations > SCALE_TOLERANCE)]
     if not names:
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"

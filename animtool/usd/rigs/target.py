@@ -1,4 +1,4 @@
-"""The target rig of an animation layer."""
+"""The rig below an animation layer: its stage, paths and placement."""
 
 from __future__ import annotations
 
@@ -53,16 +53,18 @@ class RigTarget:
     stage_model: str  # path of the model on the rig's stage
     fps: Fraction  # time codes per second of the stage
     start: Fraction | None  # start time code of the stage, if authored
-    operations: list[str]  # transform operations that place the SkelRoot
-    moves: bool  # whether it also has animated ones, which the take replaces
-    skeletons: int  # number of skeletons below the SkelRoot
+    placing_ops: list[str]  # transform operations that place the SkelRoot
+    has_root_motion: (
+        bool  # whether the SkelRoot also has root motion, which the take replaces
+    )
+    skeleton_count: int  # number of skeletons below the SkelRoot
     unit: float  # length unit of the stage [m]; the rig has its own
     up: UpAxis  # up axis of the stage
     notices: list[Fault]  # warnings and notes
 
     def placement(self, codes: FloatArray | None = None) -> SkeletonPlacement:
         """Return the rig's Skeleton placement at time codes."""
-        prim = self.stage.GetPrimAtPath(self.on_stage(self.paths.skeleton))
+        prim = self.stage.GetPrimAtPath(self.to_stage_path(self.paths.skeleton))
         times = None if codes is None else codes.tolist()
         return skeleton_placement(prim, self.skeleton.rig, times)
 
@@ -78,13 +80,13 @@ class RigTarget:
         }
         return UsdNames(rig.names, originals, [])
 
-    def on_stage(self, path: str) -> str:
-        """Return the stage path of a prim of the layer over the rig."""
+    def to_stage_path(self, path: str) -> str:
+        """Return the path on the rig's stage of a prim in the layer."""
         model = Sdf.Path(self.stage_model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
 
-    def on_layer(self, path: Any) -> str:
-        """Return the layer path of a prim of the rig's stage."""
+    def to_layer_path(self, path: Any) -> str:
+        """Return the path in the layer of a prim on the rig's stage."""
         model = Sdf.Path(self.paths.model)
         return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
 
@@ -96,34 +98,34 @@ def open_target(path: Path, prim_path: str | None) -> RigTarget:
 
 
 def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget:
-    moved_to: str | None = None
+    new_path: str | None = None
     if prim_path is not None:
         check_prim_path(prim_path)
         if not can_have_character(stage, prim_path, str(path)):
-            prim_path, moved_to = None, prim_path
+            prim_path, new_path = None, prim_path
     skeletons, root = _skeletons_below(stage, path, search_root(stage, prim_path))
     prim = skeletons[0].GetPrim()
-    model = _model_path(stage, root, prim_path)
+    model_path = _model_path(stage, root, prim_path)
     paths = RigPaths(
-        str(model),
+        str(model_path),
         str(root.GetPath()),
         str(prim.GetPath()),
         str(root.GetPath().AppendChild("Anim")),
-        _binding_path(prim, root, model),
+        _binding_path(prim, root, model_path),
     )
-    if moved_to is not None:
-        paths = _moved_paths(paths, str(model), moved_to)
+    if new_path is not None:
+        paths = _rebase_paths(paths, str(model_path), new_path)
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
-    placing_ops, motion_ops = _xform_ops(root)
+    placing_ops, motion_ops = _split_xform_ops(root)
     skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))
     notices += skipped_skeletons_notice(
         skeletons, str(path), f"choose one with {argument('source.prim_path')}"
     )
-    if moved_to is None:
-        notices += _shot_binding_notice(stage, paths, str(path))
+    if new_path is None:
+        notices += _existing_binding_notice(stage, paths, str(path))
     notices += skeleton.notices
     notices += unbound_notice(skeletons[0], str(path))
     notices += _unit_notice(stage, skeleton.rig, str(path))
@@ -136,7 +138,7 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
         stage,
         skeleton,
         paths,
-        str(model),
+        str(model_path),
         rate_from_float(stage.GetTimeCodesPerSecond()),
         start,
         placing_ops,
@@ -148,11 +150,11 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
     )
 
 
-def _skeletons_below(stage: Any, path: Path, below: str) -> tuple[list[Any], Any]:
+def _skeletons_below(stage: Any, path: Path, root_path: str) -> tuple[list[Any], Any]:
     """Return the skeletons below a prim, and the SkelRoot of the first."""
-    skeletons = find_skeletons(stage, below)
+    skeletons = find_skeletons(stage, root_path)
     if not skeletons:
-        message = f"has no Skeleton below {below}"
+        message = f"has no Skeleton below {root_path}"
         hint = (
             f"set {argument('rig_layer')} to a layer that "
             f"{argument('form', 'split')} wrote, or to a shot that uses one"
@@ -168,10 +170,10 @@ def _skeletons_below(stage: Any, path: Path, below: str) -> tuple[list[Any], Any
 
 
 def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
-    """Report a shot in other units than the rig it references."""
+    """Report a shot whose units or up axis differ from those of its rig."""
     unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
-    same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
-    if same_unit and up is rig.up:
+    is_same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
+    if is_same_unit and up is rig.up:
         return []
     rig_units = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
     message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {rig_units}"
@@ -179,8 +181,8 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
 
 
-def _shot_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
-    """Report a shot that itself binds an animation to the referenced rig."""
+def _existing_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+    """Report a shot that already binds an animation to its rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
     if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:
@@ -192,8 +194,8 @@ def _shot_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]
     return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
 
 
-def _xform_ops(root: Any) -> tuple[list[str], list[str]]:
-    """Return the xform ops that place a SkelRoot, and those that animate it."""
+def _split_xform_ops(root: Any) -> tuple[list[str], list[str]]:
+    """Return the xform ops that place a SkelRoot, and those of its root motion."""
     placing_ops: list[str] = []
     motion_ops: list[str] = []
     for operation in UsdGeom.Xformable(root).GetOrderedXformOps():
@@ -206,16 +208,16 @@ def _model_path(stage: Any, root: Any, prim_path: str | None) -> Any:
     """Return the path of the character's root prim."""
     if prim_path is not None and root.GetPath().HasPrefix(Sdf.Path(prim_path)):
         return Sdf.Path(prim_path)
-    default = stage.GetDefaultPrim()
-    if default and root.GetPath().HasPrefix(default.GetPath()):
-        return default.GetPath()
+    default_prim = stage.GetDefaultPrim()
+    if default_prim and root.GetPath().HasPrefix(default_prim.GetPath()):
+        return default_prim.GetPath()
     return root.GetPath().GetPrefixes()[0]
 
 
 def _binding_path(skeleton: Any, root: Any, model: Any) -> str:
-    """Return the nearest prim above the Skeleton that binds an animation, or the root.
+    """Return the prim above a Skeleton that binds an animation, or its SkelRoot.
 
-    A binding above the model is not specific to the character, so the root is used.
+    Bindings above the model do not count, as they are not specific to the character.
     """
     prim = skeleton
     while prim and prim.GetPath().HasPrefix(model):
@@ -226,21 +228,23 @@ def _binding_path(skeleton: Any, root: Any, model: Any) -> str:
     return str(root.GetPath())
 
 
-def _moved_paths(paths: RigPaths, model: str, to: str) -> RigPaths:
-    def move(path: str) -> str:
-        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(model), Sdf.Path(to)))
+def _rebase_paths(paths: RigPaths, old_model: str, new_model: str) -> RigPaths:
+    def rebase(path: str) -> str:
+        return str(
+            Sdf.Path(path).ReplacePrefix(Sdf.Path(old_model), Sdf.Path(new_model))
+        )
 
     return RigPaths(
-        move(paths.model),
-        move(paths.root),
-        move(paths.skeleton),
-        move(paths.animation),
-        move(paths.binding),
+        rebase(paths.model),
+        rebase(paths.root),
+        rebase(paths.skeleton),
+        rebase(paths.animation),
+        rebase(paths.binding),
     )
 
 
 def compose_over_rig(target: RigTarget, layer: Any) -> Any:
-    """Return a stage of the layer over its rig, composed as in a shot."""
+    """Return a stage that composes a layer over its rig, as a shot does."""
     stage = Usd.Stage.CreateInMemory()
     root = stage.GetRootLayer()
     if target.paths.model == target.stage_model:
@@ -248,8 +252,8 @@ def compose_over_rig(target: RigTarget, layer: Any) -> Any:
     else:
         root.subLayerPaths = [layer.identifier]
         prim = stage.DefinePrim(target.paths.model)
-        rig = target.stage.GetRootLayer().identifier
-        prim.GetReferences().AddReference(rig, target.stage_model)
+        rig_layer = target.stage.GetRootLayer().identifier
+        prim.GetReferences().AddReference(rig_layer, target.stage_model)
     stage.SetTimeCodesPerSecond(layer.timeCodesPerSecond)
     return stage
 

@@ -1,4 +1,4 @@
-"""Rigidly animated meshes of a character, which a point cache does not contain."""
+"""Reports animated meshes without a skin, which a point cache does not contain."""
 
 from __future__ import annotations
 
@@ -22,13 +22,12 @@ MAX_SAMPLED_TIMES = 256
 MOTION_TOLERANCE = 1e-6
 
 
-def unskinned_notice(
+def animated_mesh_notice(
     skeleton: Any, where: str, choice: str | None = None
 ) -> list[Fault]:
     """Report animated meshes of a character that no joint deforms (USD147).
 
-    ``choice`` is its placement; with ``drop``, motion of the complete character does
-    not count.
+    ``choice`` is its placement; ``drop`` ignores motion of the character's placement.
     """
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
@@ -38,7 +37,7 @@ def unskinned_notice(
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
         if is_rig_mesh(prim) and prim.GetPath() not in skinned_paths
-        if (distance := _moved_distance(prim, skeleton.GetPrim(), choice))
+        if (distance := _max_displacement(prim, skeleton.GetPrim(), choice))
         > MOTION_TOLERANCE
     }
     if not distances:
@@ -67,17 +66,21 @@ def _skinned_paths(root: Any) -> set[Any]:
     }
 
 
-def _moved_distance(prim: Any, skeleton: Any, choice: str | None) -> float:
-    """Return how far a mesh moves from its first position [m]."""
-    chain = [
+def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
+    """Return the largest displacement of a mesh from its first position [m]."""
+    xformables = [
         *animated_ancestors(prim),
         *(animated_ancestors(skeleton) if choice == DROP else ()),
     ]
-    times = sorted({time for mover in chain for time in mover.GetTimeSamples()})
+    times = sorted(
+        {time for xformable in xformables for time in xformable.GetTimeSamples()}
+    )
     if len(times) < 2:
         return 0.0
-    spread = np.linspace(0, len(times) - 1, min(len(times), MAX_SAMPLED_TIMES))
-    codes = np.array(times)[spread.round().astype(int)]
+    sample_positions = np.linspace(
+        0, len(times) - 1, min(len(times), MAX_SAMPLED_TIMES)
+    )
+    codes = np.array(times)[sample_positions.round().astype(int)]
     matrices = world_matrices(prim, codes)
     if choice == DROP:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
@@ -93,7 +96,5 @@ def _bounds_corners(prim: Any) -> FloatArray:
     points = number_rows(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
     if not len(points):
         return np.zeros((1, 3))
-    bounds_ = np.stack([points.min(axis=0), points.max(axis=0)])
-    return np.asarray(
-        bounds_[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
-    )
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.asarray(box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T)

@@ -1,4 +1,4 @@
-"""A SkelAnimation as motion of a Skeleton's joints, or of an animation layer alone."""
+"""Reads a SkelAnimation as motion of its joints, with or without a Skeleton."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from animtool.usd.rigs.prims import (
 from animtool.usd.takes.animation_values import (
     SampleGrid,
     animated_shapes,
+    build_scale_channel,
+    fill_with_rest,
+    find_sample_grid,
     normalize_rotations,
-    on_every_frame,
-    sample_grid,
-    sampled_values,
-    scale_channel,
-    shape_weights,
-    with_rest,
+    read_samples,
+    read_shape_weights,
+    refine_to_frames,
 )
 
 # A take of so many frames whose stage plays several of them in a time code is slow by
@@ -56,7 +56,7 @@ MIN_FRAMES, MIN_RATE_RATIO = 12, 4
 
 @dataclass(frozen=True, slots=True)
 class AnimationMotion:
-    """The motion of an animation, before its Skeleton is placed on the stage."""
+    """Motion of an animation, before the stage placement of its Skeleton."""
 
     clock: Clock
     motion: Motion  # of all joints of the Skeleton
@@ -68,12 +68,12 @@ class AnimationMotion:
 def read_animation(
     stage: Any, skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
 ) -> AnimationMotion:
-    """Return the motion that an animation gives a Skeleton.
+    """Return the motion of a Skeleton's joints and shapes from an animation.
 
-    ``prim`` is the Skeleton; None for an animation layer alone.
+    ``prim`` is the Skeleton; None for an animation layer without its rig.
     """
-    columns, notices = _columns(skeleton, animation, prim, where)
-    attributes = _attributes(animation, columns, where, notices)
+    columns, notices = _match_columns(skeleton, animation, prim, where)
+    attributes = _require_attributes(animation, columns, where, notices)
     shapes = animated_shapes(animation)
     check_animatable(len(skeleton.rig.joints), len(shapes), where)
     sources = [
@@ -82,9 +82,9 @@ def read_animation(
     ]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sorted({time for source in sources for time in source.GetTimeSamples()})
-    grid = sample_grid(stage, animation, times, where)
+    grid = find_sample_grid(stage, animation, times, where)
     if prim is not None and has_animated_rotation_or_scale(prim):
-        grid = on_every_frame(grid, stage, where)
+        grid = refine_to_frames(grid, stage, where)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()
@@ -93,39 +93,39 @@ def read_animation(
     rig = skeleton.rig
     meters = rig.meters_per_unit
 
-    def dense(name: str, rest: FloatArray) -> FloatArray:
-        """Return an attribute for all Skeleton joints; unanimated ones at rest."""
+    def joint_values(name: str, rest: FloatArray) -> FloatArray:
+        """Return an attribute of all joints; joints without values are at rest."""
         attr, width, rows = attributes.get(name), rest.shape[1], None
         if attr is not None:
-            rows = sampled_values(
+            rows = read_samples(
                 attr, codes, len(columns), width, where, drift=grid.drift
             )
-        return with_rest(rest, rows, columns, len(codes))
+        return fill_with_rest(rest, rows, columns, len(codes))
 
-    translations = dense("translations", rig.rest_translations / meters) * meters
-    rotations = dense("rotations", rig.rest_rotations)
-    scales = dense("scales", skeleton.rest_scales)
+    translations = joint_values("translations", rig.rest_translations / meters) * meters
+    rotations = joint_values("rotations", rig.rest_rotations)
+    scales = joint_values("scales", skeleton.rest_scales)
     rotations, length_warnings = normalize_rotations(rotations, rig.names, codes, where)
     notices += length_warnings
     weights = None
     if shapes:
-        weights = shape_weights(animation, codes, len(shapes), where, grid.drift)
+        weights = read_shape_weights(animation, codes, len(shapes), where, grid.drift)
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(so3.align_signs(rotations)),
-        scale_channel(scales),
+        build_scale_channel(scales),
         weights,
     )
     return AnimationMotion(clock, motion, shapes, grid.drift, notices)
 
 
-def _attributes(
+def _require_attributes(
     animation: Any, columns: IntArray, where: PrimLocation, notices: list[Fault]
 ) -> dict[str, Any]:
-    """Return the attributes UsdSkel requires of an animation, by name.
+    """Return the joint attributes of an animation by name; refuse missing ones.
 
-    Empty if it animates no joint: it only has shape weights, or only lists joints,
-    which then stay at rest.
+    Empty if it animates no joints: it has only shape weights, or lists joints that stay
+    at rest.
     """
     if not len(columns):
         return {}
@@ -140,10 +140,10 @@ def _attributes(
     return transform_attributes(animation)
 
 
-def _columns(
+def _match_columns(
     skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
 ) -> tuple[IntArray, list[Fault]]:
-    """Return Skeleton columns of the animation's joints (-1 unknown), and a warning."""
+    """Return the Skeleton joint of each animation joint (-1 for none), and warnings."""
     attr = animation.GetJointsAttr()
     index = {token: i for i, token in enumerate(skeleton.tokens)}
     columns = np.array([index.get(token, -1) for token in token_array(attr)], np.int64)
@@ -170,10 +170,10 @@ def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
 
 
 def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[Fault]:
-    """Return notices of samples that are irregular or off frames."""
+    """Return notices about samples that are irregular or not on frames."""
     notices = []
     interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
-    if not grid.regular:
+    if not grid.is_regular:
         message = f"samples are unevenly spaced; read every {interval}"
         notices.append(where.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:
@@ -183,8 +183,8 @@ def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[F
             f"one every {interval}"
         )
         notices.append(where.fault("USD121", message, severity=Severity.NOTE))
-    if grid.between:
-        message = f"{grid.between} of {samples} samples fall between frames; "
+    if grid.between_count:
+        message = f"{grid.between_count} of {samples} samples fall between frames; "
         message += "only the values on frames are read"
         hint = "resample the animation to whole frames in the tool that wrote it"
         warning = Severity.WARNING
@@ -192,8 +192,8 @@ def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[F
     return notices
 
 
-def first_animation(stage: Any, root_path: str) -> Any:
-    """Return the first animation that a layer binds or holds; None without one."""
+def find_first_animation(stage: Any, root_path: str) -> Any:
+    """Return the first animation that a layer binds or contains; None without one."""
     root_prim = stage.GetPrimAtPath(root_path)
     # An animation layer alone has only overs above its animation.
     predicate = Usd.PrimAllPrimsPredicate
@@ -221,12 +221,12 @@ def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
     return [where.fault("USD113", message, hint, Severity.WARNING)]
 
 
-def rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
-    """Return the rig of an animation layer alone: its joints at their first sample."""
+def rig_from_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
+    """Return a rig for an animation without Skeleton; its first sample is the rest."""
     joints = token_array(animation.GetJointsAttr())
     where = PrimLocation.from_prim(path, animation)
     where.refuse(duplicate_name_faults(animation.GetJointsAttr()))
-    data = stored_data(animation.GetPrim())
+    custom_data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first_code = Usd.TimeCode.EarliestTime()
     positions = number_rows(animation.GetTranslationsAttr(), 3, first_code)
@@ -239,6 +239,6 @@ def rig_of_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
         where,
         UsdGeom.GetStageMetersPerUnit(stage),
         up_axis(stage),
-        {"names": data["names"]} if "names" in data else {},
+        {"names": custom_data["names"]} if "names" in custom_data else {},
     )
     return replace(rig, rig=replace(rig.rig, has_rest=False))

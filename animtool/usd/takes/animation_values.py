@@ -21,45 +21,45 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.usd.layers.faults import UNIT_TOLERANCE, PrimLocation
 from animtool.usd.rigs.prims import array_value, number_rows
-from animtool.usd.takes.library import take_range
+from animtool.usd.takes.library import stored_take_range
 
 
-def scale_channel(dense: FloatArray) -> Channel | None:
+def build_scale_channel(scales: FloatArray) -> Channel | None:
     """Return the channel of scales ``(F, J, 3)``; None if all are one."""
-    return None if (dense == 1.0).all() else Channel.from_dense(dense)
+    return None if (scales == 1.0).all() else Channel.from_dense(scales)
 
 
 def animated_shapes(animation: Any) -> list[str]:
-    """Return the blend shapes of an animation."""
+    """Return the blend shapes of an animation with weights; empty without weights."""
     if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
         return []
     return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
 
 
-def shape_weights(
+def read_shape_weights(
     animation: Any,
     codes: list[float],
     shapes: int,
     where: PrimLocation,
     drift: float = 0.0,
 ) -> Channel:
-    """Return weights of an animation's shapes at time codes; see `sampled_values`."""
+    """Return the blend shape weights of an animation; see `read_samples`."""
     attr = animation.GetBlendShapeWeightsAttr()
-    rows = sampled_values(attr, codes, shapes, 1, where, noun="shape", drift=drift)
+    rows = read_samples(attr, codes, shapes, 1, where, noun="shape", drift=drift)
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
 
-def sampled_values(
+def read_samples(
     attr: Any,
     codes: list[float],
-    count: int,
-    width: int,
+    item_count: int,
+    component_count: int,
     where: PrimLocation,
     *,
     noun: str = "joint",
     drift: float = 0.0,
 ) -> FloatArray:
-    """Return an attribute's samples ``(F, J, K)``; F is 1 if it is constant.
+    """Return an attribute at time codes ``(F, N, K)``; F is 1 if it is constant.
 
     ``drift`` is the largest distance of a sample from its frame [time codes].
     """
@@ -67,13 +67,13 @@ def sampled_values(
     if attr.GetNumTimeSamples() > 1:
         times = attr.GetTimeSamples() if drift else []
         time_codes = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
-    rows = np.empty((len(time_codes), count, width))
+    rows = np.empty((len(time_codes), item_count, component_count))
     for i, time in enumerate(time_codes):
-        value = number_rows(attr, width, time)
-        if len(value) != count:
+        value = number_rows(attr, component_count, time)
+        if len(value) != item_count:
             message = f"{attr.GetName()} has {counted(len(value), 'value')}"
-            message += f" for {counted(count, noun)}"
-            hint = f"{_time_text(time)}; UsdSkel falls back to rest"
+            message += f" for {counted(item_count, noun)}"
+            hint = f"{_time_label(time)}; UsdSkel falls back to rest"
             where.at_prim(attr).fail(
                 "USD206" if noun == "shape" else "USD200", message, hint
             )
@@ -81,7 +81,7 @@ def sampled_values(
     if not np.isfinite(rows).all():
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
-        hint = f"{_time_text(time_codes[frame])}, {noun} {joint}"
+        hint = f"{_time_label(time_codes[frame])}, {noun} {joint}"
         where.at_prim(attr).fail("USD202", message, hint)
     return rows
 
@@ -96,20 +96,25 @@ def nearest_samples(
     """
     if not times or not drift:
         return codes
-    samples, frames = np.array(times), np.array(codes)
-    next_index = np.searchsorted(samples, frames).clip(1, max(len(samples) - 1, 1))
-    neighbours = np.stack(
-        [samples[next_index - 1], samples[np.minimum(next_index, len(samples) - 1)]]
+    sample_times, frame_times = np.array(times), np.array(codes)
+    next_index = np.searchsorted(sample_times, frame_times).clip(
+        1, max(len(sample_times) - 1, 1)
     )
-    gaps = np.abs(neighbours - frames)
-    nearest = np.where(gaps[0] <= gaps[1], neighbours[0], neighbours[1])
+    neighbours = np.stack(
+        [
+            sample_times[next_index - 1],
+            sample_times[np.minimum(next_index, len(sample_times) - 1)],
+        ]
+    )
+    distances = np.abs(neighbours - frame_times)
+    nearest = np.where(distances[0] <= distances[1], neighbours[0], neighbours[1])
     # The tolerance includes rounding of the distance itself.
-    is_near = gaps.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
-    return list(map(float, np.where(is_near, nearest, frames)))
+    is_near = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(is_near, nearest, frame_times)))
 
 
-def _time_text(time: Any) -> str:
-    """Return a time as text; the earliest time means a constant value."""
+def _time_label(time: Any) -> str:
+    """Return a label for a time; the earliest time labels a constant value."""
     if time.IsEarliestTime():
         return "the only value"
     return f"time code {time.GetValue():g}"
@@ -118,7 +123,7 @@ def _time_text(time: Any) -> str:
 def normalize_rotations(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning of the worst."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning if they were not."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
     deviations = np.abs(lengths - 1.0)
     notices = []
@@ -138,18 +143,18 @@ def normalize_rotations(
     return so3.normalize(rotations), notices
 
 
-# Largest number of grid steps per sample. Sub-frame samples around frames make a grid
-# finer than the samples; beyond this the samples are a curve's own keys.
+# Largest number of grid steps per sample. Sub-frame samples make the grid finer; with
+# more steps, the samples are irregular keys of a curve.
 MAX_GRID_RATIO = 8
 # Maximum frames of a take with irregular keys; more indicate a misplaced key.
 MAX_GRID_FRAMES = 100_000
-# Time codes slower than this are no frames, but seconds or the like [1/s].
-SLOWEST_FRAMES = 12
-# Samples within this fraction of a step or time code from a frame belong to it:
-# exporters accumulate float steps, which drift. Shutter offsets are many times larger.
+# Time codes at a lower rate are not frames but, for example, seconds [1/s].
+MIN_FRAME_RATE = 12
+# Samples within this fraction of a step or time code from a frame belong to it, as
+# exporters accumulate rounding errors. Shutter offsets are much larger.
 MAX_FRAME_DRIFT = 0.02
-# If samples fit no other grid, those this close to an integer time code belong to that
-# frame [time codes]; samples further away may be intended.
+# If samples fit no other grid, those this close to an integer time code are snapped to
+# it [time codes]; samples farther away may be intended.
 MAX_OFF_FRAME = 0.05
 # Denominators of common steps, and of steps of slightly different rates.
 COMMON_DENOMINATORS = (1, 2, 3, 4, 5, 6, 8, 10, 20, 50, 100)
@@ -163,10 +168,10 @@ class SampleGrid:
     start: Fraction  # time code of the first frame
     step: Fraction  # time codes per frame
     count: int  # number of frames
-    regular: bool  # whether all samples are on consecutive frames
+    is_regular: bool  # whether all samples are on consecutive frames
     drift: float = 0.0  # largest distance of a sample from its frame [time codes]
     drift_code: float = 0.0  # time code of the sample with the largest drift
-    between: int = 0  # number of samples between frames
+    between_count: int = 0  # number of samples between frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,7 +183,7 @@ class _TakeSpan:
 
 
 def _authored_span(stage: Any, animation: Any) -> _TakeSpan:
-    authored_range = take_range(animation)
+    authored_range = stored_take_range(animation)
     if authored_range is not None:
         return _TakeSpan(*authored_range)
     is_authored = stage.HasAuthoredTimeCodeRange()
@@ -186,7 +191,7 @@ def _authored_span(stage: Any, animation: Any) -> _TakeSpan:
     return _TakeSpan(time_fraction(stage.GetStartTimeCode()), last_code)
 
 
-def with_rest(
+def fill_with_rest(
     rest: FloatArray, rows: FloatArray | None, columns: IntArray, frames: int
 ) -> FloatArray:
     """Return values of all joints ``(F, J, …)``; joints without values are at rest.
@@ -196,54 +201,56 @@ def with_rest(
     """
     dense = np.repeat(rest[None], frames, axis=0)
     if rows is not None:
-        is_known = columns >= 0
-        dense[:, columns[is_known]] = rows[:, is_known]
+        is_in_rig = columns >= 0
+        dense[:, columns[is_in_rig]] = rows[:, is_in_rig]
     return dense
 
 
-def sample_grid(
+def find_sample_grid(
     stage: Any, animation: Any, times: list[float], where: PrimLocation
 ) -> SampleGrid:
     """Return the frame grid of an animation."""
     grid = _find_grid(times, _authored_span(stage, animation), where)
-    return _with_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
+    return _snap_to_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
-def on_every_frame(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleGrid:
-    """Return a grid with steps of at most one frame that contains a grid's frames.
+def refine_to_frames(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleGrid:
+    """Subdivide a grid so that its steps are at most one frame.
 
-    Linear steps between samples are not those of transforms that rotate or scale: two
-    keys of a turntable are a circle, of which joints would walk the chord.
+    Joints interpolate linearly between samples, but rotating or scaling transforms do
+    not: between two keys of a turntable, joints would follow the chord of the circle.
     """
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
-    frame = Fraction(1)
+    frame_step = Fraction(1)
     if stage.HasAuthoredMetadata("framesPerSecond") and stage.GetFramesPerSecond() > 0:
-        frame = fps / rate_from_float(stage.GetFramesPerSecond())
-    if fps >= SLOWEST_FRAMES:
-        frame = max(frame, Fraction(1))
-    parts = math.ceil(grid.step / frame)
-    count = (grid.count - 1) * parts + 1
-    if count > MAX_GRID_FRAMES and parts > 1:
+        frame_step = fps / rate_from_float(stage.GetFramesPerSecond())
+    if fps >= MIN_FRAME_RATE:
+        frame_step = max(frame_step, Fraction(1))
+    subdivisions = math.ceil(grid.step / frame_step)
+    count = (grid.count - 1) * subdivisions + 1
+    if count > MAX_GRID_FRAMES and subdivisions > 1:
         message = f"its moving placement spans {count} frames"
         where.fail("USD016", message, "is one of its samples a stray one?")
-    return replace(grid, step=grid.step / parts, count=count)
+    return replace(grid, step=grid.step / subdivisions, count=count)
 
 
-def _with_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
-    """Return a grid with the step of the standard rate near its own rate.
+def _snap_to_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
+    """Return a grid with the step of a standard frame rate close to its rate.
 
-    A layer that states 23.976 for 24000/1001 has frames 1.001001 time codes apart in a
-    stage of 24.
+    For example, a layer that states 23.976 instead of 24000/1001 has frames 1.001001
+    time codes apart in a stage of 24.
     """
     rate = fps / grid.step
-    standard = rate_from_float(float(rate))
-    drift = float(abs(fps / standard - grid.step) * (grid.count - 1))
-    if standard == rate or drift > MAX_FRAME_DRIFT * min(float(grid.step), 1.0):
+    standard_rate = rate_from_float(float(rate))
+    drift = float(abs(fps / standard_rate - grid.step) * (grid.count - 1))
+    if standard_rate == rate or drift > MAX_FRAME_DRIFT * min(float(grid.step), 1.0):
         return grid
     last_code = float(grid.start + grid.step * (grid.count - 1))
-    # The last sample drifts most, in addition to its existing drift.
-    code = grid.drift_code if grid.drift > drift else last_code
-    return replace(grid, step=fps / standard, drift=grid.drift + drift, drift_code=code)
+    # The rate difference adds most drift to the last sample.
+    drift_code = grid.drift_code if grid.drift > drift else last_code
+    return replace(
+        grid, step=fps / standard_rate, drift=grid.drift + drift, drift_code=drift_code
+    )
 
 
 def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> SampleGrid:
@@ -256,64 +263,67 @@ def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> Samp
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
     return (
-        _integer_codes(times, where)
+        _integer_grid(times, where)
         if grid is None
-        else _from_authored_start(grid, span)
+        else _trim_to_authored_start(grid, span)
     )
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
     """Return the coarsest grid that contains every sample; None if too fine."""
-    exact = [time_fraction(time) for time in times]
-    gaps = {b - a for a, b in pairwise(exact)}
+    exact_times = [time_fraction(time) for time in times]
+    gaps = {b - a for a, b in pairwise(exact_times)}
     step = _common_divisor(gaps)
-    count = int((exact[-1] - exact[0]) / step) + 1
+    count = int((exact_times[-1] - exact_times[0]) / step) + 1
     if count > MAX_GRID_RATIO * len(times):
         return None
-    return SampleGrid(exact[0], step, count, len(gaps) == 1)
+    return SampleGrid(exact_times[0], step, count, len(gaps) == 1)
 
 
 def _drifting_grid(times: list[float]) -> SampleGrid | None:
-    """Return a grid near every sample; None if there is none."""
+    """Return a regular grid close to every sample; None if there is none."""
     codes = np.array(times)
     gaps = np.diff(codes)
-    # Drifting attributes have samples of one frame at almost equal times.
+    # Attributes that drift differently have samples of one frame at almost equal times.
     gaps = gaps[gaps > MAX_FRAME_DRIFT * np.quantile(gaps, 0.75, method="lower")]
-    middle, mean = Fraction(float(np.median(gaps))), Fraction(float(gaps.mean()))
+    median_gap, mean_gap = (
+        Fraction(float(np.median(gaps))),
+        Fraction(float(gaps.mean())),
+    )
     steps = [
-        middle.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
+        median_gap.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
     ]
-    steps.append(mean.limit_denominator(FINE_STEP_DENOMINATOR))
+    steps.append(mean_gap.limit_denominator(FINE_STEP_DENOMINATOR))
     grids = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
     return next((grid for grid in grids if grid is not None), None)
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     """Return the grid of a step if every sample is close to one of its frames."""
-    length = float(step)
-    tolerance = MAX_FRAME_DRIFT * min(length, 1.0)
-    is_plain = step.denominator <= COMMON_DENOMINATORS[-1]
-    denominator = step.denominator if is_plain else 1
+    step_length = float(step)
+    tolerance = MAX_FRAME_DRIFT * min(step_length, 1.0)
+    is_common = step.denominator <= COMMON_DENOMINATORS[-1]
+    denominator = step.denominator if is_common else 1
     start = Fraction(round(codes[0] * denominator), denominator)
     if abs(codes[0] - float(start)) > tolerance:
         start = time_fraction(float(codes[0]))
-    index = np.rint((codes - float(start)) / length)
-    distances = np.abs(codes - (float(start) + index * length))
+    index = np.rint((codes - float(start)) / step_length)
+    distances = np.abs(codes - (float(start) + index * step_length))
     gaps = np.diff(index)
-    worst = int(distances.argmax())
+    worst_sample = int(distances.argmax())
     count = int(index[-1]) + 1
-    if distances[worst] > tolerance or index[0] != 0:
+    if distances[worst_sample] > tolerance or index[0] != 0:
         return None
     if count > MAX_GRID_RATIO * len(codes):
         return None
-    drift, code = float(distances[worst]), float(codes[worst])
-    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, code)
+    drift, drift_code = float(distances[worst_sample]), float(codes[worst_sample])
+    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, drift_code)
 
 
 def _snapped_grid(times: list[float]) -> SampleGrid | None:
-    """Return the integer grid of samples, some of them slightly off.
+    """Return the grid of samples after snapping those near integer time codes.
 
-    None if two samples would fall on one frame, or if the others fit no grid either.
+    None if two samples would be on one frame, or if the samples still fit no grid.
     """
     codes = np.array(times)
     nearest = np.round(codes)
@@ -325,30 +335,34 @@ def _snapped_grid(times: list[float]) -> SampleGrid | None:
     if grid is None:
         return None
     distances[distances > MAX_OFF_FRAME] = 0.0
-    worst = int(distances.argmax())
-    return replace(grid, drift=float(distances[worst]), drift_code=float(codes[worst]))
+    worst_sample = int(distances.argmax())
+    return replace(
+        grid,
+        drift=float(distances[worst_sample]),
+        drift_code=float(codes[worst_sample]),
+    )
 
 
-def _integer_codes(times: list[float], where: PrimLocation) -> SampleGrid:
-    """Return all integer time codes that the samples span."""
-    exact = [time_fraction(time) for time in times]
-    first_code, last_code = math.floor(exact[0]), math.ceil(exact[-1])
+def _integer_grid(times: list[float], where: PrimLocation) -> SampleGrid:
+    """Return the grid of all integer time codes in the range of the samples."""
+    exact_times = [time_fraction(time) for time in times]
+    first_code, last_code = math.floor(exact_times[0]), math.ceil(exact_times[-1])
     if last_code - first_code > MAX_GRID_FRAMES:
         message = (
             f"{len(times)} samples spread over {last_code - first_code} time codes"
         )
         where.fail("USD016", message, "is one of them a stray sample?")
-    between_count = sum(time.denominator != 1 for time in exact)
+    between_count = sum(time.denominator != 1 for time in exact_times)
     count = last_code - first_code + 1
     return SampleGrid(
-        Fraction(first_code), Fraction(1), count, False, between=between_count
+        Fraction(first_code), Fraction(1), count, False, between_count=between_count
     )
 
 
-def _from_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
-    """Return a grid extended to the authored first frame, if that is just before it.
+def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
+    """Return a grid trimmed to the authored first frame if it starts just before it.
 
-    Samples up to a frame earlier are used for its motion blur.
+    Samples up to a frame earlier are motion blur samples of the first frame.
     """
     start = span.first
     frames_before = (start - grid.start) / grid.step

@@ -1,4 +1,4 @@
-"""A take as USD: a stage, a stage split in three layers, or a layer over a rig."""
+"""Writes a take as a stage, a stage in three layers, or a layer over a rig."""
 
 from __future__ import annotations
 
@@ -57,20 +57,22 @@ BLOCK_FRAMES = 512  # frames per block of a take written by `write`
 def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdResult]:
     """Author the layers of a job in memory; nothing is saved yet.
 
-    Takes are requested one by one, so authored ones need not be kept in memory.
+    Takes are requested one by one, so that only one is in memory.
     """
     outputs = output_paths(job.output, job.form)
-    animation = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
-    authored = AuthoredLayers(animation)
+    animation_layer = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
+    authored = AuthoredLayers(animation_layer)
     notices: list[Fault] = []
     if job.form is not LayerForm.LAYER:
         authored.rig = (
-            new_layer(outputs[0]) if job.form is LayerForm.SPLIT else animation
+            new_layer(outputs[0]) if job.form is LayerForm.SPLIT else animation_layer
         )
     with Sdf.ChangeBlock():
         if authored.rig is not None:
             author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
-            authored.visible |= any(e.points is not None for e in job.rig.attach)
+            authored.has_visible_geometry |= any(
+                entry.points is not None for entry in job.rig.attach
+            )
             if job.rig.meshes:
                 from animtool.usd.rigs.meshes import author_meshes
 
@@ -79,58 +81,60 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
                 _, notices = author_meshes(
                     authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
                 )
-                authored.visible = True
+                authored.has_visible_geometry = True
             if job.show_bones:
                 from animtool.usd.rigs.meshes import author_bones
 
-                authored.visible |= author_bones(
+                authored.has_visible_geometry |= author_bones(
                     authored.rig, job.rig, job.paths, job.meters_per_unit
                 )
-        layer_parts = [
-            _author_take(job, authored, take, first=not i)
+        authored_takes = [
+            _author_take(job, authored, take, is_first=not i)
             for i, take in enumerate(takes)
         ]
-        written_takes = [layer_part.written for layer_part in layer_parts]
+        written_takes = [authored_take.report for authored_take in authored_takes]
         for layer in authored.layers:
             author_metadata(layer, _stage_metadata(job, written_takes))
     notices += [notice for take in written_takes for notice in take.notices]
-    result = UsdResult(layer_span(animation), takes=written_takes, notices=notices)
-    for layer_part in layer_parts:
-        if layer_part.curves:
+    result = UsdResult(
+        layer_span(animation_layer), takes=written_takes, notices=notices
+    )
+    for authored_take in authored_takes:
+        if authored_take.curves:
             from animtool.usd.takes.splines import author_controls
 
-            layer_part.written.curves = author_controls(
-                animation, layer_part.written.animation, layer_part.curves
+            authored_take.report.curves = author_controls(
+                animation_layer, authored_take.report.animation, authored_take.curves
             )
     # Without rest transforms, UsdSkel would warn at each frame.
     with without_usd_warnings():
         author_extents(
             job,
-            authored.visible,
+            authored.has_visible_geometry,
             authored.layers,
             [
-                (layer_part.written.name, layer_part.writer)
-                for layer_part in layer_parts
+                (authored_take.report.name, authored_take.writer)
+                for authored_take in authored_takes
             ],
         )
-    for layer_part in layer_parts:
-        layer_part.written.sampled = layer_part.writer.sampled
+    for authored_take in authored_takes:
+        authored_take.report.sampled = authored_take.writer.sampled_names
     return authored, result
 
 
 @dataclass(frozen=True, slots=True)
-class _LayerPart:
-    """A take with authored samples: writer, report and curves."""
+class _AuthoredTake:
+    """A take whose samples are authored, with its writer, report and curves."""
 
     writer: AnimationWriter
-    written: WrittenTake
+    report: WrittenTake
     curves: Mapping[str, Curves]
 
 
 def _author_take(
-    job: UsdJob, authored: AuthoredLayers, take: UsdTake, *, first: bool
-) -> _LayerPart:
-    """Author a SkelAnimation and its binding; extents and curves are added later."""
+    job: UsdJob, authored: AuthoredLayers, take: UsdTake, *, is_first: bool
+) -> _AuthoredTake:
+    """Author a SkelAnimation with its binding; extents and curves follow later."""
     layer, paths = authored.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths
@@ -139,16 +143,18 @@ def _author_take(
     writer = AnimationWriter(layer, paths, job.joints, take.joint_mask, take.shapes)
     if take.name or authored.rig is not layer:
         prim_spec(layer, paths.root, over=True)
-    if take.name and first:
-        _begin_library(job, authored, take.name)
-    with_skeleton = job.form is not LayerForm.LAYER and not take.name
-    bind_animation(layer, paths, bind_skeleton=with_skeleton)
+    if take.name and is_first:
+        _start_library(job, authored, take.name)
+    bind_skeleton = job.form is not LayerForm.LAYER and not take.name
+    bind_animation(layer, paths, bind_skeleton=bind_skeleton)
     write_frames(take.blocks, OneLayer([writer]), [writer.rounding])
     if job.target is None:
-        writer.finish([], replaces_motion=False)
+        writer.finish([], disable_root_motion=False)
     else:
-        writer.finish(job.target.operations, replaces_motion=job.target.moves)
-    written_take = _written_take(job, take, writer)
+        writer.finish(
+            job.target.placing_ops, disable_root_motion=job.target.has_root_motion
+        )
+    report = _take_report(job, take, writer)
     if take.props is not None:
         from animtool.usd.props.placement import build_prop_placements
         from animtool.usd.props.writer import author_props
@@ -163,21 +169,21 @@ def _author_take(
             take.name,
             take.rig_from_take,
         )
-        written_take.props, written_take.notices = author_props(
+        report.props, report.notices = author_props(
             layer, take.props, placements, job.output
         )
     if take.name:
-        from animtool.usd.takes.library import author_range
+        from animtool.usd.takes.library import author_take_metadata
 
-        author_range(
+        author_take_metadata(
             layer,
             paths.animation,
             valid_text(take.source_name),
-            written_take.span.first,
-            written_take.span.last,
+            report.span.first,
+            report.span.last,
         )
     if job.form is LayerForm.LAYER and job.names.originals:
-        # For readers without the rig: source names of joints.
+        # Source names of joints, for readers that do not have the rig.
         _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
     if take.is_reduced:
         _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
@@ -185,18 +191,18 @@ def _author_take(
         _author_data(
             layer.GetPrimAtPath(paths.animation), PLACEMENT_KEY, take.rest_record
         )
-    return _LayerPart(writer, written_take, take.curves)
+    return _AuthoredTake(writer, report, take.curves)
 
 
 def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:
     """Author SkelAnimation data that USD cannot express, as customData."""
-    data_before = dict(animation.GetInfo("customData") or {})
+    custom_data = dict(animation.GetInfo("customData") or {})
     stored_value = value if isinstance(value, bool) else dict(value)
-    data = {**data_before.get("animtool", {}), key: stored_value}
-    animation.SetInfo("customData", {**data_before, "animtool": data})
+    animtool_data = {**custom_data.get("animtool", {}), key: stored_value}
+    animation.SetInfo("customData", {**custom_data, "animtool": animtool_data})
 
 
-def _written_take(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
+def _take_report(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> WrittenTake:
     samples = sum(map(len, writer.codes))
     first_code, last_code = take.frames or (
         take.start,
@@ -214,8 +220,8 @@ def _written_take(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> Writte
     )
 
 
-def _begin_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
-    """Select the first take, and bind the skeleton outside the variants."""
+def _start_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
+    """Select the first take of a library; bind the skeleton outside the variants."""
     from animtool.usd.takes.library import author_selection
 
     author_selection(authored.animation, job.paths, name)
@@ -231,13 +237,13 @@ class AuthoredLayers:
 
     animation: Any  # layer with the SkelAnimation
     rig: Any = None  # layer with the skeleton; the same for a stage, None for a layer
-    visible: bool = False  # whether there are visible bones or meshes
+    has_visible_geometry: bool = False  # whether there are visible bones or meshes
 
     @property
     def layers(self) -> list[Any]:
         """The animation layer, and the rig layer if separate."""
-        separate = self.rig is not None and self.rig is not self.animation
-        return [self.animation, self.rig] if separate else [self.animation]
+        has_rig_layer = self.rig is not None and self.rig is not self.animation
+        return [self.animation, self.rig] if has_rig_layer else [self.animation]
 
 
 def write_usd(
@@ -260,28 +266,28 @@ def write_usd(
         layers = [authored.rig, authored.animation, root]
     with _without_usd_messages(result), atomic_outputs():
         for layer, path in zip(layers, result.outputs, strict=True):
-            saver = save if layer is authored.animation else save_layer
-            result.bytes += saver(layer, path)
+            save_function = save if layer is authored.animation else save_layer
+            result.bytes += save_function(layer, path)
 
 
 def _without_usd_messages(result: UsdResult) -> AbstractContextManager[None]:
-    """Context that drops USD's messages about splines and libraries."""
-    newer = any(take.curves or take.name for take in result.takes)
-    return without_version_warnings() if newer else nullcontext()
+    """Return a context that drops USD's messages about splines and time codes."""
+    has_new_features = any(take.curves or take.name for take in result.takes)
+    return without_version_warnings() if has_new_features else nullcontext()
 
 
 def _stage_metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
-    default = Sdf.Path(job.paths.model).GetPrefixes()[0].name
+    default_prim = Sdf.Path(job.paths.model).GetPrefixes()[0].name
     unit, up = job.meters_per_unit, job.rig.up
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
     spans = [take.span for take in takes]
     first_code, last_code = (
-        min(span_.first for span_ in spans),
-        max(span_.last for span_ in spans),
+        min(take_span.first for take_span in spans),
+        max(take_span.last for take_span in spans),
     )
     span = FrameSpan(first_code, last_code, job.fps)
-    return StageMetadata(default, span, unit, up, job.shot)
+    return StageMetadata(default_prim, span, unit, up, job.shot)
 
 
 def write(
@@ -357,7 +363,7 @@ def _stage_job(
     form: LayerForm,
     prim_path: str | None,
     unit: LengthUnit | str | None,
-    bones: bool,
+    show_bones: bool,
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
     rig, clock = take.rig, take.clock
     if prim_path is not None:
@@ -374,7 +380,7 @@ def _stage_job(
         meters_per_unit=rig.meters_per_unit
         if unit is None
         else _unit_meters(unit).meters,
-        show_bones=bones,
+        show_bones=show_bones,
     )
     usd_take = UsdTake(
         round_blocks(_take_blocks(take), rig, job.meters_per_unit),
@@ -383,7 +389,7 @@ def _stage_job(
         shapes=tuple(shape.name for shape in rig.shapes),
         rest_record=build_rest_record(rig),
     )
-    return job, usd_take, [replace(n, path=str(path)) for n in names.notices]
+    return job, usd_take, [replace(notice, path=str(path)) for notice in names.notices]
 
 
 def _unit_meters(name: LengthUnit | str) -> LengthUnit:

@@ -1,4 +1,4 @@
-"""Extents of a SkelRoot over time, and a check of the resolved UsdSkel binding."""
+"""Writes the extents of a SkelRoot over time, and checks its UsdSkel binding."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def shape_bounds(
 
     from animtool.usd.caches.reader import PointReader, transform_points
 
-    largest = np.zeros(len(shapes))
+    max_weights = np.zeros(len(shapes))
     for rows in weights:
-        largest = np.maximum(largest, np.abs(rows).max(axis=0, initial=0.0))
-    largest_weights = dict(zip(shapes, largest.tolist(), strict=True))
+        max_weights = np.maximum(max_weights, np.abs(rows).max(axis=0, initial=0.0))
+    max_weight_by_shape = dict(zip(shapes, max_weights.tolist(), strict=True))
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     lows: list[FloatArray] = []
     highs: list[FloatArray] = []
@@ -41,14 +41,14 @@ def shape_bounds(
         points = PointReader(mesh).points_at(Usd.TimeCode.Default())
         if not len(points):
             continue
-        local, _ = cache.ComputeRelativeTransform(mesh, root)
-        matrix = np.array(local, np.float64)
+        root_from_mesh, _ = cache.ComputeRelativeTransform(mesh, root)
+        matrix = np.array(root_from_mesh, np.float64)
         root_points = transform_points(points, matrix)
-        pad = _shape_padding(mesh, largest_weights) * float(
+        padding = _shape_padding(mesh, max_weight_by_shape) * float(
             np.linalg.norm(matrix[:3, :3], 2)
         )
-        lows.append(root_points.min(axis=0) - pad)
-        highs.append(root_points.max(axis=0) + pad)
+        lows.append(root_points.min(axis=0) - padding)
+        highs.append(root_points.max(axis=0) + padding)
     if not lows:
         return None
     bounds = np.array([np.min(lows, axis=0), np.max(highs, axis=0)])
@@ -57,60 +57,61 @@ def shape_bounds(
     return np.asarray(np.nextafter(bounds.astype(np.float32), infinities), np.float32)
 
 
-def _shape_padding(prim: Any, largest_weights: dict[str, float]) -> float:
+def _shape_padding(prim: Any, max_weight_by_shape: dict[str, float]) -> float:
     """Return the largest displacement of a mesh's points by shapes."""
     from pxr import UsdSkel
 
     binding = UsdSkel.BindingAPI(prim)
     names = binding.GetBlendShapesAttr().Get() or ()
     targets = binding.GetBlendShapeTargetsRel().GetTargets()
-    stage, pad = prim.GetStage(), 0.0
+    stage, padding = prim.GetStage(), 0.0
     for name, target in zip(names, targets, strict=False):
-        weight = largest_weights.get(str(name), 0.0)
+        weight = max_weight_by_shape.get(str(name), 0.0)
         shape = UsdSkel.BlendShape(stage.GetPrimAtPath(target))
         if not weight or not shape:
             continue
-        steps = [step.GetAttr() for step in shape.GetInbetweens()]
-        if steps:
-            # Below an inbetween's weight, a small weight may move points as far as the
-            # inbetween.
+        inbetween_attrs = [inbetween.GetAttr() for inbetween in shape.GetInbetweens()]
+        if inbetween_attrs:
+            # A small weight may move points as far as an inbetween does.
             weight = max(weight, 1.0)
-        pad += weight * max(map(_largest_offset, (shape.GetOffsetsAttr(), *steps)))
-    return pad
+        padding += weight * max(
+            map(_max_offset_length, (shape.GetOffsetsAttr(), *inbetween_attrs))
+        )
+    return padding
 
 
-def _largest_offset(attr: Any) -> float:
+def _max_offset_length(attr: Any) -> float:
     offsets = np.array(attr.Get() or (), np.float64).reshape(-1, 3)
     return float(np.linalg.norm(offsets, axis=1).max(initial=0.0))
 
 
 def author_extents(
     job: UsdJob,
-    visible: bool,
+    has_visible_geometry: bool,
     layers: Sequence[Any],
     writers: Sequence[tuple[str, AnimationWriter]],
 ) -> None:
     """Author the SkelRoot's extent as UsdSkel computes it, for every take.
 
-    It is the bounds of the joints plus a padding that depends only on the meshes at
-    rest, so one frame is enough to find it. If the SkelRoot has several skeletons or
-    moves its own within, UsdSkel computes every frame.
+    The extent is the bounds of the joints plus a padding that depends only on the
+    meshes at rest, so that one frame determines it. UsdSkel computes every frame if the
+    SkelRoot has several skeletons or transforms its skeleton.
 
-    ``visible`` says whether there are visible bones or meshes.
+    ``has_visible_geometry`` says whether there are visible bones or meshes.
     """
-    is_invisible = job.target is None and not visible
+    is_invisible = job.target is None and not has_visible_geometry
     if is_invisible and job.joints:
         with Sdf.ChangeBlock():
             for _, writer in writers:
                 writer.author_bounds(writer.padded_bounds(0.0))
         if not any(name for name, _ in writers):
             return
-    stage = _composed_stage(job, layers)
+    stage = _compose_stage(job, layers)
     for name, writer in writers:
         if name:
             _select_variant(stage, job, name)
         if name or job.target is not None:
-            _check_resolved(job, stage, writer.paths.animation, library=bool(name))
+            _check_binding(job, stage, writer.paths.animation, is_library=bool(name))
         if not job.joints:
             _author_shape_bounds(job, stage, writer)
         elif not is_invisible:
@@ -121,7 +122,7 @@ def author_extents(
             check_variant(stage, layers[0], writer.paths, job.where)
 
 
-def _composed_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
+def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
     """Return a stage of the authored layers over the rig."""
     from pxr import Usd
 
@@ -148,14 +149,16 @@ def _author_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
     root = UsdGeom.Boundable(stage.GetPrimAtPath(job.paths.root))
     skeleton = UsdGeom.Xformable(stage.GetPrimAtPath(job.paths.skeleton))
     is_direct_child = skeleton.GetPrim().GetParent() == root.GetPrim()
-    simple = (
+    is_simple = (
         is_direct_child
-        and (job.target is None or job.target.skeletons == 1)
+        and (job.target is None or job.target.skeleton_count == 1)
         and not skeleton.GetXformOpOrderAttr().Get()
     )
 
-    bounds = writer.padded_bounds(_bounds_padding(job, stage, root)) if simple else []
-    if not simple or not _are_computed(root, writer.codes, bounds):
+    bounds = (
+        writer.padded_bounds(_bounds_padding(job, stage, root)) if is_simple else []
+    )
+    if not is_simple or not _match_usd_bounds(root, writer.codes, bounds):
         bounds = [
             np.stack([_computed_extent(root, code) for code in codes.tolist()])
             for codes in writer.codes
@@ -172,12 +175,12 @@ def _computed_extent(root: Any, code: Any) -> Float32Array:
     return np.array(extent, np.float32).reshape(-1, 3)
 
 
-def _are_computed(
+def _match_usd_bounds(
     root: Any, codes: Sequence[FloatArray], bounds: Sequence[Float32Array]
 ) -> bool:
     """Return whether bounds are bit-identical to those that USD computes.
 
-    Compares the first, the middle and the last.
+    Only the first, middle and last sample are compared.
     """
     times, stored_bounds = np.concatenate(codes), np.concatenate(bounds)
     return all(
@@ -189,7 +192,7 @@ def _are_computed(
 def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     """Return UsdSkel's padding of the joint bounds.
 
-    With every joint at the origin, the extent is only the padding.
+    It is the extent that UsdSkel computes with all joints at the origin.
     """
     from pxr import Usd, UsdSkel
 
@@ -216,30 +219,33 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
 def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
     """Author bounds of meshes deformed by shapes only.
 
-    Without joints, USD computes none. These contain every frame: the points at rest,
-    padded by the largest displacement that the weights allow.
+    USD computes none without joints. These are the points at rest, padded by the
+    largest displacement in any frame.
     """
     root = stage.GetPrimAtPath(job.paths.root)
     bounds = shape_bounds(root, writer.shapes, writer.weights)
     if bounds is not None:
         with Sdf.ChangeBlock():
             writer.author_bounds(
-                [np.repeat(bounds[None], len(c), 0) for c in writer.codes]
+                [np.repeat(bounds[None], len(codes), 0) for codes in writer.codes]
             )
 
 
-def _check_resolved(job: UsdJob, stage: Any, animation: str, *, library: bool) -> None:
-    """Refuse a binding that UsdSkel does not resolve."""
+def _check_binding(
+    job: UsdJob, stage: Any, animation: str, *, is_library: bool
+) -> None:
+    """Refuse an animation binding that UsdSkel does not resolve (USD011)."""
     from animtool.usd.rigs.target import resolved_animation
 
-    resolved = resolved_animation(stage, job.paths.skeleton)
-    if resolved != animation:
+    resolved_path = resolved_animation(stage, job.paths.skeleton)
+    if resolved_path != animation:
         message = (
-            f"UsdSkel resolves {resolved or 'no animation'} for {job.paths.skeleton}, "
+            f"UsdSkel resolves {resolved_path or 'no animation'} for "
+            f"{job.paths.skeleton}, "
             f"not {animation}"
         )
         hint = "a binding in the rig is stronger than the layer"
-        if library:
+        if is_library:
             from animtool.usd.takes.library import STRONGER_HINT
 
             hint = STRONGER_HINT

@@ -28,7 +28,7 @@ from animtool.usd.layers.sdf import (
     prim_spec,
 )
 
-# Joint transforms that are dense in memory at once: 10 MB in float64.
+# Maximum joint transforms in memory at once: 10 MB in float64.
 MAX_DENSE_JOINTS = 1 << 17
 
 
@@ -38,70 +38,70 @@ def round_blocks(
     meters_per_unit: float,  # unit of the layer [m]
     *,
     root_motion: bool = False,
-    size: float = 1.0,
+    rig_scale: float = 1.0,
 ) -> Iterator[WrittenBlock]:
     """Yield blocks rounded to USD's precision, and the rounding errors.
 
-    ``size`` is the scale of the rig on its stage, in which errors are measured.
+    ``rig_scale`` is the scale of the rig on its stage; errors are in stage metres.
     """
     for codes, motion in _split_blocks(blocks, len(rig.joints)):
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
-        root = None
+        root_path = None
         if root_motion and rig.roots:
-            root = _move_root(rig, translations, rotations, meters_per_unit)
+            root_path = _extract_root_motion(
+                rig, translations, rotations, meters_per_unit
+            )
         names = rig.names
-        written_t = narrow_floats(
+        stored_translations = narrow_floats(
             translations, "f", ValueLabels("translations", "joint", names), codes
         )
-        written_r = narrow_floats(
+        stored_rotations = narrow_floats(
             rotations, "f", ValueLabels("rotations", "joint", names), codes
         )
-        written_s = None
+        stored_scales = None
         if scales is not None:
             labels = ValueLabels("scales", "joint", names)
-            written_s = narrow_floats(scales, "h", labels, codes)
-        extents, error, frame, joint = _kernels.measure_rounding(
+            stored_scales = narrow_floats(scales, "h", labels, codes)
+        extents, error, frame, joint_index = _kernels.measure_rounding(
             rig.parents,
             translations,
             rotations,
             scales,
-            written_t,
-            written_r,
-            None if written_s is None else written_s.astype(np.float32),
+            stored_translations,
+            stored_rotations,
+            None if stored_scales is None else stored_scales.astype(np.float32),
         )
         if not rig.joints:
             extents = np.zeros_like(extents)
         bounds = narrow_floats(extents, "f", ValueLabels("extent"), codes)
         yield WrittenBlock(
             codes,
-            written_t,
-            written_r,
-            written_s,
+            stored_translations,
+            stored_rotations,
+            stored_scales,
             bounds,
-            root,
-            error * meters_per_unit * size,
+            root_path,
+            error * meters_per_unit * rig_scale,
             float(codes[frame]),
-            joint,
-            _float32_weights(motion, rig, codes),
-            scales is not None and bool((scales != written_s).any()),
+            joint_index,
+            _round_weights(motion, rig, codes),
+            scales is not None and bool((scales != stored_scales).any()),
         )
 
 
 def _split_blocks(
-    blocks: Iterator[tuple[FloatArray, Motion]], joints: int
+    blocks: Iterator[tuple[FloatArray, Motion]], joint_count: int
 ) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield blocks of at most `MAX_DENSE_JOINTS`: a clip arrives as one block."""
-    size = max(1, MAX_DENSE_JOINTS // max(joints, 1))
+    """Yield blocks of at most `MAX_DENSE_JOINTS`, since a clip is a single block."""
+    block_frames = max(1, MAX_DENSE_JOINTS // max(joint_count, 1))
     for codes, motion in blocks:
-        for start in range(0, len(codes), size):
-            frames = slice(start, start + size)
+        for start in range(0, len(codes), block_frames):
+            frames = slice(start, start + block_frames)
             yield codes[frames], motion.select(frames)
 
 
-def _float32_weights(
-    motion: Motion, rig: Rig, codes: FloatArray
-) -> Float32Array | None:
+def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:
     if motion.weights is None:
         return None
     weights = motion.weights.dense()[..., 0]
@@ -109,27 +109,34 @@ def _float32_weights(
     return narrow_floats(weights, "f", ValueLabels("weights", "shape", names), codes)
 
 
-def _move_root(
+def _extract_root_motion(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Move the motion of the first root joint to the SkelRoot; return it.
+    """Remove the motion of the first root joint in place; return it for the SkelRoot.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy X · M' =
     M, with M' of the first root at rest.
     """
     first_root, *other_roots = rig.roots
-    rest_t = rig.rest_translations[first_root] / meters_per_unit
-    rest_r = rig.rest_rotations[first_root]
-    rotation = so3.multiply(rotations[:, first_root], so3.conjugate(rest_r))
-    root_translations = translations[:, first_root] - so3.rotate(rotation, rest_t)
-    translations[:, first_root], rotations[:, first_root] = rest_t, rest_r
-    inverse_rotation = so3.conjugate(rotation)
+    rest_translation = rig.rest_translations[first_root] / meters_per_unit
+    rest_rotation = rig.rest_rotations[first_root]
+    root_rotations = so3.multiply(
+        rotations[:, first_root], so3.conjugate(rest_rotation)
+    )
+    root_translations = translations[:, first_root] - so3.rotate(
+        root_rotations, rest_translation
+    )
+    translations[:, first_root], rotations[:, first_root] = (
+        rest_translation,
+        rest_rotation,
+    )
+    inverse_rotations = so3.conjugate(root_rotations)
     for root in other_roots:
         translations[:, root] = so3.rotate(
-            inverse_rotation, translations[:, root] - root_translations
+            inverse_rotations, translations[:, root] - root_translations
         )
-        rotations[:, root] = so3.multiply(inverse_rotation, rotations[:, root])
-    return RootPath(root_translations, rotation)
+        rotations[:, root] = so3.multiply(inverse_rotations, rotations[:, root])
+    return RootPath(root_translations, root_rotations)
 
 
 _TRANSFORM_ATTRIBUTES = {
@@ -141,7 +148,7 @@ _TRANSFORM_ATTRIBUTES = {
 
 @dataclass
 class AnimationWriter:
-    """Writer of a SkelAnimation and the related SkelRoot values."""
+    """Writes a SkelAnimation and the motion and extent of its SkelRoot."""
 
     layer: Any
     paths: RigPaths  # prim paths of the character
@@ -158,30 +165,30 @@ class AnimationWriter:
         names = self.joints
         if self.joint_mask is not None:
             names = [
-                n
-                for n, is_written in zip(names, self.joint_mask, strict=True)
-                if is_written
+                name
+                for name, is_included in zip(names, self.joint_mask, strict=True)
+                if is_included
             ]
-        self._count = len(names)
-        self._transforms: dict[str, SampleWriter] = {}
+        self._joint_count = len(names)
+        self._transform_writers: dict[str, SampleWriter] = {}
         if names:
             tokens = Vt.TokenArray(names)
             attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
-            self._transforms = {
+            self._transform_writers = {
                 name: SampleWriter(
                     attribute_spec(spec, name, kind),
-                    make,
+                    convert,
                     are_quaternions=name == "rotations",
                     noun="joint",
                     names=names,
                 )
-                for name, (kind, make) in _TRANSFORM_ATTRIBUTES.items()
+                for name, (kind, convert) in _TRANSFORM_ATTRIBUTES.items()
             }
         self._weights: list[Float32Array] = []
-        self._weight_samples: SampleWriter | None = None
+        self._weight_writer: SampleWriter | None = None
         self._codes: list[FloatArray] = []
         self._extents: list[Float32Array] = []
-        self._root_path: list[RootPath] = []
+        self._root_paths: list[RootPath] = []
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames."""
@@ -191,37 +198,38 @@ class AnimationWriter:
             "rotations": block.rotations,
             "scales": block.scales,
         }
-        for name, samples in self._transforms.items():
+        for name, writer in self._transform_writers.items():
             values = arrays[name]
             if values is not None:
-                samples.add(block.codes, values[:, columns])
+                writer.add(block.codes, values[:, columns])
         if self.shapes and block.weights is not None:
             self._weights.append(block.weights)
         self._codes.append(block.codes)
         self._extents.append(block.extents)
         if block.root is not None:
-            self._root_path.append(block.root)
+            self._root_paths.append(block.root)
 
     @property
-    def sampled(self) -> list[str]:
+    def sampled_names(self) -> list[str]:
         """Names of the attributes that change over time."""
-        writers = {**self._transforms, "blendShapeWeights": self._weight_samples}
-        return [n for n, samples in writers.items() if samples and samples.has_samples]
+        writers = {**self._transform_writers, "blendShapeWeights": self._weight_writer}
+        return [
+            name for name, writer in writers.items() if writer and writer.has_samples
+        ]
 
-    def finish(self, placing_ops: list[str], *, replaces_motion: bool) -> None:
+    def finish(self, placing_ops: list[str], *, disable_root_motion: bool) -> None:
         """Author constant values as defaults, and the SkelRoot's motion.
 
-        ``replaces_motion`` says whether the SkelRoot has motion, which must be
-        disabled.
+        ``disable_root_motion`` removes existing root motion operations of the SkelRoot.
         """
-        unit_scales = np.ones((self._count, 3), np.float16)
-        for samples in self._transforms.values():
-            samples.finish(unit_scales)
+        unit_scales = np.ones((self._joint_count, 3), np.float16)
+        for writer in self._transform_writers.values():
+            writer.finish(unit_scales)
         if self._weights:
             self._author_weights()
-        if self._root_path:
+        if self._root_paths:
             self._author_root(placing_ops)
-        elif replaces_motion:
+        elif disable_root_motion:
             author_xform_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
@@ -234,10 +242,10 @@ class AnimationWriter:
         """Author the SkelRoot's bounds ``(F, 2, 3)``, one array per block."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         attr = attribute_spec(spec, "extent", Sdf.ValueTypeNames.Float3Array)
-        samples = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
+        writer = SampleWriter(attr, Vt.Vec3fArray.FromNumpy)
         for codes, bounds in zip(self._codes, extents, strict=True):
-            samples.add(codes, bounds)
-        samples.finish(np.zeros((2, 3), np.float32))
+            writer.add(codes, bounds)
+        writer.finish(np.zeros((2, 3), np.float32))
 
     @property
     def codes(self) -> list[FloatArray]:
@@ -257,16 +265,18 @@ class AnimationWriter:
         spec = self.layer.GetPrimAtPath(self.paths.animation)
         types = Sdf.ValueTypeNames
         names = [
-            n for n, is_written in zip(self.shapes, is_used, strict=True) if is_written
+            name
+            for name, is_nonzero in zip(self.shapes, is_used, strict=True)
+            if is_nonzero
         ]
         tokens = Vt.TokenArray(names)
         attribute_spec(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute_spec(spec, "blendShapeWeights", types.FloatArray)
-        samples = SampleWriter(attr, Vt.FloatArray.FromNumpy)
+        writer = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self._codes, self._weights, strict=True):
-            samples.add(codes, rows[:, is_used])
-        samples.finish(np.zeros(len(names), np.float32))
-        self._weight_samples = samples
+            writer.add(codes, rows[:, is_used])
+        writer.finish(np.zeros(len(names), np.float32))
+        self._weight_writer = writer
 
     def _author_root(self, placing_ops: list[str]) -> None:
         """Author the SkelRoot's motion after its placing operations."""
@@ -276,14 +286,14 @@ class AnimationWriter:
         translation_writer = SampleWriter(
             attribute_spec(spec, names[0], types.Double3), gf_vector
         )
-        samples = SampleWriter(
+        rotation_writer = SampleWriter(
             attribute_spec(spec, names[1], types.Quatd),
             gf_quaternion,
             are_quaternions=True,
         )
         author_xform_order(spec, *placing_ops, *names)
-        for codes, path in zip(self._codes, self._root_path, strict=True):
-            translation_writer.add(codes, path.translations)
-            samples.add(codes, path.rotations)
+        for codes, root_path in zip(self._codes, self._root_paths, strict=True):
+            translation_writer.add(codes, root_path.translations)
+            rotation_writer.add(codes, root_path.rotations)
         translation_writer.finish(np.zeros(3))
-        samples.finish(so3.IDENTITY)
+        rotation_writer.finish(so3.IDENTITY)

@@ -2,7 +2,7 @@
 
 Every take is a SkelAnimation ``Anim_{take}`` next to the Skeleton. The variant set
 ``take`` of the model binds one: a variant has ``skel:animationSource``, the SkelRoot's
-extent and, if it has the root's motion, its transform. None of these is authored
+extent and, with root motion, its transform. None of these is authored
 outside the variants, where it would be stronger. ``customData`` of a SkelAnimation has
 the frames of the take::
 
@@ -32,7 +32,7 @@ from animtool.usd.rigs.prims import (
     self_and_ancestors,
 )
 
-# A layer stack's own opinions are stronger than its variants, whatever their order.
+# Direct opinions of a layer stack are stronger than its variants, in any layer order.
 STRONGER_HINT = (
     "a binding in the rig is stronger than a variant in a separate layer: reference "
     f"the rig from a shot, and name its prim with {argument('prim_path')}"
@@ -42,7 +42,7 @@ STRONGER_HINT = (
 def take_paths(paths: RigPaths, name: str) -> RigPaths:
     """Return the prim paths of a take; its binding is inside its variant.
 
-    An empty name is for a file with a single take, without variants.
+    An empty name stands for a file with a single take, which has no variants.
 
     >>> take_paths(RigPaths.from_model("/hero"), "run").binding
     '/hero{take=run}Rig'
@@ -68,29 +68,34 @@ def author_selection(layer: Any, paths: RigPaths, name: str) -> None:
     layer.GetPrimAtPath(paths.model).variantSelections[TAKE_SET] = name
 
 
-def author_range(
+def author_take_metadata(
     layer: Any, animation: str, name: str, first: Fraction, last: Fraction
 ) -> None:
     """Author a take's source name and frames on its SkelAnimation."""
-    # Stored as time codes, so that layer offsets shift them too.
-    begin, end = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
-    take = {"name": name, "start": begin, "end": end}
+    # They are time codes, so that layer offsets apply to them.
+    start_code, end_code = Sdf.TimeCode(float(first)), Sdf.TimeCode(float(last))
+    take = {"name": name, "start": start_code, "end": end_code}
     layer.GetPrimAtPath(animation).SetInfo("customData", {"animtool": {"take": take}})
 
 
-def take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
+def stored_take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
     """Return the first and last frame of a SkelAnimation; None if not authored."""
     data = animation.GetPrim().GetCustomDataByKey("animtool:take")
     if not isinstance(data, dict):
         return None
-    stored_ends = [data.get("start"), data.get("end")]
-    stored_ends = [
-        x.GetValue() if isinstance(x, Sdf.TimeCode) else x for x in stored_ends
+    range_values = [data.get("start"), data.get("end")]
+    range_values = [
+        value.GetValue() if isinstance(value, Sdf.TimeCode) else value
+        for value in range_values
     ]
-    numbers = [float(x) for x in stored_ends if isinstance(x, (int, float))]
-    if len(numbers) < 2 or not all(abs(x) <= MAX_FRAME for x in numbers):
+    numbers = [
+        float(value) for value in range_values if isinstance(value, (int, float))
+    ]
+    if len(numbers) < 2 or not all(abs(value) <= MAX_FRAME for value in numbers):
         return None
-    first_code, last_code = (Fraction(x).limit_denominator(1_000_000) for x in numbers)
+    first_code, last_code = (
+        Fraction(value).limit_denominator(1_000_000) for value in numbers
+    )
     return (first_code, last_code) if first_code <= last_code else None
 
 
@@ -100,24 +105,24 @@ class TakeSet:
 
     prim: Any  # the prim with the variant set
     names: tuple[str, ...]  # names of the takes
-    selected: str  # name of the bound take
+    selected_name: str  # name of the bound take
 
 
-def find_take_set(start: Any) -> TakeSet | None:
+def find_take_set(start_prim: Any) -> TakeSet | None:
     """Return the take set of a prim or its nearest ancestor with one.
 
     Prims inside instances cannot select variants and are skipped.
     """
-    for prim in self_and_ancestors(start):
+    for prim in self_and_ancestors(start_prim):
         if not prim.IsInstanceProxy() and prim.GetVariantSets().HasVariantSet(TAKE_SET):
-            variants = prim.GetVariantSet(TAKE_SET)
-            names = tuple(variants.GetVariantNames())
-            return TakeSet(prim, names, str(variants.GetVariantSelection()))
+            variant_set = prim.GetVariantSet(TAKE_SET)
+            names = tuple(variant_set.GetVariantNames())
+            return TakeSet(prim, names, str(variant_set.GetVariantSelection()))
     return None
 
 
 def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
-    """Return the takes with one selected, in the stage's session layer only."""
+    """Select a take in the stage's session layer; return the updated take set."""
     if takes is None:
         message = f"unknown take {excerpt(name)}: the file is not a clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
@@ -131,11 +136,11 @@ def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
     stage = takes.prim.GetStage()
     with Usd.EditContext(stage, stage.GetSessionLayer()):
         takes.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
-    return replace(takes, selected=name)
+    return replace(takes, selected_name=name)
 
 
 def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
-    """Refuse a variant whose values the stage overrides."""
+    """Refuse a variant whose values stronger opinions override (USD032)."""
     for prim_path in sorted({paths.root, paths.binding}):
         spec = layer.GetPrimAtPath(prim_path)
         for property_spec in spec.properties if spec else ():
@@ -151,10 +156,10 @@ def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) ->
 MAX_LISTED_TAKES = 40
 
 
-def check_library(
-    path: Path, name: str, prim_path: str | None, *, overwrite: bool
+def check_can_add_take(
+    path: Path, take_name: str, prim_path: str | None, *, overwrite: bool
 ) -> None:
-    """Refuse a file that takes cannot be added to.
+    """Refuse a file that a take cannot be added to (SCN050, SCN051).
 
     ``overwrite`` says whether a take of that name may be replaced.
     """
@@ -166,25 +171,26 @@ def check_library(
         message = "is not a clip library that a take can be added to"
         hint = f"a library has a skeleton below a variant set {TAKE_SET!r}"
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
-    if name not in takes.names:
+    if take_name not in takes.names:
         return
     if not overwrite:
         message = (
-            f"already has a take {name!r}, of {listed(takes.names, MAX_LISTED_TAKES)}"
+            f"already has a take {take_name!r}, of "
+            f"{listed(takes.names, MAX_LISTED_TAKES)}"
         )
         hint = f"{argument('overwrite', True)} replaces it; take: chooses another name"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
-    variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, name)
+    variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, take_name)
     if stage.GetRootLayer().GetPrimAtPath(variant) is None:
-        message = f"has the take {name!r} in another layer, which is not written"
+        message = f"has the take {take_name!r} in another layer, which is not written"
         hint = "write to that layer instead"
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
 
 
-def merge_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
-    """Return a library with another layer's take added or replaced.
+def merge_take(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
+    """Return a library layer with a take of another layer added or replaced.
 
-    Every other take, and the selection, stays unchanged.
+    The other takes and the selected take stay unchanged.
     """
     merged_layer = new_layer(path)
     merged_layer.TransferContent(find_layer(path))
@@ -195,7 +201,7 @@ def merge_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
         for spec_path in (animation.GetParentPath(), model):
             if merged_layer.GetPrimAtPath(spec_path) is None:
                 Sdf.CreatePrimInLayer(merged_layer, spec_path)
-        _make_variant(merged_layer.GetPrimAtPath(model), name)
+        _create_variant(merged_layer.GetPrimAtPath(model), name)
         Sdf.CopySpec(layer, animation, merged_layer, animation)
         Sdf.CopySpec(layer, variant, merged_layer, variant)
     merged_layer.startTimeCode = min(merged_layer.startTimeCode, layer.startTimeCode)
@@ -203,7 +209,7 @@ def merge_library(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     return merged_layer
 
 
-def _make_variant(model: Any, name: str) -> None:
+def _create_variant(model: Any, name: str) -> None:
     """Create a variant and its set if missing."""
     if TAKE_SET not in model.variantSets:
         model.variantSetNameList.prependedItems.append(TAKE_SET)

@@ -63,12 +63,12 @@ from animtool.usd.rigs.skinned import (
     unapplied_binding_path,
 )
 from animtool.usd.takes.animation import (
-    first_animation,
+    find_first_animation,
     read_animation,
-    rig_of_animation,
+    rig_from_animation,
     root_motion_notice,
 )
-from animtool.usd.takes.animation_values import nearest_samples, scale_channel
+from animtool.usd.takes.animation_values import build_scale_channel, nearest_samples
 from animtool.usd.takes.library import TakeSet, find_take_set, select_take
 
 
@@ -79,7 +79,7 @@ def read_usd(
     take: str | None = None,
     placement: str | None = None,
 ) -> TakeStream:
-    """Read the animation of a character on a stage, or of an animation layer alone.
+    """Read the animation of a character on a stage, or an animation layer without rig.
 
     Joints without animation are at rest. The character has the size and position that
     pxr composes: roots and lengths include the transforms of the Skeleton and its
@@ -106,22 +106,22 @@ def _read_stage(
     choice: str | None,
 ) -> TakeStream:
     root_path = search_root(stage, prim_path)
-    takes = _take_set(stage, root_path)
+    take_set = _take_set(stage, root_path)
     if take is not None:
-        takes = select_take(takes, take, str(path))
+        take_set = select_take(take_set, take, str(path))
     stream = read_character(stage, path, root_path, choice)
-    if takes is not None:
-        stream.details["takes"] = list(takes.names)
-        stream.details["take"] = takes.selected
+    if take_set is not None:
+        stream.details["takes"] = list(take_set.names)
+        stream.details["take"] = take_set.selected_name
     return stream
 
 
 def _take_set(stage: Any, root_path: str) -> TakeSet | None:
-    """Return the take set of the character."""
+    """Return the take set of the first character; None without takes."""
     skeletons = find_skeletons(stage, root_path)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())
-    # An animation layer alone has only overs.
+    # An animation layer without its rig has only overs.
     root_prim = stage.GetPrimAtPath(root_path)
     prims = Usd.PrimRange(root_prim, Usd.PrimAllPrimsPredicate) if root_prim else ()
     return next((take_set for prim in prims if (take_set := find_take_set(prim))), None)
@@ -130,7 +130,7 @@ def _take_set(stage: Any, root_path: str) -> TakeSet | None:
 def read_character(
     stage: Any, path: Path, root_path: str, choice: str | None = None
 ) -> TakeStream:
-    """Read the first character below a prim, or the animation of a layer alone.
+    """Read the first character below a prim, or the animation of a layer without rig.
 
     ``choice`` is its placement, as in `read_usd`.
     """
@@ -138,9 +138,9 @@ def read_character(
     if skeletons:
         skeleton = skeleton_rig(skeletons[0], path)
         animation = _bound_animation(skeletons[0])
-        prim = skeletons[0].GetPrim()
+        skeleton_prim = skeletons[0].GetPrim()
     else:
-        animation = first_animation(stage, root_path)
+        animation = find_first_animation(stage, root_path)
         if animation is None:
             message = f"has no Skeleton and no SkelAnimation below {root_path}"
             characters = character_paths(stage)
@@ -150,26 +150,26 @@ def read_character(
                 hint = f"choose one of {names} with {argument('source.prim_path')}"
             hint = unresolved_hint(stage) or hint
             raise FormatError(Fault("USD008", message, str(path), (), hint))
-        skeleton = rig_of_animation(animation, path, stage)
-        prim = None
+        skeleton = rig_from_animation(animation, path, stage)
+        skeleton_prim = None
     if animation is None:
-        stream, placement = _rest_take(skeleton, stage, path, prim, choice)
+        stream, placement = _rest_take(skeleton, stage, path, skeleton_prim, choice)
     else:
         stream, placement = _animated_take(
-            stage, path, skeleton, animation, prim, choice
+            stage, path, skeleton, animation, skeleton_prim, choice
         )
     stream.notices += skeleton.notices
     animation_prim = None if animation is None else animation.GetPrim()
-    if prim is None:
+    if skeleton_prim is None:
         stream.notices += root_motion_notice(
             animation, PrimLocation.from_prim(path, animation)
         )
     else:
-        _join_stored(stream, skeletons[0], skeleton, path)
-    where = PrimLocation.from_prim(path, prim or animation_prim)
-    stream.rig = apply_recorded_rest(stream.rig, prim, animation_prim, where)
+        _merge_stored_rig(stream, skeletons[0], skeleton, path)
+    where = PrimLocation.from_prim(path, skeleton_prim or animation_prim)
+    stream.rig = apply_recorded_rest(stream.rig, skeleton_prim, animation_prim, where)
     if choice == DROP:
-        stream = _without_placement(stream, placement, prim, str(path))
+        stream = _drop_placement(stream, placement, skeleton_prim, str(path))
     else:
         stream.rig = rest_rig(stream.rig, placement)
     stream.notices += skipped_skeletons_notice(
@@ -181,14 +181,14 @@ def read_character(
     return stream
 
 
-def _placement_at(
+def _find_placement(
     prim: Any,
     rig: Rig,
     codes: list[float] | None,
     where: PrimLocation,
     choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
-    """Return the placement of a Skeleton at time codes; its take includes it."""
+    """Return the placement of a Skeleton at time codes, and notices about it."""
     if prim is None:
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
@@ -199,67 +199,79 @@ def _placement_at(
     return (NO_PLACEMENT if placement.unsupported_reason else placement), notices
 
 
-def _placed_on_stage(
+def _apply_placement(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
-    """Return the motion moved to the stage placement of its rig."""
-    path = placement.motion if choice == DROP else placement.full
-    if path.is_identity:
+    """Apply the stage placement of a rig to its motion."""
+    applied_placement = placement.motion if choice == DROP else placement.full
+    if applied_placement.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
-    return placed_motion(motion, roots, path).map(Channel.compact)
+    return placed_motion(motion, roots, applied_placement).map(Channel.compact)
 
 
-def _without_placement(
+def _drop_placement(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
-    """Return a take without its stage placement, which is kept separately.
+    """Return a take without its stage placement; the take keeps a reader of it.
 
-    Its joints still include the placement that the file records.
+    Joints still include the placement that the file's customData records.
     """
-    raw = stream.rig
-    placed_rig = rest_rig(raw, placement)
-    rig_ = replace(placed_rig, rides=placement.is_animated)
-    stream.notices += placement_notice(rig_, path, kept=False, stays=raw.rides)
-    stream.rig = rest_rig(raw, placement, DROP)
-    stands = stream.rig.stands
+    local_rig = stream.rig
+    placed_rig = rest_rig(local_rig, placement)
+    source_rig = replace(placed_rig, rides=placement.is_animated)
+    stream.notices += placement_notice(
+        source_rig, path, kept=False, stays=local_rig.rides
+    )
+    stream.rig = rest_rig(local_rig, placement, DROP)
+    heading_placement = stream.rig.stands
     stream = unplace_take(stream)
     stream.rig = replace(stream.rig, rides=False)
-    if rig_.stands is not None or rig_.rides:
-        stream.dropped = _dropped_placement(placement, stands, prim, raw)
+    if source_rig.stands is not None or source_rig.rides:
+        stream.dropped = _dropped_placement_reader(
+            placement, heading_placement, prim, local_rig
+        )
     return stream
 
 
-def _dropped_placement(
-    placement: SkeletonPlacement, rig_stands: Placement | None, prim: Any, rig: Rig
+def _dropped_placement_reader(
+    placement: SkeletonPlacement,
+    recorded_placement: Placement | None,
+    prim: Any,
+    rig: Rig,
 ) -> Callable[[FloatArray], Placement]:
-    """Return a function of the dropped placement by stage time codes."""
+    """Return a function that evaluates the dropped placement at stage time codes."""
     stage: Any = None if prim is None else prim.GetStage()
 
     def placement_at(codes: FloatArray) -> Placement:
-        at_codes = placement
+        current_placement = placement
         if placement.is_animated:
-            # A reference keeps the stage and its prims alive as long as the function.
+            # This reference keeps the stage and its prims alive as long as the
+            # function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
-            at_codes = skeleton_placement(skeleton, rig, codes.tolist())
-        stands, _ = at_codes.fixed.split(rig.up)
-        return stands if rig_stands is None else stands.after(rig_stands)
+            current_placement = skeleton_placement(skeleton, rig, codes.tolist())
+        heading_placement, _ = current_placement.fixed.split(rig.up)
+        return (
+            heading_placement
+            if recorded_placement is None
+            else heading_placement.after(recorded_placement)
+        )
 
     return placement_at
 
 
-def _join_stored(
+def _merge_stored_rig(
     stream: TakeStream, skeleton: Any, rig: SkeletonRig, path: Path
 ) -> None:
-    """Add the rig data of the Skeleton's customData to a take."""
-    data = stored_data(skeleton.GetPrim())
-    if not data.get("rig"):
+    """Merge the rig stored in a Skeleton's customData into a take."""
+    custom_data = stored_data(skeleton.GetPrim())
+    if not custom_data.get("rig"):
         return
     from animtool.usd.rigs.stored import merge_rig
 
     merged_rig, notices = merge_rig(
         stream.rig,
-        data,
+        custom_data,
         rig.tokens,
         matrix_array(skeleton.GetRestTransformsAttr()),
         matrix_array(skeleton.GetBindTransformsAttr()),
@@ -267,20 +279,20 @@ def _join_stored(
     )
     names = [shape.name for shape in merged_rig.shapes]
     columns = np.array([names.index(s.name) for s in stream.rig.shapes], np.int64)
-    stream.blocks = _spread_weights(stream.blocks, columns, len(names))
-    # Meshes and curves stay in place, and with them cloth and strands.
-    with_usd_arrays = {AttachKind.CLOTH, AttachKind.STRANDS}
+    stream.blocks = _remap_weights(stream.blocks, columns, len(names))
+    # A take has no meshes or curves, and so neither cloth nor strands.
+    array_kinds = {AttachKind.CLOTH, AttachKind.STRANDS}
     attach = tuple(
-        entry for entry in merged_rig.attach if entry.kind not in with_usd_arrays
+        entry for entry in merged_rig.attach if entry.kind not in array_kinds
     )
     stream.rig = replace(merged_rig, meshes=(), attach=attach)
     stream.notices += notices
 
 
-def _spread_weights(
+def _remap_weights(
     blocks: Iterator[Motion], columns: IntArray, count: int
 ) -> Iterator[Motion]:
-    """Yield blocks with weights in the given columns; other columns are 0."""
+    """Yield blocks with their weights moved to columns; other columns are 0."""
     for block in blocks:
         channel = block.weights
         if channel is None:
@@ -289,8 +301,8 @@ def _spread_weights(
         rest = np.zeros((count, 1))
         rest[columns] = channel.rest
         animated = columns[channel.animated]
-        order = np.argsort(animated)
-        weights = Channel(rest, animated[order], channel.values[:, order])
+        column_order = np.argsort(animated)
+        weights = Channel(rest, animated[column_order], channel.values[:, column_order])
         yield replace(block, weights=weights)
 
 
@@ -299,15 +311,15 @@ def _bound_animation(skeleton: Any) -> Any:
         return None
     if source := animation_source(skeleton):
         return UsdSkel.Animation(source)
-    # Includes an animation that UsdSkel cannot use: reading it reports why.
-    binding = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
-    return UsdSkel.Animation(binding) if binding and binding.IsActive() else None
+    # Also return an animation that UsdSkel cannot use, since reading it reports why.
+    source = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
+    return UsdSkel.Animation(source) if source and source.IsActive() else None
 
 
 def _rest_take(
     skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
 ) -> tuple[TakeStream, SkeletonPlacement]:
-    """Return a take of one frame at rest, for a rig without animation."""
+    """Return a one-frame take at rest, and the placement of its Skeleton."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
     rig = skeleton.rig
     check_animatable(len(rig.joints), len(shapes), PrimLocation.from_prim(path, prim))
@@ -315,13 +327,13 @@ def _rest_take(
     motion = Motion(
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
-        scale_channel(skeleton.rest_scales[None]),
+        build_scale_channel(skeleton.rest_scales[None]),
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
-    placement, notices = _placement_at(
+    placement, notices = _find_placement(
         prim, rig, None, PrimLocation.from_prim(path, prim), choice
     )
-    motion = _placed_on_stage(motion, rig, placement, choice)
+    motion = _apply_placement(motion, rig, placement, choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
@@ -331,14 +343,16 @@ def _rest_take(
         stream.start = None
     message = "no animation is bound to the skeleton; it is read at rest"
     hint = None
-    if ignored := unapplied_binding_path(prim):
-        message += f": {ignored} binds one, but SkelBindingAPI is not applied to it"
+    if ignored_path := unapplied_binding_path(prim):
+        message += (
+            f": {ignored_path} binds one, but SkelBindingAPI is not applied to it"
+        )
         hint = BINDING_HINT
-    elif missing := missing_animation_reason(prim):
-        message = f"its animation {missing}; the skeleton is read at rest"
+    elif missing_reason := missing_animation_reason(prim):
+        message = f"its animation {missing_reason}; the skeleton is read at rest"
         hint = "activate it, or correct the targets of skel:animationSource"
-    warning = Severity.WARNING
-    stream.notices.append(Fault("USD103", message, str(path), (), hint, warning))
+    severity = Severity.WARNING
+    stream.notices.append(Fault("USD103", message, str(path), (), hint, severity))
     stream.notices += notices
     return stream, placement
 
@@ -353,19 +367,19 @@ def _animated_take(
 ) -> tuple[TakeStream, SkeletonPlacement]:
     """Return the take of an animation, and the placement of its Skeleton."""
     where = PrimLocation.from_prim(path, animation)
-    values = read_animation(stage, skeleton, animation, prim, where)
+    animation_motion = read_animation(stage, skeleton, animation, prim, where)
     ancestors = [] if prim is None else animated_ancestors(prim)
     sample_times = sorted(
-        {time for mover in ancestors for time in mover.GetTimeSamples()}
+        {time for xformable in ancestors for time in xformable.GetTimeSamples()}
     )
-    codes = values.clock.times.tolist()
-    ancestor_codes = nearest_samples(sample_times, codes, values.drift)
+    codes = animation_motion.clock.times.tolist()
+    ancestor_codes = nearest_samples(sample_times, codes, animation_motion.drift)
     rig = skeleton.rig
-    placement, notices = _placement_at(prim, rig, ancestor_codes, where, choice)
-    motion = _placed_on_stage(values.motion, rig, placement, choice)
-    rig = replace(rig, shapes=tuple(Shape(name) for name in values.shapes))
-    stream = TakeStream.of(Take(rig, values.clock, motion))
-    stream.notices.extend([*values.notices, *notices])
+    placement, notices = _find_placement(prim, rig, ancestor_codes, where, choice)
+    motion = _apply_placement(animation_motion.motion, rig, placement, choice)
+    rig = replace(rig, shapes=tuple(Shape(name) for name in animation_motion.shapes))
+    stream = TakeStream.of(Take(rig, animation_motion.clock, motion))
+    stream.notices.extend([*animation_motion.notices, *notices])
     stream.details = _source_details(stage, skeleton)
     stream.details["animation"] = str(animation.GetPath())
     return stream, placement

@@ -2,27 +2,33 @@
 
 A control is a custom double attribute with a spline. Its segments become
 
-==========  ================================================================== HOLD
-held LINEAR      linear CUBIC       curve; both widths are a third of the segment h,
-slopes dv / (h / 3) BEZIER      curve; widths abs(dt), slopes dv / dt ==========
-==================================================================
+========  ==============================================================
+HOLD      held
+LINEAR    linear
+CUBIC     curve; both widths are h / 3 of a segment of duration h, with slopes
+          dv / (h / 3)
+BEZIER    curve; widths abs(dt), slopes dv / dt
+========  ==============================================================
 
-and extrapolation becomes
+and its extrapolation becomes
 
-============  ============================================================== HOLD
-held LINEAR        sloped, with the slope of the curve there CYCLE         loopReset
-CYCLE_OFFSET  loopRepeat OSCILLATE     loopOscillate ============
-==============================================================
+============  ==========================================================
+HOLD          held
+LINEAR        sloped, with the slope of the curve at its end
+CYCLE         loopReset
+CYCLE_OFFSET  loopRepeat
+OSCILLATE     loopOscillate
+============  ==========================================================
 
-At the very end of a cycle USD is already in the next one (the first value again, or the
-held value before the last key), we are still at the last key: `CurveReport.seam`.
+At the end time of a cycle, USD evaluates the next cycle: its first value, or the value
+held before the last key. Animtool evaluates the last key; `CurveReport.seam` is the
+difference.
 
-A handle that exceeds its segment is clamped to it with its slope kept, as USD's
-``AntiRegressionContain`` does. A handle with dt = 0 and dv ≠ 0 has no slope: the
-segment is split close to that key. After the split the curve is the same, with handles
-that have slopes; before it, for a time of ``SPLIT_TIME`` of the segment, the spline is
-linear, with an error of the order of 1e-5 dv, which no sample of
-`CurveReport.difference` hits.
+A handle longer than its segment is clamped to it with the same slope, as in USD's
+``AntiRegressionContain``. A handle with dt = 0 and dv ≠ 0 has no slope, so the segment
+is split close to that key. The part next to the key, of duration `MIN_SPLIT_TIME` of
+the segment, is linear, with an error of about 1e-5 dv that `CurveReport.difference`
+does not sample. The other part is the same curve, with handles that have slopes.
 """
 
 from __future__ import annotations
@@ -44,10 +50,11 @@ from animtool.usd.layers.sdf import attribute_spec
 # Namespace of the attributes of controls.
 CONTROL_NAMESPACE = "animtool:control:"
 
-# Time of a split from its key, relative to the segment. Less would be lost if a shot
-# shifts or scales time: time codes of 1e6 are 1e-10 apart.
+# Distance of a split from its key, relative to the segment duration. A smaller one
+# would be lost if a shot shifts or scales time: time codes of 1e6 have a spacing of
+# 1e-10.
 MIN_SPLIT_TIME = 2.0**-30
-# Samples per segment, and on either side, to measure the spline.
+# Samples per segment, and before and after all segments, to measure the error.
 SAMPLES_PER_SEGMENT = 16
 
 _INTERPOLATION = {
@@ -64,7 +71,7 @@ _EXTRAPOLATION = {
     Extrapolation.OSCILLATE: Ts.ExtrapLoopOscillate,
 }
 
-Evaluate = Callable[[FloatArray], FloatArray]
+EvaluateCurve = Callable[[FloatArray], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,18 +92,18 @@ def author_controls(
 ) -> list[CurveReport]:
     """Write the curves of controls; return a report per control.
 
-    Controls with names illegal in USD keep them as display names.
+    Control names that are illegal in USD become display names.
     """
     names = distinct_names(*[list(controls)] * 3)
     reports = []
     for name, (control, curves) in zip(names.names, controls.items(), strict=True):
 
-        def values(times: FloatArray, curves: Curves = curves) -> FloatArray:
+        def evaluate_one(times: FloatArray, curves: Curves = curves) -> FloatArray:
             values: FloatArray = evaluate(curves, times)[0]
             return values
 
         report = author_curve(
-            layer, prim_path, CONTROL_NAMESPACE + name, curves, values
+            layer, prim_path, CONTROL_NAMESPACE + name, curves, evaluate_one
         )
         if name != control:
             path = f"{prim_path}.{CONTROL_NAMESPACE}{name}"
@@ -110,27 +117,26 @@ def author_curve(
     prim_path: str,
     name: str,
     curves: Curves,
-    evaluate: Evaluate,
+    evaluate: EvaluateCurve,
 ) -> CurveReport:
     """Write one curve as a spline on a custom attribute, and measure its error.
 
-    ``evaluate`` returns its values ``(F,)`` at times ``(F,)``, to measure the error and
-    to extrapolate.
+    ``evaluate`` returns the curve's values ``(F,)`` at times ``(F,)``.
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
-    pieces = [
-        piece
+    segments = [
+        segment
         for i in range(len(curves.times) - 1)
-        for piece in _curve_segments(curves, i)
+        for segment in _build_segments(curves, i)
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _spline_knots(pieces, curves, where):
+        for knot in _build_knots(segments, curves, where):
             spline.SetKnot(knot)
         extrapolations = (curves.pre[0], -1), (curves.post[0], 1)
         pre_extrapolation, post_extrapolation = (
-            _spline_extrapolation(mode, curves, evaluate, side, where)
+            _build_extrapolation(mode, curves, evaluate, side, where)
             for mode, side in extrapolations
         )
         spline.SetPreExtrapolation(pre_extrapolation)
@@ -140,37 +146,41 @@ def author_curve(
     attr.custom = True
     attr.SetSpline(spline)
     difference, seam = _measure_error(spline, curves, evaluate)
-    split_count = len({piece.segment for piece in pieces if piece.part})
+    split_count = len(
+        {segment.segment_index for segment in segments if segment.part_index}
+    )
     return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
 
 @dataclass(frozen=True, slots=True)
 class _CurveSegment:
-    """A curve segment, or part of one.
+    """A curve segment, or one part of a split segment.
 
     The control points ``(4, 2)`` are (time from the segment's first key, value).
     """
 
-    segment: int
-    part: int
+    segment_index: int
+    part_index: int
     kind: SegmentKind
-    begin: float
-    points: FloatArray
+    start_time: float
+    control_points: FloatArray
 
 
-def _curve_segments(curves: Curves, i: int) -> list[_CurveSegment]:
-    kind = SegmentKind(int(curves.kinds[i]))
-    end_points = np.stack([curves.times[i : i + 2], curves.values[i : i + 2]], axis=1)
-    h = float(end_points[1, 0] - end_points[0, 0])
-    out_handle, in_handle = curves.outs[i].copy(), curves.ins[i + 1].copy()
-    if kind is SegmentKind.CUBIC:
-        out_handle[0], in_handle[0] = h / 3, -h / 3
-    out_handle, in_handle = (
-        _clamped_handle(out_handle, h),
-        _clamped_handle(in_handle, h),
+def _build_segments(curves: Curves, index: int) -> list[_CurveSegment]:
+    kind = SegmentKind(int(curves.kinds[index]))
+    end_points = np.stack(
+        [curves.times[index : index + 2], curves.values[index : index + 2]], axis=1
     )
-    begin = float(end_points[0, 0])
-    points = np.stack(
+    duration = float(end_points[1, 0] - end_points[0, 0])
+    out_handle, in_handle = curves.outs[index].copy(), curves.ins[index + 1].copy()
+    if kind is SegmentKind.CUBIC:
+        out_handle[0], in_handle[0] = duration / 3, -duration / 3
+    out_handle, in_handle = (
+        _clamp_handle(out_handle, duration),
+        _clamp_handle(in_handle, duration),
+    )
+    start_time = float(end_points[0, 0])
+    control_points = np.stack(
         [
             end_points[0],
             end_points[0] + out_handle,
@@ -178,41 +188,43 @@ def _curve_segments(curves: Curves, i: int) -> list[_CurveSegment]:
             end_points[1],
         ]
     )
-    points[:, 0] = 0.0, out_handle[0], h + in_handle[0], h
+    control_points[:, 0] = 0.0, out_handle[0], duration + in_handle[0], duration
     if kind is not SegmentKind.BEZIER:
-        return [_CurveSegment(i, 0, kind, begin, points)]
-    point_sets = [points]
+        return [_CurveSegment(index, 0, kind, start_time, control_points)]
+    control_point_sets = [control_points]
     if _is_vertical(out_handle):
-        point_sets = _split_bezier(
-            points, _parameter_at(points[:, 0], h * MIN_SPLIT_TIME)
+        control_point_sets = _split_bezier(
+            control_points,
+            _find_parameter(control_points[:, 0], duration * MIN_SPLIT_TIME),
         )
     if _is_vertical(in_handle):
-        last_points = point_sets.pop()
-        mirrored_points = last_points[::-1] * [-1.0, 1.0] + [h, 0.0]
-        near_points, other_points = _split_bezier(
-            mirrored_points, _parameter_at(mirrored_points[:, 0], h * MIN_SPLIT_TIME)
+        last_points = control_point_sets.pop()
+        mirrored_points = last_points[::-1] * [-1.0, 1.0] + [duration, 0.0]
+        near_points, far_points = _split_bezier(
+            mirrored_points,
+            _find_parameter(mirrored_points[:, 0], duration * MIN_SPLIT_TIME),
         )
-        point_sets += [
-            piece_points[::-1] * [-1.0, 1.0] + [h, 0.0]
-            for piece_points in (other_points, near_points)
+        control_point_sets += [
+            points[::-1] * [-1.0, 1.0] + [duration, 0.0]
+            for points in (far_points, near_points)
         ]
-    kinds = [SegmentKind.BEZIER] * len(point_sets)
+    kinds = [SegmentKind.BEZIER] * len(control_point_sets)
     if _is_vertical(out_handle):
         kinds[0] = SegmentKind.LINEAR
     if _is_vertical(in_handle):
         kinds[-1] = SegmentKind.LINEAR
     return [
-        _CurveSegment(i, piece_points, kind, begin, points)
-        for piece_points, (kind, points) in enumerate(
-            zip(kinds, point_sets, strict=True)
+        _CurveSegment(index, part_index, kind, start_time, control_points)
+        for part_index, (kind, control_points) in enumerate(
+            zip(kinds, control_point_sets, strict=True)
         )
     ]
 
 
-def _clamped_handle(handle: FloatArray, h: float) -> FloatArray:
-    """Return a handle clamped to its segment, slope kept."""
+def _clamp_handle(handle: FloatArray, duration: float) -> FloatArray:
+    """Return a handle clamped to the duration of its segment, with the same slope."""
     length = abs(handle[0])
-    return handle * (h / length) if length > h else handle
+    return handle * (duration / length) if length > duration else handle
 
 
 def _is_vertical(handle: FloatArray) -> bool:
@@ -220,86 +232,97 @@ def _is_vertical(handle: FloatArray) -> bool:
         return bool(handle[1] != 0.0 and not np.isfinite(handle[1] / handle[0]))
 
 
-def _parameter_at(times: FloatArray, at: float) -> float:
-    """Return the parameter of a monotonic cubic from 0 at a time, by bisection."""
-    _, a, b, c = times.tolist()
+def _find_parameter(times: FloatArray, time: float) -> float:
+    """Return the parameter of a monotonic Bézier curve at a time, by bisection."""
+    _, t1, t2, t3 = times.tolist()
     lower, upper = 0.0, 1.0
-    while lower < (middle := (lower + upper) / 2) < upper:
-        complement = 1.0 - middle
-        x = middle * (
-            3 * complement * (complement * a + middle * b) + middle * middle * c
-        )
-        lower, upper = (middle, upper) if x < at else (lower, middle)
+    while lower < (u := (lower + upper) / 2) < upper:
+        v = 1.0 - u
+        time_at_u = u * (3 * v * (v * t1 + u * t2) + u * u * t3)
+        lower, upper = (u, upper) if time_at_u < time else (lower, u)
     return upper
 
 
 def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
-    """Return the two parts of a Bézier curve (de Casteljau)."""
-    rows = [points]
-    while len(rows[-1]) > 1:
-        rows.append(rows[-1][:-1] + u * (rows[-1][1:] - rows[-1][:-1]))
+    """Split a Bézier curve at a parameter into two (de Casteljau)."""
+    levels = [points]
+    while len(levels[-1]) > 1:
+        levels.append(levels[-1][:-1] + u * (levels[-1][1:] - levels[-1][:-1]))
     return [
-        np.stack([row[0] for row in rows]),
-        np.stack([row[-1] for row in rows[::-1]]),
+        np.stack([row[0] for row in levels]),
+        np.stack([row[-1] for row in levels[::-1]]),
     ]
 
 
-def _spline_knots(pieces: list[_CurveSegment], curves: Curves, where: str) -> list[Any]:
-    """Return the knots at the ends of all pieces."""
-    piece_starts = [(*(p.points[0] + [p.begin, 0.0]).tolist(), p) for p in pieces]
+def _build_knots(
+    segments: list[_CurveSegment], curves: Curves, where: str
+) -> list[Any]:
+    """Return the knots at both ends of all segments."""
+    segment_starts = [
+        (*(segment_.control_points[0] + [segment_.start_time, 0.0]).tolist(), segment_)
+        for segment_ in segments
+    ]
     end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []
     previous: _CurveSegment | None = None
-    for time, value, piece in [*piece_starts, end_point]:
+    for time, value, segment in [*segment_starts, end_point]:
         fields: dict[str, Any] = {"nextInterp": Ts.InterpHeld}
         if previous is not None and previous.kind >= SegmentKind.CUBIC:
-            width, slope = _tangent_of_handle(previous.points[3] - previous.points[2])
+            width, slope = _handle_tangent(
+                previous.control_points[3] - previous.control_points[2]
+            )
             fields |= {"preTanWidth": width, "preTanSlope": slope}
-        if piece is not None:
-            fields["nextInterp"] = _INTERPOLATION[piece.kind]
-            if piece.kind >= SegmentKind.CUBIC:
-                width, slope = _tangent_of_handle(piece.points[1] - piece.points[0])
+        if segment is not None:
+            fields["nextInterp"] = _INTERPOLATION[segment.kind]
+            if segment.kind >= SegmentKind.CUBIC:
+                width, slope = _handle_tangent(
+                    segment.control_points[1] - segment.control_points[0]
+                )
                 fields |= {"postTanWidth": width, "postTanSlope": slope}
         numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
         check_value(numbers, "d", ValueLabels(where, f"the knot at {time:.10g}"))
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
-        previous = piece
+        previous = segment
     return knots
 
 
-def _tangent_of_handle(handle: FloatArray) -> tuple[float, float]:
+def _handle_tangent(handle: FloatArray) -> tuple[float, float]:
     """Return width and slope of a handle from its time and value offsets."""
     width, value_offset = handle.tolist()
     return (width, value_offset / width) if width > 0 else (0.0, 0.0)
 
 
-def _spline_extrapolation(
-    mode: Extrapolation, curves: Curves, evaluate: Evaluate, side: int, where: str
+def _build_extrapolation(
+    mode: Extrapolation,
+    curves: Curves,
+    evaluate: EvaluateCurve,
+    direction: int,
+    where: str,
 ) -> Any:
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
-        edge = float(curves.times[0 if side < 0 else -1])
+        edge = float(curves.times[0 if direction < 0 else -1])
         magnitude = max(1.0, abs(edge), float(np.ptp(curves.times)))
-        far_time = edge + side * 1024.0 * magnitude
-        at_edge, far_value = evaluate(np.array([edge, far_time])).tolist()
-        slope = (far_value - at_edge) / (far_time - edge)
+        far_time = edge + direction * 1024.0 * magnitude
+        edge_value, far_value = evaluate(np.array([edge, far_time])).tolist()
+        slope = (far_value - edge_value) / (far_time - edge)
         check_value(slope, "d", ValueLabels(where, "the slope outside the keys"))
         extrapolation.slope = slope
     return extrapolation
 
 
 def _measure_error(
-    spline: Any, curves: Curves, evaluate: Evaluate
+    spline: Any, curves: Curves, evaluate: EvaluateCurve
 ) -> tuple[float, float]:
-    """Return the largest error, and the error at the end of a cycle."""
+    """Return the largest difference, and the difference at the end of a cycle."""
     times = curves.times
-    steps = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
-    segment_times = times[:-1, None] + np.diff(times)[:, None] * steps
+    fractions = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
+    segment_times = times[:-1, None] + np.diff(times)[:, None] * fractions
     span = float(np.ptp(times)) or 1.0
     outside_times = (
         span * (np.arange(3 * SAMPLES_PER_SEGMENT) + 0.5) / SAMPLES_PER_SEGMENT
     )
-    at = np.concatenate(
+    all_times = np.concatenate(
         [times[0] - outside_times, segment_times.ravel(), times[-1] + outside_times]
     )
 
@@ -310,5 +333,5 @@ def _measure_error(
 
     seam = difference(times[-1:])
     if curves.post[0] in {Extrapolation.CYCLE, Extrapolation.OSCILLATE}:
-        return difference(at), seam
-    return max(difference(at), seam), 0.0
+        return difference(all_times), seam
+    return max(difference(all_times), seam), 0.0

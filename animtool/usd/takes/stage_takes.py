@@ -13,19 +13,19 @@ from animtool.usd.takes.read import read_character
 
 
 def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return a reader of each Skeleton's take, by its path.
+    """Return functions that read the take of each Skeleton, by Skeleton path.
 
     Empty for a layer without its rig.
     """
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
 
-        def reader(path_: str) -> Callable[[], TakeStream]:
+        def reader(skeleton_path: str) -> Callable[[], TakeStream]:
             def read() -> TakeStream:
                 with usd_errors(path), without_usd_warnings():
-                    return read_character(stage, path, path_)
+                    return read_character(stage, path, skeleton_path)
 
             return read
 
         paths = [str(skeleton.GetPath()) for skeleton in find_skeletons(stage)]
-        return {path_: reader(path_) for path_ in paths}
+        return {skeleton_path: reader(skeleton_path) for skeleton_path in paths}

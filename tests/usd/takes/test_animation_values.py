@@ -56,7 +56,7 @@ def test_drift_and_jitter_far_below_a_frame_keep_the_count(
 
 def test_a_step_of_a_slightly_other_rate_is_kept() -> None:
     found = grid((1 + 1.00003 * np.arange(3000)).tolist())
-    assert (found.start, found.count, found.regular) == (1, 3000, True)
+    assert (found.start, found.count, found.is_regular) == (1, 3000, True)
     assert float(found.step) == pytest.approx(1.00003, abs=1e-9)
 
 
@@ -64,13 +64,13 @@ def test_a_missing_sample_of_a_drifting_take_leaves_its_frame() -> None:
     times = (1 + 1.0000002 * np.arange(900)).tolist()
     del times[450]
     found = grid(times)
-    assert (found.count, found.step, found.regular) == (900, 1, False)
+    assert (found.count, found.step, found.is_regular) == (900, 1, False)
 
 
 def test_attributes_that_drift_apart_share_frames() -> None:
     whole = np.arange(1.0, 301.0)
     found = grid(sorted({*whole, *(1 + 1.0000031 * np.arange(300))}))
-    assert (found.count, found.step, found.regular) == (300, 1, True)
+    assert (found.count, found.step, found.is_regular) == (300, 1, True)
 
 
 def test_samples_between_frames_are_counted(tmp_path: Path) -> None:
@@ -88,7 +88,7 @@ def test_sub_frame_steps_of_broadcast_rates_are_exact(step: str, start: int) -> 
     codes = time_codes(Fraction(start), Fraction(step), 60).tolist()
     found = grid(codes)
     assert (found.start, found.step, found.count) == (start, Fraction(step), 60)
-    assert (found.regular, found.drift) == (True, 0.0)
+    assert (found.is_regular, found.drift) == (True, 0.0)
     # One is missing, and samples are where they were.
     assert grid(codes[:7] + codes[8:]).step == Fraction(step)
 
@@ -103,8 +103,8 @@ def test_a_few_samples_astray_are_those_of_their_frames() -> None:
     assert (found.start, found.step, found.count) == (1, 1, 6)
     assert found.drift == pytest.approx(0.04)
     # Two of one frame, and one that is meant where it is.
-    assert grid([1.0, 1.97, 2.04, 3.0, 4.0]).between == 2
-    assert grid([1.0, 2.06, 3.0, 4.0, 5.0]).between == 1
+    assert grid([1.0, 1.97, 2.04, 3.0, 4.0]).between_count == 2
+    assert grid([1.0, 2.06, 3.0, 4.0, 5.0]).between_count == 1
 
 
 @pytest.mark.parametrize("times", [[1.01, 2.0, 3.02, 4.0], [1.0, 2.04, 3.0, 4.0]])

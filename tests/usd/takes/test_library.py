@@ -29,7 +29,7 @@ from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdTake
 from animtool.usd.layers.names import RigPaths, joint_names
 from animtool.usd.takes.author import author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
-from animtool.usd.takes.library import take_range
+from animtool.usd.takes.library import stored_take_range
 from animtool.usd.takes.read import read_usd
 
 FRAMES = {"walk": 13, "run": 5, "idle": 9}
@@ -94,7 +94,7 @@ def test_places(sources: list[Path], tmp_path: Path) -> None:
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (1, LONGEST)
     for name, frames in FRAMES.items():
         anim = UsdSkel.Animation(stage.GetPrimAtPath(f"/hero/Rig/Anim_{name}"))
-        assert take_range(anim) == (1, frames)
+        assert stored_take_range(anim) == (1, frames)
         data = anim.GetPrim().GetCustomDataByKey("animtool:take")
         assert data["name"] == name
 
@@ -584,4 +584,4 @@ def test_a_range_that_is_none_is_passed_over(data: dict[str, Any] | None) -> Non
     anim = UsdSkel.Animation.Define(stage, "/A")
     if data is not None:
         anim.GetPrim().SetCustomDataByKey("animtool", {"take": data})
-    assert take_range(anim) is None
+    assert stored_take_range(anim) is None
