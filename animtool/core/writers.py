@@ -103,7 +103,7 @@ CLIP = Writer(
 BVH = Writer(
     "bvh",
     "Biovision Hierarchy",
-    text="animtool.formats.bvh.write:bvh_text",
+    text="animtool.formats.bvh.write:build_bvh_text",
     holds=frozenset({"joints"}),
 )
 LIVELINK = Writer(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.formats.characters.choice import characters
+from animtool.formats.characters.choice import find_characters
 from animtool.formats.fbx.read import take_names_of
 from animtool.formats.fbx.scene import open_fbx
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
@@ -14,7 +14,7 @@ from animtool.report.describe_gltf import GltfClip, GltfContents
 def fbx_contents(path: Path | str) -> GltfContents:
     """Return the contents of an FBX file."""
     scene = open_fbx(path)
-    skeletons = characters(scene) if scene.nodes else ()
+    skeletons = find_characters(scene) if scene.nodes else ()
     clips = [
         GltfClip(
             name,

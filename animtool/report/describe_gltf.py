@@ -7,7 +7,7 @@ from pathlib import Path
 from animtool.core.errors import Fault
 from animtool.core.files.reading import note_input
 from animtool.core.record import dataclass
-from animtool.formats.characters.choice import characters
+from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.timing import distinct_clip_names
 from animtool.formats.gltf.vrm import humanoid_bones
@@ -32,7 +32,7 @@ class GltfContents:
     skins: int
     animations: int
     scenes: int
-    characters: list[str]  # paths; empty if the file is one character
+    find_characters: list[str]  # paths; empty if the file is one character
     clips: list[GltfClip]
     bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
     not_read: list[str]  # contents that are not read
@@ -63,7 +63,7 @@ def describe_without_nodes(path: Path) -> GltfDescription | None:
 
 
 def _contents(gltf: Gltf) -> GltfContents:
-    skeletons = characters(gltf) if gltf.nodes else ()
+    skeletons = find_characters(gltf) if gltf.nodes else ()
     names = distinct_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *animation.span, len(animation.tracks))

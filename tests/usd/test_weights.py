@@ -249,6 +249,6 @@ def test_shapes_of_arkit_are_found_however_they_are_spelled(tmp_path: Path) -> N
 def test_controls_pass_through_the_map(rig_file: Path) -> None:
     controls = Channel.from_dense(np.ones((7, 1, 1)))
     taken = replace(motion(moving()), controls=controls)
-    assert map_joints(RIG, open_target(rig_file, None), 0).map_motion(taken).controls is (
-        controls
-    )
+    assert map_joints(RIG, open_target(rig_file, None), 0).map_motion(
+        taken
+    ).controls is (controls)

@@ -1,4 +1,4 @@
-"""The HIERARCHY block of a BVH file, and the first two lines of its MOTION block."""
+"""Parses the HIERARCHY block of a BVH file, and the frame count and time."""
 
 from __future__ import annotations
 
@@ -17,15 +17,14 @@ from animtool.rig.skeleton import CHANNEL_NAMES
 _KEYWORDS = ("ROOT", "JOINT", "End Site", "OFFSET", "CHANNELS", "MOTION")
 _CHANNELS = {name.lower(): name for name in CHANNEL_NAMES}
 
-# Rates outside this range are implausible: slower than stop motion on sixes, or faster
-# than any capture system. Likely a rate was written as a time, or milliseconds as
-# seconds.
+# Range of plausible rates, from stop motion on sixes to the fastest capture systems.
+# Outside it, a rate may have been written as a time, or milliseconds as seconds.
 PLAUSIBLE_RATES = (4, 1000)
 
 _TOKENS_AFTER_OFFSET = {"{", "}", "CHANNELS", "JOINT", "END"}
 
-_CONTROL = re.compile(f"[{CONTROL}]")
-_WORD = re.compile(r"[{}]|[^\s{}]+")
+_CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
+_WORD_PATTERN = re.compile(r"[{}]|[^\s{}]+")
 
 
 @dataclass(slots=True)
@@ -42,7 +41,7 @@ class BvhJoint:
 
 @dataclass(slots=True)
 class BvhHeader:
-    """Hierarchy, frame count and frame time: everything above the rows."""
+    """Hierarchy, frame count and frame time of a BVH file."""
 
     joints: list[BvhJoint]  # in file order, parents first
     declared_frames: int = 0  # value of ``Frames:``
@@ -56,40 +55,40 @@ class _OpenBrace:
     """An unclosed brace of a joint, or of an End Site (with its parent's index)."""
 
     joint_index: int
-    is_end: bool
+    is_end_site: bool
     line: int
     is_opened: bool = False
     has_offset: bool = False
 
 
 class _HierarchyParser:
-    """Parser state: applies the statements of a HIERARCHY block one by one."""
+    """Parses the statements of a HIERARCHY block one by one."""
 
     def __init__(self, lines: HeaderLines) -> None:
         self.lines = lines
         self.joints: list[BvhJoint] = []
         self.stack: list[_OpenBrace] = []
 
-    def read(self) -> None:
-        """Read up to and including the line MOTION."""
-        line: str | None = self._after_start()
+    def parse(self) -> None:
+        """Parse the block up to and including the line MOTION."""
+        line: str | None = self._read_start()
         while line is not None:
-            words = _WORD.findall(line)
+            words = _WORD_PATTERN.findall(line)
             while words:
                 keyword = words.pop(0)
                 if keyword.upper() == "MOTION" and not words:
-                    self._finish()
+                    self._check_complete()
                     return
-                self._statement(keyword, words)
+                self._parse_statement(keyword, words)
             line = self.lines.next()
         self.lines.fail(
             "BVH005",
             "the file ends inside the HIERARCHY, without a MOTION block",
-            self._open_blocks() or "is it truncated? copy or export it again",
+            self._missing_braces_hint() or "is it truncated? copy or export it again",
         )
 
-    def _after_start(self) -> str:
-        """Return the text after HIERARCHY on its line."""
+    def _read_start(self) -> str:
+        """Read the line HIERARCHY; return the text after that word."""
         while (line := self.lines.next()) is not None and not line.strip():
             continue
         keyword, _, remaining_text = (line or "").strip().partition(" ")
@@ -98,49 +97,51 @@ class _HierarchyParser:
             self.lines.fail("BVH001", f"a BVH file starts with HIERARCHY{excess}")
         return remaining_text
 
-    def _statement(self, keyword: str, words: list[str]) -> None:
-        upper = keyword.upper()
+    def _parse_statement(self, keyword: str, words: list[str]) -> None:
+        statement = keyword.upper()
         block = self.stack[-1] if self.stack else None
-        if block is not None and not block.is_opened and upper != "{":
+        if block is not None and not block.is_opened and statement != "{":
             self.lines.fail(
                 "BVH004",
                 f"'{{' is missing before {excerpt(keyword)}",
-                self._name(block),
+                self._block_label(block),
             )
-        match upper:
+        match statement:
             case "{":
-                self._open(block)
+                self._open_brace(block)
             case "}":
-                self._close()
+                self._close_brace()
             case "ROOT" | "JOINT":
-                self._joint(upper, words, block)
+                self._parse_joint(statement, words, block)
             case "END":
-                self._end_site(words, block)
+                self._parse_end_site(words, block)
             case "OFFSET":
-                self._offset(words, block)
+                self._parse_offset(words, block)
             case "CHANNELS":
-                self._channels(words, block)
+                self._parse_channels(words, block)
             case _:
-                meant = most_similar(keyword.upper(), _KEYWORDS)
+                similar = most_similar(keyword.upper(), _KEYWORDS)
                 hint = f"expected {', '.join(_KEYWORDS)}, {{ or }}"
-                hint = f"did you mean {meant}?" if meant else hint
+                hint = f"did you mean {similar}?" if similar else hint
                 self.lines.fail("BVH003", f"unexpected {excerpt(keyword)}", hint)
 
-    def _open(self, block: _OpenBrace | None) -> None:
+    def _open_brace(self, block: _OpenBrace | None) -> None:
         if block is None or block.is_opened:
             self.lines.fail("BVH004", "'{' without a joint")
         block.is_opened = True
 
-    def _close(self) -> None:
+    def _close_brace(self) -> None:
         if not self.stack:
             self.lines.fail(
                 "BVH004", "'}' without a matching '{'", "there is one brace too many"
             )
         block = self.stack.pop()
-        if not block.is_end and not block.has_offset:
-            self.lines.fail("BVH006", f"{self._name(block)} has no OFFSET")
+        if not block.is_end_site and not block.has_offset:
+            self.lines.fail("BVH006", f"{self._block_label(block)} has no OFFSET")
 
-    def _joint(self, keyword: str, words: list[str], block: _OpenBrace | None) -> None:
+    def _parse_joint(
+        self, keyword: str, words: list[str], block: _OpenBrace | None
+    ) -> None:
         if (keyword == "ROOT") != (block is None):
             expected_keyword = "JOINT" if block else "ROOT"
             context = "inside a joint" if block else "outside every joint"
@@ -149,10 +150,10 @@ class _HierarchyParser:
                 f"unexpected {keyword} {context}",
                 f"expected {expected_keyword}",
             )
-        if block is not None and block.is_end:
+        if block is not None and block.is_end_site:
             self.lines.fail("BVH003", "unexpected JOINT inside an End Site")
         name = self._take_name(words)
-        if _CONTROL.search(name):
+        if _CONTROL_PATTERN.search(name):
             message = f"the name {excerpt(name)} contains a control character"
             self.lines.fail("BVH001", message, "remove it")
         if not name:
@@ -161,37 +162,37 @@ class _HierarchyParser:
         self.joints.append(BvhJoint(name, parent, self.lines.number))
         self.stack.append(_OpenBrace(len(self.joints) - 1, False, self.lines.number))
 
-    def _end_site(self, words: list[str], block: _OpenBrace | None) -> None:
-        if block is None or block.is_end:
+    def _parse_end_site(self, words: list[str], block: _OpenBrace | None) -> None:
+        if block is None or block.is_end_site:
             self.lines.fail("BVH003", "unexpected End Site outside a joint")
         self._take_name(words)
         self.stack.append(_OpenBrace(block.joint_index, True, self.lines.number))
 
     @staticmethod
     def _take_name(words: list[str]) -> str:
-        """Consume a name up to its brace; names may contain spaces."""
+        """Consume the words of a name up to a brace; names may contain spaces."""
         name = []
         while words and words[0] not in {"{", "}"}:
             name.append(words.pop(0))
         return " ".join(name)
 
-    def _offset(self, words: list[str], block: _OpenBrace | None) -> None:
+    def _parse_offset(self, words: list[str], block: _OpenBrace | None) -> None:
         if block is None:
             self.lines.fail("BVH003", "unexpected OFFSET outside a joint")
         texts = [words.pop(0) for _ in range(3) if words and words[0] not in "{}"]
         if len(texts) < 3 or (words and words[0].upper() not in _TOKENS_AFTER_OFFSET):
             count = len(texts) + sum(word not in "{}" for word in words)
             message = f"OFFSET has {counted(count, 'number')} instead of 3"
-            self.lines.fail("BVH006", message, self._name(block))
-        values = tuple(self._number(text) for text in texts)
+            self.lines.fail("BVH006", message, self._block_label(block))
+        values = tuple(self._parse_number(text) for text in texts)
         offset = (values[0], values[1], values[2])
         block.has_offset = True
-        if block.is_end:
+        if block.is_end_site:
             self.joints[block.joint_index].tips.append(offset)
         else:
             self.joints[block.joint_index].offset = offset
 
-    def _number(self, text: str) -> float:
+    def _parse_number(self, text: str) -> float:
         try:
             value = float("x" if "_" in text else text)
         except ValueError:
@@ -201,14 +202,18 @@ class _HierarchyParser:
             self.lines.fail("BVH006", f"OFFSET {text} is not a finite float32")
         return value
 
-    def _channels(self, words: list[str], block: _OpenBrace | None) -> None:
-        if block is None or block.is_end:
+    def _parse_channels(self, words: list[str], block: _OpenBrace | None) -> None:
+        if block is None or block.is_end_site:
             self.lines.fail("BVH003", "unexpected CHANNELS outside a joint")
         joint = self.joints[block.joint_index]
         if joint.channels is not None:
-            self.lines.fail("BVH007", f"{self._name(block)} has two CHANNELS lines")
+            self.lines.fail(
+                "BVH007", f"{self._block_label(block)} has two CHANNELS lines"
+            )
         if not words or not words[0].isdecimal():
-            self.lines.fail("BVH007", "CHANNELS needs a count first", self._name(block))
+            self.lines.fail(
+                "BVH007", "CHANNELS needs a count first", self._block_label(block)
+            )
         count = int(words.pop(0)[:9])
         names: list[str] = []
         while words and (len(names) < count or words[0].lower() in _CHANNELS):
@@ -223,51 +228,54 @@ class _HierarchyParser:
         if len(names) != count:
             self.lines.fail(
                 "BVH007",
-                f"CHANNELS of {self._name(block)} states {count}, but names "
+                f"CHANNELS of {self._block_label(block)} states {count}, but names "
                 f"{len(names)}",
                 f"write CHANNELS {len(names)}, or the missing names",
             )
         joint.channels = tuple(_CHANNELS[name.lower()] for name in names)
         if len(set(joint.channels)) != count:
-            self.lines.fail("BVH007", "duplicate channel", self._name(block))
+            self.lines.fail("BVH007", "duplicate channel", self._block_label(block))
 
-    def _finish(self) -> None:
+    def _check_complete(self) -> None:
         if self.stack:
             self.lines.fail(
-                "BVH004", "MOTION before all braces are closed", self._open_blocks()
+                "BVH004",
+                "MOTION before all braces are closed",
+                self._missing_braces_hint(),
             )
         if not self.joints:
             self.lines.fail("BVH003", "the HIERARCHY has no ROOT")
         if not any(joint.channels for joint in self.joints):
             self.lines.fail("BVH007", "no joint has a channel")
 
-    def _name(self, block: _OpenBrace) -> str:
-        kind = "End Site of" if block.is_end else "joint"
+    def _block_label(self, block: _OpenBrace) -> str:
+        kind = "End Site of" if block.is_end_site else "joint"
         name = excerpt(self.joints[block.joint_index].name)
         return f"{kind} {name}, line {block.line}"
 
-    def _open_blocks(self) -> str | None:
+    def _missing_braces_hint(self) -> str | None:
         if not self.stack:
             return None
         innermost = self.stack[-1]
         return (
-            f"{len(self.stack)} '}}' missing, the innermost for {self._name(innermost)}"
+            f"{len(self.stack)} "
+            f"'}}' missing, the innermost for {self._block_label(innermost)}"
         )
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:
-    """Read everything above the rows of numbers."""
+    """Return the header above the rows of numbers, and notices about it."""
     hierarchy = _HierarchyParser(lines)
-    hierarchy.read()
+    hierarchy.parse()
     header = BvhHeader(hierarchy.joints)
-    notices = _duplicate_names(header.joints, path)
+    notices = _duplicate_name_notices(header.joints, path)
     _read_motion_head(lines, header)
     notices += _rate_notices(header, path, lines.number)
     return header, notices
 
 
 def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
-    text = _field(lines, "frames")
+    text = _read_field(lines, "frames")
     header.frames_line = lines.number
     try:
         header.declared_frames = int(text)
@@ -276,7 +284,7 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
     if header.declared_frames <= 0:
         message = f"Frames is {header.declared_frames}; at least 1 is needed"
         lines.fail("BVH008", message)
-    header.frame_time = _field(lines, "frame time")
+    header.frame_time = _read_field(lines, "frame time")
     try:
         header.rate = rate_from_frame_time(header.frame_time)
     except ValueError:
@@ -287,7 +295,7 @@ def _read_motion_head(lines: HeaderLines, header: BvhHeader) -> None:
         lines.fail("BVH009", message, hint)
 
 
-def _field(lines: HeaderLines, name: str) -> str:
+def _read_field(lines: HeaderLines, name: str) -> str:
     """Return the text after ``name:`` on the next line that is not blank."""
     while (line := lines.next()) is not None and not line.strip():
         continue
@@ -301,22 +309,22 @@ def _field(lines: HeaderLines, name: str) -> str:
     return value.strip()
 
 
-def _duplicate_names(joints: list[BvhJoint], path: str) -> list[Fault]:
-    lines: dict[str, list[int]] = {}
+def _duplicate_name_notices(joints: list[BvhJoint], path: str) -> list[Fault]:
+    lines_by_name: dict[str, list[int]] = {}
     for joint in joints:
-        lines.setdefault(joint.name, []).append(joint.line)
+        lines_by_name.setdefault(joint.name, []).append(joint.line)
     return [
         Fault(
             "BVH103",
-            f"joint name {excerpt(name)} appears {len(numbers)} times, on lines "
-            + listed(numbers, 10),
+            f"joint name {excerpt(name)} appears {len(line_numbers)} times, on lines "
+            + listed(line_numbers, 10),
             path,
-            tuple(numbers),
+            tuple(line_numbers),
             "a number is appended to the later ones",
             Severity.WARNING,
         )
-        for name, numbers in lines.items()
-        if len(numbers) > 1
+        for name, line_numbers in lines_by_name.items()
+        if len(line_numbers) > 1
     ]
 
 

@@ -1,6 +1,6 @@
-"""The lines of a BVH file: its header's, and rows of finite numbers, block by block.
+"""Reads a BVH file: header lines, then rows of finite numbers block by block.
 
-The file may contain anything.
+It assumes nothing about the content of the file.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ from animtool.core.files.reading import (
 from animtool.core.record import dataclass
 
 CHUNK_BYTES = 1 << 19
-# Longest header line, which names one joint or its channels.
+# Maximum length of a header line, which names one joint or its channels.
 MAX_LINE_BYTES = 1 << 16
-# Most header lines; a joint has five or six.
+# Maximum number of header lines; a joint has five or six.
 MAX_LINES = 1_000_000
-# Values per block, a quarter of a megabyte of float64, which stays in the processor's
-# cache from parser to writer.
+# Values per block: 256 KB of float64, which stay in the processor's cache from parser
+# to writer.
 BLOCK_VALUES = 1 << 15
-# Longest number, blanks included [byte].
+# Maximum length of a number, including blanks [byte].
 MAX_NUMBER_BYTES = 1024
-# Most missing samples of a channel, and their largest fraction, to fill by
-# interpolation. More would be invented motion.
+# Maximum number and fraction of a channel's missing samples to fill by interpolation;
+# more would invent motion.
 MAX_FILLED_SAMPLES = 10
 MAX_FILLED_FRACTION = 0.1
 MAX_LISTED_CHANNELS = 20
@@ -45,7 +45,7 @@ _LINE_END = re.compile(rb"\r\n?|\n")
 
 
 class HeaderLines:
-    """Header lines with their numbers; CR, LF and CR LF all end a line.
+    """Reads header lines and counts them; CR, LF and CR LF all end a line.
 
     Attributes:
         number: 1-based number of the line last returned.
@@ -56,13 +56,13 @@ class HeaderLines:
         self._file = file
         self._path = path
         self._data = file.read(CHUNK_BYTES)
-        self._at = 0
+        self._offset = 0
         self._check_text()
 
     @property
     def unread(self) -> bytes:
         """Bytes read from the file but not yet returned as lines."""
-        return self._data[self._at :]
+        return self._data[self._offset :]
 
     def _check_text(self) -> None:
         if not self._data:
@@ -77,27 +77,27 @@ class HeaderLines:
             self.fail("BVH001", message, line=False)
 
     def next(self) -> str | None:
-        """Return the next line without its end, None after the last."""
+        """Return the next line without its line break; None after the last."""
         while True:
-            match = _LINE_END.search(self._data, self._at)
-            at_end = match is not None and match.end() == len(self._data)
+            match = _LINE_END.search(self._data, self._offset)
+            is_chunk_end = match is not None and match.end() == len(self._data)
             # A CR at the end of the chunk may be half of a CR LF.
-            if match is not None and not (at_end and match.group() == b"\r"):
+            if match is not None and not (is_chunk_end and match.group() == b"\r"):
                 break
-            if len(self._data) - self._at > MAX_LINE_BYTES and match is None:
-                self._fail_long()
+            if len(self._data) - self._offset > MAX_LINE_BYTES and match is None:
+                self._fail_line_too_long()
             chunk = self._file.read(CHUNK_BYTES)
             if not chunk:
                 break
-            self._data, self._at = self.unread + chunk, 0
-        if self._at == len(self._data):
+            self._data, self._offset = self.unread + chunk, 0
+        if self._offset == len(self._data):
             return None
-        line_end, next_line = (
+        line_stop, next_start = (
             match.span() if match else (len(self._data), len(self._data))
         )
-        if line_end - self._at > MAX_LINE_BYTES:
-            self._fail_long()
-        line, self._at = self._data[self._at : line_end], next_line
+        if line_stop - self._offset > MAX_LINE_BYTES:
+            self._fail_line_too_long()
+        line, self._offset = self._data[self._offset : line_stop], next_start
         self.number += 1
         if self.number > MAX_LINES:
             message = f"more than {MAX_LINES} lines before the rows of numbers"
@@ -108,7 +108,7 @@ class HeaderLines:
             # Windows-1252 has letters where Latin-1 has control characters.
             return line.decode("cp1252", "replace")
 
-    def _fail_long(self) -> NoReturn:
+    def _fail_line_too_long(self) -> NoReturn:
         self.number += 1
         self.fail(
             "BVH013",
@@ -126,21 +126,21 @@ class HeaderLines:
 
 @dataclass(slots=True)
 class RowSource:
-    """File, byte offset and channel names that rows are read from."""
+    """Where rows are read from: file, byte offset and channels."""
 
     path: Path  # path of the file
     state: FileState  # state of the file when its header was read
     start: int  # offset of the first row [byte]
     line: int  # number of lines before the rows
     channels: list[str]  # name of each column, ``joint.Xposition``
-    declared: int  # number of frames in the header
-    declared_line: int  # line of the header with that number
+    declared_frames: int  # number of frames in the header
+    frames_line: int  # line of the header with that number
     # Called with the fraction of the file read so far.
     progress: Callable[[float], None] | None = None
 
 
 class RowReader:
-    """Reader of blocks of rows ``(F, C)``, all values finite and within float32.
+    """Reads blocks of rows ``(F, C)`` with all values finite and in float32 range.
 
     Attributes:
         notices: Repairs and mismatches; complete after the last block.
@@ -150,40 +150,40 @@ class RowReader:
         self.source = source
         self.notices: list[Fault] = []
         self._path = str(source.path)
-        self._width = len(source.channels)
-        self._count = 0
-        self._surplus_line: int | None = None
+        self._column_count = len(source.channels)
+        self._row_count = 0
+        self._first_surplus_line: int | None = None
         self._last_row: FloatArray | None = None
-        self._missing: dict[int, list[int]] = {}
-        self._beyond_float32: dict[int, list[int]] = {}
+        self._missing_lines: dict[int, list[int]] = {}
+        self._out_of_range_lines: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
-        """Yield the rows of the file."""
-        waiting: list[FloatArray] = []
-        for rows, lines in self._parsed_rows():
+        """Yield the rows of the file in blocks."""
+        pending_blocks: list[FloatArray] = []
+        for rows, lines in self._parse_rows():
             self._record_counts(lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
-                self._record_unusable(rows, lines)
+                self._record_invalid(rows, lines)
                 block = np.clip(rows, -FLOAT32_MAX, FLOAT32_MAX)
-            if waiting or np.isnan(block).any():
-                waiting.append(block)
+            if pending_blocks or np.isnan(block).any():
+                pending_blocks.append(block)
                 # A gap at the end of the block is filled with the next block.
                 if np.isnan(block[-1]).any():
                     continue
-                block = np.concatenate(waiting)
-                waiting.clear()
-                self._fill(block)
+                block = np.concatenate(pending_blocks)
+                pending_blocks.clear()
+                self._fill_missing(block)
             self._last_row = block[-1].copy()
             yield block
-        self._check()
-        if waiting:
-            block = np.concatenate(waiting)
-            self._fill(block)
+        self._check_rows()
+        if pending_blocks:
+            block = np.concatenate(pending_blocks)
+            self._fill_missing(block)
             yield block
-        self._report()
+        self._add_notices()
 
-    def _parsed_rows(self) -> Iterator[tuple[FloatArray, IntArray]]:
+    def _parse_rows(self) -> Iterator[tuple[FloatArray, IntArray]]:
         """Yield rows and their line numbers."""
         source = self.source
         with open_input(source.path, None) as file:
@@ -191,81 +191,90 @@ class RowReader:
                 raise changed_error(source.path)
             try:
                 file.seek(source.start)
-                yield from self._parse(file)
+                yield from self._parse_blocks(file)
             except OSError as error:
                 raise unreadable_error(source.path, error) from error
             file.check()
 
-    def _parse(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:
-        size = max(1, file.state.size)
-        limit = max(1, BLOCK_VALUES // self._width)
-        longest = CHUNK_BYTES + MAX_NUMBER_BYTES * self._width
-        text, line, final, needs_data = b"", self.source.line + 1, False, True
+    def _parse_blocks(self, file: InputFile) -> Iterator[tuple[FloatArray, IntArray]]:
+        file_size = max(1, file.state.size)
+        max_rows = max(1, BLOCK_VALUES // self._column_count)
+        max_line_bytes = CHUNK_BYTES + MAX_NUMBER_BYTES * self._column_count
+        text, line, is_last_chunk, needs_data = b"", self.source.line + 1, False, True
         while True:
             if needs_data:
                 chunk = file.read(CHUNK_BYTES)
-                final = not chunk
+                is_last_chunk = not chunk
                 text += chunk
                 if self.source.progress:
-                    self.source.progress(file.tell() / size)
-            rows, row_lines, consumed, lines, fault, column, token = (
-                _kernels.parse_bvh_rows(text, self._width, limit, final)
+                    self.source.progress(file.tell() / file_size)
+            rows, row_lines, consumed, line_count, fault_code, column, token = (
+                _kernels.parse_bvh_rows(
+                    text, self._column_count, max_rows, is_last_chunk
+                )
             )
             if len(rows):
                 yield rows, row_lines + line
-            line += lines
+            line += line_count
             text = text[consumed:]
-            if fault:
-                is_last_line = final and len(text.splitlines()) <= 1
+            if fault_code:
+                is_last_line = is_last_chunk and len(text.splitlines()) <= 1
                 raise FormatError(
-                    self._row_fault(fault, line, column, token, is_last_line)
+                    self._row_fault(fault_code, line, column, token, is_last_line)
                 )
-            if final and not text:
+            if is_last_chunk and not text:
                 return
-            if len(text) > longest and not consumed:
+            if len(text) > max_line_bytes and not consumed:
                 message = "the line is too long for a row of numbers"
                 raise FormatError(Fault("BVH013", message, self._path, (line,)))
-            needs_data = len(rows) < limit
+            needs_data = len(rows) < max_rows
 
     def _row_fault(
-        self, fault: int, line: int, column: int, token: bytes, is_last_line: bool
+        self, fault_code: int, line: int, column: int, token: bytes, is_last_line: bool
     ) -> Fault:
         path = self._path
-        if fault == 2:
+        if fault_code == 2:
             text = token.decode("utf-8", "replace")
             name = (
-                self.source.channels[column] if column < self._width else "another word"
+                self.source.channels[column]
+                if column < self._column_count
+                else "another word"
             )
             hint = "write decimals with a point" if "," in text else None
             message = f"{excerpt(text)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
         hint = "each frame must be one line; are these rows wrapped?"
-        if column > self._width:
+        if column > self._column_count:
             hint = "does the HIERARCHY name every channel?"
         elif is_last_line:
             hint = "the file ends here: is it truncated? copy or export it again"
         message = (
             f"the row has {counted(column, 'number')}, but the channels need "
-            f"{self._width}"
+            f"{self._column_count}"
         )
         return Fault("BVH010", message, path, (line,), hint)
 
     def _record_counts(self, lines: IntArray) -> None:
-        first_row, self._count = self._count, self._count + len(lines)
-        if self._surplus_line is None and self._count > self.source.declared:
-            self._surplus_line = int(lines[self.source.declared - first_row])
-
-    def _record_unusable(self, rows: FloatArray, lines: IntArray) -> None:
-        with np.errstate(invalid="ignore"):
-            too_large = np.abs(rows) > FLOAT32_MAX
-        for fault_lines, mask in (
-            (self._missing, np.isnan(rows)),
-            (self._beyond_float32, too_large),
+        first_row, self._row_count = self._row_count, self._row_count + len(lines)
+        if (
+            self._first_surplus_line is None
+            and self._row_count > self.source.declared_frames
         ):
-            self._collect(fault_lines, mask, lines)
+            self._first_surplus_line = int(
+                lines[self.source.declared_frames - first_row]
+            )
+
+    def _record_invalid(self, rows: FloatArray, lines: IntArray) -> None:
+        with np.errstate(invalid="ignore"):
+            is_out_of_range = np.abs(rows) > FLOAT32_MAX
+        for fault_lines, mask in (
+            (self._missing_lines, np.isnan(rows)),
+            (self._out_of_range_lines, is_out_of_range),
+        ):
+            self._add_lines(fault_lines, mask, lines)
 
     @staticmethod
-    def _collect(
+    def _add_lines(
         fault_lines: dict[int, list[int]], mask: BoolArray, lines: IntArray
     ) -> None:
         for column in np.flatnonzero(mask.any(axis=0)):
@@ -273,73 +282,85 @@ class RowReader:
                 lines[mask[:, column]].tolist()
             )
 
-    def _fill(self, block: FloatArray) -> None:
-        """Fill NaN: linear between finite neighbours, nearest value at both ends."""
+    def _fill_missing(self, block: FloatArray) -> None:
+        """Fill NaN in place: linear interpolation, nearest value at both ends."""
         for column in np.flatnonzero(np.isnan(block).any(axis=0)):
             values = block[:, column]
             if self._last_row is not None:
                 values = np.concatenate([self._last_row[column : column + 1], values])
-            finite = np.flatnonzero(np.isfinite(values))
-            finite_values = values[finite]
+            finite_rows = np.flatnonzero(np.isfinite(values))
+            finite_values = values[finite_rows]
             if self.source.channels[column].endswith("rotation"):
-                # Angles are unwrapped: from 179 to -179 degrees is a step of 2, not of
+                # Angles are unwrapped, so that 179 to -179 degrees is a step of 2, not
                 # 358.
                 finite_values = np.unwrap(finite_values, period=360.0)
-            interpolated = np.interp(np.arange(len(values)), finite, finite_values)
-            interpolated[finite] = values[finite]
+            interpolated = np.interp(np.arange(len(values)), finite_rows, finite_values)
+            interpolated[finite_rows] = values[finite_rows]
             block[:, column] = interpolated[-len(block) :]
 
-    def _check(self) -> None:
-        """Raise for a file without rows, or a channel with too many lost values."""
+    def _check_rows(self) -> None:
+        """Raise for a file without rows, or a channel with too many missing values."""
         path = self._path
-        if not self._count:
+        if not self._row_count:
             line = self.source.line
             message = "the MOTION block has no rows of numbers"
             raise FormatError(Fault("BVH014", message, path, (line,)))
         faults = []
-        for column, lines in sorted(self._missing.items()):
-            lost_count = len(lines)
-            too_many = (
-                lost_count > MAX_FILLED_SAMPLES
-                and lost_count > MAX_FILLED_FRACTION * self._count
+        for column, lines in sorted(self._missing_lines.items()):
+            missing_count = len(lines)
+            is_too_many = (
+                missing_count > MAX_FILLED_SAMPLES
+                and missing_count > MAX_FILLED_FRACTION * self._row_count
             )
-            if too_many or lost_count == self._count:
+            if is_too_many or missing_count == self._row_count:
                 name = self.source.channels[column]
-                message = f"{name}: {lost_count} of {self._count} values are not finite"
+                message = (
+                    f"{name}: {missing_count} of {self._row_count} values are not "
+                    "finite"
+                )
                 hint = "too many to interpolate"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:
             raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
-    def _report(self) -> None:
-        declared, count, path = self.source.declared, self._count, self._path
-        if declared != count:
-            line = self._surplus_line or self.source.declared_line
-            message = f"Frames states {declared}, but there are {count} rows"
+    def _add_notices(self) -> None:
+        declared_frames, count, path = (
+            self.source.declared_frames,
+            self._row_count,
+            self._path,
+        )
+        if declared_frames != count:
+            line = self._first_surplus_line or self.source.frames_line
+            message = f"Frames states {declared_frames}, but there are {count} rows"
             hint = "all rows are read"
-            if declared > count:
+            if declared_frames > count:
                 hint += "; is the file truncated? copy or export it again"
             self.notices.append(
                 Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
             )
-        self._note_bad_channels(
-            "BVH102", self._missing, "not finite", "interpolated between neighbours"
+        self._add_channel_notices(
+            "BVH102",
+            self._missing_lines,
+            "not finite",
+            "interpolated between neighbours",
         )
-        self._note_bad_channels(
+        self._add_channel_notices(
             "BVH104",
-            self._beyond_float32,
+            self._out_of_range_lines,
             "beyond float32",
             "the largest float32 is written; the reported error does not count them",
         )
 
-    def _note_bad_channels(
+    def _add_channel_notices(
         self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
     ) -> None:
         for column, lines in sorted(fault_lines.items())[:MAX_LISTED_CHANNELS]:
-            numbers = listed(lines, 10)
+            line_list = listed(lines, 10)
             name = self.source.channels[column]
-            values = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
-            message = f"{name}: {values} {problem}, on line {numbers}"
+            values_text = (
+                "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
+            )
+            message = f"{name}: {values_text} {problem}, on line {line_list}"
             self.notices.append(
                 Fault(
                     code,
@@ -351,8 +372,8 @@ class RowReader:
                 )
             )
         if len(fault_lines) > MAX_LISTED_CHANNELS:
-            more = len(fault_lines) - MAX_LISTED_CHANNELS
-            message = f"{more} more channels have values {problem}"
+            omitted_count = len(fault_lines) - MAX_LISTED_CHANNELS
+            message = f"{omitted_count} more channels have values {problem}"
             self.notices.append(
                 Fault(code, message, self._path, (), hint, Severity.WARNING)
             )

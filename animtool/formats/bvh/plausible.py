@@ -1,4 +1,4 @@
-"""Rates and rotations of a BVH file that look mistaken."""
+"""Detects implausible rates and rotations of a BVH file."""
 
 from __future__ import annotations
 
@@ -17,41 +17,45 @@ from animtool.rig.skeleton import Rig
 
 # Skeletons with fewer joints may be props.
 MIN_JOINTS = 8
-# Film transferred to video runs slower by a thousandth.
-SAME_RATE = Fraction(2, 1000)
-# A body that goes farther than this fraction of its size rotates its limbs by more than
-# the largest angle in radians; so many channels change by more than noise [deg].
+# Relative tolerance of equal rates; film transferred to video is 0.1 % slower.
+RATE_TOLERANCE = Fraction(2, 1000)
+# A body travels if its root moves farther than this fraction of its size; its largest
+# rotation then looks like radians in this range. Smaller rotations are noise [deg].
 MIN_TRAVEL, MIN_RADIANS, MAX_RADIANS, MIN_ROTATION = 0.5, 0.7, 6.4, 0.1
 
 
-def rate_contradiction(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
-    """Return a note that the stated rate is not that of a plausible Frame Time."""
+def stated_rate_notice(header: BvhHeader, rate: Fraction, path: str) -> list[Fault]:
+    """Return a note if the stated rate differs from a plausible Frame Time."""
     assert header.rate is not None
-    own, frames = header.rate.fps, header.declared_frames
-    same = abs(rate - own) <= SAME_RATE * own or rate in header.rate.ambiguous_rates
-    if same or header.rate.kind is RateKind.PRINTED or rate_warning(own):
+    file_rate, frame_count = header.rate.fps, header.declared_frames
+    is_same_rate = abs(rate - file_rate) <= RATE_TOLERANCE * file_rate or rate in header.rate.ambiguous_rates
+    if is_same_rate or header.rate.kind is RateKind.PRINTED or rate_warning(file_rate):
         return []
-    stated = argument("source.fps", f"{float(rate):g}")
-    message = f"Frame Time {header.frame_time} is {rate_label(own)}, not {stated}"
-    if frames:
-        lengths = [f"{float(frames / fps):.3g} s" for fps in (rate, own)]
-        message += f": {frames} frames last {lengths[0]} instead of {lengths[1]}"
+    option_text = argument("source.fps", f"{float(rate):g}")
+    message = (
+        f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not {option_text}"
+    )
+    if frame_count:
+        durations = [f"{float(frame_count / fps):.3g} s" for fps in (rate, file_rate)]
+        message += (
+            f": {frame_count} frames last {durations[0]} instead of {durations[1]}"
+        )
     hint = f"to resample the motion, use {argument('fps')} instead"
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 
-def unused_positions(header: BvhHeader, path: str) -> list[Fault]:
-    """Return a note that no joint below a root has positions to ignore (BVH113)."""
-    below = [joint for joint in header.joints if joint.parent >= 0]
+def unused_positions_notice(header: BvhHeader, path: str) -> list[Fault]:
+    """Return a note if no joint below a root has position channels (BVH113)."""
+    child_joints = [joint for joint in header.joints if joint.parent >= 0]
     has_positions = any(
         channel.endswith("position")
-        for joint in below
+        for joint in child_joints
         for channel in joint.channels or ()
     )
     if has_positions:
         return []
-    stated = argument("source.positions", "offsets")
-    message = f"{stated} has no effect: only roots have position channels"
+    option_text = argument("source.positions", "offsets")
+    message = f"{option_text} has no effect: only roots have position channels"
     return [Fault("BVH113", message, path, (), "remove it", Severity.NOTE)]
 
 
@@ -64,17 +68,21 @@ class ChannelRanges:
         self.high = -self.low
 
     def add(self, rows: FloatArray, root: FloatArray) -> None:
-        """Extend the ranges by some rows, with the positions of the first joint.
+        """Extend the ranges by rows and the positions of the first joint.
 
         ``root`` is ``(F, 3)``, or ``(F, 0)`` without position channels.
         """
         values = rows[:, self.columns]
-        for k, column in enumerate((values, root)):
-            if not column.shape[1]:
+        for k, channel_values in enumerate((values, root)):
+            if not channel_values.shape[1]:
                 continue
-            part = slice(-3, None) if k else slice(0, -3)
-            self.low[part] = np.minimum(self.low[part], column.min(axis=0))
-            self.high[part] = np.maximum(self.high[part], column.max(axis=0))
+            columns = slice(-3, None) if k else slice(0, -3)
+            self.low[columns] = np.minimum(
+                self.low[columns], channel_values.min(axis=0)
+            )
+            self.high[columns] = np.maximum(
+                self.high[columns], channel_values.max(axis=0)
+            )
 
     @property
     def rotations(self) -> tuple[float, int]:
@@ -91,17 +99,23 @@ class ChannelRanges:
 
 def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     """Return a warning about a body that travels with rotations of a few degrees."""
-    size = rest_size(rig)
+    rest_extent = rest_size(rig)
     if len(rig.joints) < MIN_JOINTS or not np.isfinite(ranges.travel):
         return []
-    largest, count = ranges.rotations
-    stays = ranges.travel <= MIN_TRAVEL * size or count < MIN_JOINTS
-    if stays or not MIN_RADIANS <= largest <= MAX_RADIANS:
+    max_angle, moving_channels = ranges.rotations
+    is_static = (
+        ranges.travel <= MIN_TRAVEL * rest_extent or moving_channels < MIN_JOINTS
+    )
+    if is_static or not MIN_RADIANS <= max_angle <= MAX_RADIANS:
         return []
     message = (
-        f"the body travels {length_text(ranges.travel)}, but none of {count} rotation "
-        f"channels that change exceeds {largest:.3g}: the rotations look like radians"
+        f"the body travels {length_text(ranges.travel)}, but none of "
+        f"{moving_channels} rotation "
+        f"channels that change exceeds {max_angle:.3g}: the rotations look like radians"
     )
-    hint = f"a BVH has degrees: {largest:.3g} rad is {np.degrees(largest):.3g}; export "
+    hint = (
+        f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
+        "export "
+    )
     hint += "degrees, or multiply the rotation channels by 57.2958"
     return [Fault("BVH112", message, path, (), hint, Severity.WARNING)]

@@ -1,4 +1,4 @@
-"""A BVH file as a stream of blocks of motion."""
+"""Reads a BVH file as a stream of motion blocks."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.formats.bvh.plausible import (
     ChannelRanges,
     radians_warning,
-    rate_contradiction,
-    unused_positions,
+    stated_rate_notice,
+    unused_positions_notice,
 )
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
@@ -35,13 +35,13 @@ from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-# Plausible size at rest of any character, and of a person [m].
+# Plausible extent at rest of any character, and of a person [m].
 LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
 # Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
 MAX_LISTED_JOINTS = 4
-# Bones shorter than this fraction of their OFFSET have collapsed [1].
+# Bones shorter than this fraction of their OFFSET are collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
 
 
@@ -82,34 +82,34 @@ def read_bvh(
     rate = None if fps is None else rate_option(fps)
     with open_input(path, None) as file:
         try:
-            lines = HeaderLines(file, path)
-            header, notices = read_header(lines, str(path))
-            rows_start = file.tell() - len(lines.unread)
+            header_lines = HeaderLines(file, path)
+            header, notices = read_header(header_lines, str(path))
+            rows_start = file.tell() - len(header_lines.unread)
         except OSError as error:
             raise unreadable_error(path, error) from error
     rig = _build_rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
-        notices += rate_contradiction(header, rate, str(path))
+        notices += stated_rate_notice(header, rate, str(path))
     channels = [
         f"{joint.name}.{channel}"
         for joint in header.joints
         for channel in joint.channels or ()
     ]
     if positions == "offsets":
-        notices += unused_positions(header, str(path))
+        notices += unused_positions_notice(header, str(path))
     rows = RowSource(
         path,
         file.state,
         rows_start,
-        lines.number,
+        header_lines.number,
         channels,
         header.declared_frames,
         header.frames_line,
         progress,
     )
-    layout = _ColumnLayout(header, offsets=positions == "offsets")
+    layout = _ColumnLayout(header, keep_offsets=positions == "offsets")
     assert header.rate is not None
     details: dict[str, object] = {
         "format": "BVH",
@@ -121,7 +121,7 @@ def read_bvh(
     if up is not None:
         details["up_choice"] = "stated"
     fps = header.rate.fps if rate is None else rate
-    blocks = _motion_blocks(rows, layout, rig, notices)
+    blocks = _read_blocks(rows, layout, rig, notices)
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
@@ -134,39 +134,40 @@ def read_bvh_rig(path: Path) -> Rig:
 _RATE_CODES = {"BVH105", "BVH106", "BVH107"}
 
 
-def _size_notice(rig: Rig, option: LengthUnit | None, path: str) -> list[Fault]:
-    """Return a note about a skeleton whose size suggests another unit."""
-    size = rest_size(rig)
+def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fault]:
+    """Return a note if the size of a skeleton suggests another unit."""
+    meters = rest_size(rig)
     smallest, largest = LIKELY_METERS
-    if len(rig.joints) < MIN_JOINTS or smallest <= size <= largest:
+    if len(rig.joints) < MIN_JOINTS or smallest <= meters <= largest:
         return []
-    numbers = size / rig.meters_per_unit
+    file_extent = meters / rig.meters_per_unit
     smallest, largest = PERSON_METERS
     fitting_units = [
-        unit for unit in LengthUnit if smallest <= numbers * unit.meters <= largest
+        unit for unit in LengthUnit if smallest <= file_extent * unit.meters <= largest
     ]
-    unit = option or LengthUnit.CM
+    unit = stated_unit or LengthUnit.CM
     message = (
-        f"the skeleton spans {numbers:.4g}, which is not plausible for a character in "
+        f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
+        "character in "
         f"{unit}"
     )
     hint = f"set the unit with {argument('source.unit')}"
     if fitting_units:
         hint = (
             f"with {argument('source.unit', fitting_units[0])} it would be "
-            f"{numbers * fitting_units[0].meters:.2g} m"
+            f"{file_extent * fitting_units[0].meters:.2g} m"
         )
-    severity = Severity.NOTE if option is None else Severity.WARNING
+    severity = Severity.NOTE if stated_unit is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]
 
 
 def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
     joints = []
     names = numbered_names(joint.name for joint in header.joints)
-    for joint, unique in zip(header.joints, names, strict=True):
-        converted = _build_joint(joint, unit.meters)
-        source_name = joint.name if unique != joint.name else ""
-        joints.append(replace(converted, name=unique, source_name=source_name))
+    for joint, unique_name in zip(header.joints, names, strict=True):
+        rig_joint = _build_joint(joint, unit.meters)
+        source_name = joint.name if unique_name != joint.name else ""
+        joints.append(replace(rig_joint, name=unique_name, source_name=source_name))
     return Rig(name, tuple(joints), unit.meters, up)
 
 
@@ -175,15 +176,15 @@ def _build_joint(joint: BvhJoint, meters: float) -> Joint:
     rotations = [name[0] for name in channels if name.endswith("rotation")]
     positions = [name[0] for name in channels if name.endswith("position")]
     axis = (0.0, 0.0, 1.0)
-    kind = JointType.FREE
+    joint_type = JointType.FREE
     if not channels:
-        kind = JointType.FIXED
+        joint_type = JointType.FIXED
     elif not positions:
-        kind = JointType.PIN if len(rotations) == 1 else JointType.BALL
-        if kind is JointType.PIN:
+        joint_type = JointType.PIN if len(rotations) == 1 else JointType.BALL
+        if joint_type is JointType.PIN:
             axis = _channel_axis(rotations[0])
     elif not rotations and len(positions) == 1:
-        kind, axis = JointType.PRISMATIC, _channel_axis(positions[0])
+        joint_type, axis = JointType.PRISMATIC, _channel_axis(positions[0])
 
     def scaled(values: tuple[float, float, float]) -> tuple[float, float, float]:
         return (values[0] * meters, values[1] * meters, values[2] * meters)
@@ -191,7 +192,7 @@ def _build_joint(joint: BvhJoint, meters: float) -> Joint:
     return Joint(
         joint.name,
         joint.parent,
-        kind,
+        joint_type,
         scaled(joint.offset or (0.0, 0.0, 0.0)),
         axis=axis,
         channels=channels,
@@ -206,8 +207,8 @@ def _channel_axis(letter: str) -> tuple[float, float, float]:
 class _ColumnLayout:
     """Column indices of each joint's position and rotation channels."""
 
-    def __init__(self, header: BvhHeader, *, offsets: bool = False) -> None:
-        """Assign columns to joints; ``offsets`` skips position channels below roots."""
+    def __init__(self, header: BvhHeader, *, keep_offsets: bool = False) -> None:
+        """Assign columns; ``keep_offsets`` ignores position channels below roots."""
         self.position_joints: list[int] = []
         self.rotation_joints: list[int] = []
         slots: list[int] = []
@@ -220,7 +221,7 @@ class _ColumnLayout:
             has_positions = False
             for name in joint.channels or ():
                 axis = "XYZ".index(name[0])
-                if name.endswith("position") and offsets and joint.parent >= 0:
+                if name.endswith("position") and keep_offsets and joint.parent >= 0:
                     pass
                 elif name.endswith("position"):
                     slots.append(3 * len(self.position_joints) + axis)
@@ -234,29 +235,33 @@ class _ColumnLayout:
             if rotations:
                 self.rotation_joints.append(j)
                 rotations += [(-1, 0)] * (3 - len(rotations))
-                rotation_columns.append([c for c, _ in rotations])
-                rotation_axes.append([a for _, a in rotations])
-        self.slots = np.array(slots, np.int64)
-        self.columns = np.array(columns, np.int64)
+                rotation_columns.append([column_index for column_index, _ in rotations])
+                rotation_axes.append([axis_index for _, axis_index in rotations])
+        self.position_slots = np.array(slots, np.int64)
+        self.position_columns = np.array(columns, np.int64)
         self.rotation_columns = np.array(rotation_columns, np.int32).reshape(-1, 3)
         self.rotation_axes = np.array(rotation_axes, np.int32).reshape(-1, 3)
 
 
-def _motion_blocks(
+def _read_blocks(
     source: RowSource, layout: _ColumnLayout, rig: Rig, notices: list[Fault]
 ) -> Iterator[Motion]:
-    reader, farthest = RowReader(source), np.zeros(len(layout.columns))
+    reader, max_positions = RowReader(source), np.zeros(len(layout.position_columns))
     position_joints = np.array(layout.position_joints, np.int64)
     rotation_joints = np.array(layout.rotation_joints, np.int64)
     rest = rig.rest_translations[position_joints].ravel()
-    identity = rig.rest_rotations
+    rest_rotations = rig.rest_rotations
     previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     columns = layout.rotation_columns
     ranges = ChannelRanges(np.unique(columns[columns >= 0]))
     for rows in reader.blocks():
         translations = np.repeat(rest[None], len(rows), axis=0)
-        farthest = np.maximum(farthest, np.abs(rows[:, layout.columns]).max(axis=0))
-        translations[:, layout.slots] = rows[:, layout.columns] * rig.meters_per_unit
+        max_positions = np.maximum(
+            max_positions, np.abs(rows[:, layout.position_columns]).max(axis=0)
+        )
+        translations[:, layout.position_slots] = (
+            rows[:, layout.position_columns] * rig.meters_per_unit
+        )
         rotations = _kernels.euler_to_quaternion(
             rows, layout.rotation_columns, layout.rotation_axes, previous
         )
@@ -268,24 +273,24 @@ def _motion_blocks(
                 position_joints,
                 translations.reshape(len(rows), -1, 3),
             ),
-            Channel(identity, rotation_joints, rotations),
+            Channel(rest_rotations, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
-    reaches = np.zeros(3 * len(position_joints))
-    reaches[layout.slots] = farthest
+    max_per_slot = np.zeros(3 * len(position_joints))
+    max_per_slot[layout.position_slots] = max_positions
     has_channel = np.zeros(3 * len(position_joints), np.bool_)
-    has_channel[layout.slots] = True
-    faults = _zero_length_warning(
-        rig, position_joints, reaches, has_channel, str(source.path)
+    has_channel[layout.position_slots] = True
+    faults = _collapsed_bones_notice(
+        rig, position_joints, max_per_slot, has_channel, str(source.path)
     )
     notices.extend(faults)
     notices.extend(radians_warning(ranges, rig, str(source.path)))
 
 
-def _zero_length_warning(
+def _collapsed_bones_notice(
     rig: Rig,
     position_joints: IntArray,
-    reaches: FloatArray,
+    max_positions: FloatArray,
     has_channel: BoolArray,
     path: str,
 ) -> list[Fault]:
@@ -294,26 +299,26 @@ def _zero_length_warning(
     Args:
         rig: The skeleton.
         position_joints: Joints with position channels ``(M,)``.
-        reaches: Largest absolute value of each position along each axis ``(3 M,)``.
+        max_positions: Largest absolute value of each position channel ``(3 M,)``.
         has_channel: Whether each axis has a channel ``(3 M,)``.
         path: The file.
     """
     offsets = rig.rest_translations[position_joints]
-    extents = np.where(
-        has_channel.reshape(-1, 3), reaches.reshape(-1, 3), np.abs(offsets)
+    max_extents = np.where(
+        has_channel.reshape(-1, 3), max_positions.reshape(-1, 3), np.abs(offsets)
     )
-    sizes = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
-    lengths = np.linalg.norm(extents, axis=1) * rig.meters_per_unit
-    is_short = lengths <= MIN_LENGTH_FRACTION * sizes * rig.meters_per_unit
-    has_length = (sizes > 0) & (rig.parents[position_joints] >= 0)
+    offset_lengths = np.linalg.norm(offsets, axis=1) / rig.meters_per_unit
+    lengths = np.linalg.norm(max_extents, axis=1) * rig.meters_per_unit
+    is_short = lengths <= MIN_LENGTH_FRACTION * offset_lengths * rig.meters_per_unit
+    has_length = (offset_lengths > 0) & (rig.parents[position_joints] >= 0)
     is_collapsed = is_short & has_length
     if not is_collapsed.any():
         return []
     names = [rig.names[j] for j in position_joints[is_collapsed].tolist()]
-    reach = sizes[is_collapsed].max()
+    longest_offset = offset_lengths[is_collapsed].max()
     message = (
         f"the position channels of {counted(len(names), 'joint')} are 0 in all "
-        f"frames, but their OFFSETs reach {reach:.4g}: the joints are at "
+        f"frames, but their OFFSETs reach {longest_offset:.4g}: the joints are at "
         f"their parents, without a bone ({listed(names, MAX_LISTED_JOINTS)})"
     )
     hint = (

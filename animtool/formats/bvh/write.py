@@ -1,4 +1,4 @@
-"""A take as the text of a BVH file."""
+"""Writes a take as a BVH file."""
 
 from __future__ import annotations
 
@@ -23,9 +23,10 @@ from animtool.rig.skeleton import Joint, Rig
 # units: both far finer than float32.
 ANGLE_DECIMALS = 7
 LENGTH_DECIMALS = 9
-# A float32 quaternion has errors up to 1e-5 degrees about axes without rotation.
+# Tolerance of unused rotation channels [deg]; float32 quaternions have errors up to
+# 1e-5 degrees about axes without rotation.
 UNUSED_AXIS_TOLERANCE = 1e-4
-# The same for lengths, relative to the largest offset.
+# Tolerance of unused position channels, relative to the largest offset.
 UNUSED_LENGTH_TOLERANCE = 1e-6
 
 _POSITION_CHANNELS = ("Xposition", "Yposition", "Zposition")
@@ -33,7 +34,7 @@ _DEFAULT_ROTATION_CHANNELS = ("Zrotation", "Xrotation", "Yrotation")
 
 
 def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
-    """Write a take as a BVH file, in the unit of its rig; see `bvh_text`.
+    """Write a take as a BVH file, in the unit of its rig; see `build_bvh_text`.
 
     Args:
         take: The take.
@@ -47,10 +48,10 @@ def write_bvh(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
         OptionError: The rig has no joints (RIG044), or the file exists (OUT001).
         OutputError: The file cannot be written (OUT002).
     """
-    return write_text(take, path, bvh_text, overwrite=overwrite)
+    return write_text(take, path, build_bvh_text, overwrite=overwrite)
 
 
-def bvh_text(take: Take) -> TakeText:
+def build_bvh_text(take: Take) -> TakeText:
     """Return a take as BVH text in its rig's unit (RIG044 without joints).
 
     Joints keep the channels and names they were read with if these can represent the
@@ -69,21 +70,21 @@ def bvh_text(take: Take) -> TakeText:
     for i, joint in enumerate(take.rig.joints):
         if joint.parent >= 0:
             children[joint.parent].append(i)
-    size = float(np.abs(offsets).max(initial=0.0))
+    max_offset = float(np.abs(offsets).max(initial=0.0))
 
     columns: list[FloatArray] = []
     decimals: list[int] = []
-    layouts: dict[int, tuple[str, ...]] = {}
+    channel_orders: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
     # Columns follow the joints' order in the hierarchy.
     for j in _depth_first(take.rig, children):
         joint = take.rig.joints[j]
-        tolerance = UNUSED_LENGTH_TOLERANCE * size
+        tolerance = UNUSED_LENGTH_TOLERANCE * max_offset
         positions = _position_channels(joint, translations[:, j], offsets[j], tolerance)
         rotation_names, angles = _rotation_channels(joint, rotations[:, j])
-        order = _declared_order(joint, positions, rotation_names)
-        layouts[j] = order
-        for name in order:
+        channel_order = _order_channels(joint, positions, rotation_names)
+        channel_orders[j] = channel_order
+        for name in channel_order:
             if name in positions:
                 columns.append(translations[:, j, "XYZ".index(name[0])])
                 decimals.append(LENGTH_DECIMALS)
@@ -92,14 +93,14 @@ def bvh_text(take: Take) -> TakeText:
                 decimals.append(ANGLE_DECIMALS)
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
     return TakeText(
-        _header_lines(take, offsets, children, layouts),
+        _header_lines(take, offsets, children, channel_orders),
         number_rows(rows, decimals),
         _scale_notices(take) + _shape_notices(take) + _unit_notices(take.rig),
     )
 
 
 def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
-    """Return joint indices depth-first: each joint, then everything below it."""
+    """Return joint indices depth-first, as in a BVH hierarchy."""
     order, stack = [], rig.roots[::-1]
     while stack:
         j = stack.pop()
@@ -111,18 +112,18 @@ def _depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
 def _position_channels(
     joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
-    """Return the position channels that a joint needs."""
+    """Return the position channels needed to store a joint's translations."""
     declared_names = tuple(
         name for name in joint.channels or () if name.endswith("position")
     )
-    off_rest = np.abs(values - offset).max(axis=0) > tolerance
+    is_off_rest = np.abs(values - offset).max(axis=0) > tolerance
     is_covered = all(
-        not off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
+        not is_off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
         for axis in range(3)
     )
     if joint.channels is not None and is_covered:
         return declared_names
-    if joint.parent < 0 or off_rest.any():
+    if joint.parent < 0 or is_off_rest.any():
         return _POSITION_CHANNELS
     return ()
 
@@ -130,28 +131,28 @@ def _position_channels(
 def _rotation_channels(
     joint: Joint, values: FloatArray
 ) -> tuple[tuple[str, ...], FloatArray]:
-    """Return the rotation channels that a joint needs and their angles."""
+    """Return the rotation channels needed for a joint's rotations, and their angles."""
     declared_names = tuple(
         name for name in joint.channels or () if name.endswith("rotation")
     )
     names = declared_names if joint.channels is not None else _DEFAULT_ROTATION_CHANNELS
-    order = "".join(name[0] for name in names)
-    order += "".join(letter for letter in "XYZ" if letter not in order)
-    axes = np.array([axes_of(order)], np.int32)
+    axis_order = "".join(name[0] for name in names)
+    axis_order += "".join(letter for letter in "XYZ" if letter not in axis_order)
+    axes = np.array([axes_of(axis_order)], np.int32)
     angles = _kernels.quaternion_to_euler(np.ascontiguousarray(values[:, None]), axes)[
         :, 0
     ]
-    stated_count = len(names)
-    unused_angle = np.abs(angles[:, stated_count:]).max(initial=0.0)
-    if stated_count == 3 or unused_angle <= UNUSED_AXIS_TOLERANCE:
-        return names, angles[:, :stated_count]
-    return tuple(f"{letter}rotation" for letter in order), angles
+    declared_count = len(names)
+    max_unused_angle = np.abs(angles[:, declared_count:]).max(initial=0.0)
+    if declared_count == 3 or max_unused_angle <= UNUSED_AXIS_TOLERANCE:
+        return names, angles[:, :declared_count]
+    return tuple(f"{letter}rotation" for letter in axis_order), angles
 
 
-def _declared_order(
+def _order_channels(
     joint: Joint, positions: tuple[str, ...], rotations: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Return the channels in the order the joint declares, if it does."""
+    """Return channels in the declared order of a joint, else positions first."""
     declared_names = joint.channels or ()
     needed_names = set(positions) | set(rotations)
     if needed_names == set(declared_names):
@@ -163,7 +164,7 @@ def _header_lines(
     take: Take,
     offsets: FloatArray,
     children: list[list[int]],
-    layouts: dict[int, tuple[str, ...]],
+    channel_orders: dict[int, tuple[str, ...]],
 ) -> Iterator[str]:
     yield "HIERARCHY"
     # A stack replaces recursion: chains may be thousands of joints long.
@@ -179,7 +180,7 @@ def _header_lines(
         yield f"{indent}{kind} {joint.source_name or joint.name}"
         yield f"{indent}{{"
         yield f"{indent}\tOFFSET {_vector_text(offsets[index])}"
-        channels = layouts[index]
+        channels = channel_orders[index]
         yield f"{indent}\tCHANNELS {' '.join([str(len(channels)), *channels])}"
         for tip in _end_sites(joint, children[index]):
             vector = _vector_text(np.asarray(tip) / take.rig.meters_per_unit)
@@ -197,7 +198,7 @@ def _header_lines(
 def _end_sites(
     joint: Joint, children: list[int]
 ) -> tuple[tuple[float, float, float], ...]:
-    """Return End Sites: leaf joints get one unless their source stored tips or none."""
+    """Return End Site offsets; leaf joints of other formats get one of length 0."""
     if joint.tips or children or joint.channels is not None:
         return joint.tips
     return ((0.0, 0.0, 0.0),)
@@ -219,8 +220,8 @@ def frame_time(rate: Fraction) -> str:
     for decimals in range(6, 18):
         text = f"{float(1 / rate):.{decimals}f}"
         if float(text) > 0:
-            choice = rate_from_frame_time(text)
-            if choice.fps == rate and not choice.ambiguous_rates:
+            rate_choice = rate_from_frame_time(text)
+            if rate_choice.fps == rate and not rate_choice.ambiguous_rates:
                 break
     return text
 

@@ -1,4 +1,4 @@
-"""Layout claims: layout values stated by the header and parameters of a C3D."""
+"""Collects the layout values that header and parameters of a C3D file state."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Iterable
 from animtool.core.record import dataclass
 from animtool.formats.c3d.sections import BLOCK_BYTES, Sections
 
-# Full 16-bit counts: a take that states one of these may be longer.
-FULL_COUNTS = (32767, 65535)
-WORD_VALUES = 65536
+# Saturated 16-bit counts: a take that states one of these may be longer.
+SATURATED_COUNTS = (32767, 65535)
+WORD_RANGE = 65536
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,26 +20,26 @@ class Claim:
     Attributes:
         source: The field, as named in messages.
         value: The stated value.
-        weight: Cost of reading the file against it; claims below 0.5 are hints that
-            messages do not mention.
-        full: Whether the field cannot state a larger value.
-        wraps: Whether the field has 16 bits and wraps to 0 for longer takes.
+        weight: Cost of a layout that contradicts it; claims below 0.5 are hints, not
+            mentioned in messages.
+        is_saturated: Whether the field cannot state a larger value.
+        can_wrap: Whether the field has 16 bits and wraps to 0 for longer takes.
     """
 
     source: str
     value: int
     weight: float
-    full: bool = False
-    wraps: bool = False
+    is_saturated: bool = False
+    can_wrap: bool = False
 
     def cost(self, value: int) -> float:
-        """Return the cost of reading a value other than this claim's."""
-        if value == self.value or (self.full and value > self.value):
+        """Return the cost of a value that may contradict this claim."""
+        if value == self.value or (self.is_saturated and value > self.value):
             return 0.0
         if (
-            self.wraps
-            and value >= WORD_VALUES
-            and value % WORD_VALUES == self.value % WORD_VALUES
+            self.can_wrap
+            and value >= WORD_RANGE
+            and value % WORD_RANGE == self.value % WORD_RANGE
         ):
             return 0.25
         return self.weight
@@ -55,8 +55,8 @@ class Claims:
         points: Points per frame.
         analog: Analogue values per frame, all samples of all channels.
         frames: Number of frames.
-        candidates: Further values tried for `analog` that no field states.
-        after: End of the parameters [byte]; no data lie between it and `begin`.
+        analog_candidates: Further values of `analog` to try that no field states.
+        parameters_end: End of the parameters [byte]; the data start there or later.
     """
 
     begin: tuple[Claim, ...]
@@ -64,12 +64,12 @@ class Claims:
     points: tuple[Claim, ...]
     analog: tuple[Claim, ...]
     frames: tuple[Claim, ...]
-    candidates: tuple[int, ...] = ()
-    after: int = 0
+    analog_candidates: tuple[int, ...] = ()
+    parameters_end: int = 0
 
 
-def claims_of(sections: Sections) -> Claims:
-    """Return the layout values that a file states."""
+def collect_claims(sections: Sections) -> Claims:
+    """Return all layout values that a file states."""
     analog, candidates = _analog_claims(sections)
     return Claims(
         tuple(_begin_claims(sections)),
@@ -87,19 +87,19 @@ def unsigned_word(sections: Sections, group: str, name: str) -> int | None:
     value = sections.number(group, name)
     if value is None or not math.isfinite(value):
         return None
-    return int(value) if value >= WORD_VALUES else int(value) & (WORD_VALUES - 1)
+    return int(value) if value >= WORD_RANGE else int(value) & (WORD_RANGE - 1)
 
 
-def trial_fields(sections: Sections) -> tuple[int | None, int | None]:
+def trial_frame_range(sections: Sections) -> tuple[int | None, int | None]:
     """Return the first and last frame numbers of the trial."""
     first, last = (
-        _joined_words(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
+        _join_words(sections.numbers("TRIAL", f"ACTUAL_{name}_FIELD"))
         for name in ("START", "END")
     )
     return first, last
 
 
-def _joined_words(words: list[float]) -> int | None:
+def _join_words(words: list[float]) -> int | None:
     """Return a number stored as two 16-bit words, low word first."""
     if not words or not all(map(math.isfinite, words)):
         return None
@@ -111,7 +111,7 @@ def _begin_claims(sections: Sections) -> Iterable[Claim]:
     candidates = (
         ("header word 9", sections.header.data_block, 1.0),
         ("POINT:DATA_START", unsigned_word(sections, "POINT", "DATA_START"), 0.75),
-        # Without parameters that is the end of the header.
+        # Without parameters this is the end of the header.
         ("the end of the parameters", sections.end_block, 0.25),
     )
     for source, block, weight in candidates:
@@ -139,66 +139,84 @@ def _point_claims(sections: Sections) -> Iterable[Claim]:
         labels.pop()
     if labels:
         # Many writers only label the first 255 points.
-        yield Claim("POINT:LABELS", len(labels), 0.25, full=len(labels) == 255)
+        yield Claim("POINT:LABELS", len(labels), 0.25, is_saturated=len(labels) == 255)
 
 
 def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
-    """Return claims about analogue values per frame, and other candidates."""
+    """Return claims about analogue values per frame, and unclaimed candidates."""
     header_count, samples = sections.header.analog, sections.header.samples
     claims = [Claim("header word 3", header_count, 1.0)]
     used_channels = unsigned_word(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
-    ratio = _samples_per_frame(rates[0], rates[1] or sections.header.rate)
+    samples_from_rates = _analog_samples_per_frame(
+        rates[0], rates[1] or sections.header.rate
+    )
     if used_channels == 0:
         claims.append(Claim("ANALOG:USED", 0, 0.75))
     elif used_channels is not None:
-        of_word = "ANALOG:USED x header word 10"
-        of_rate = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
+        word_source = "ANALOG:USED x header word 10"
+        rate_source = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
         if samples:
-            claims.append(Claim(of_word, used_channels * samples, 0.75))
-        if ratio:
-            claims.append(Claim(of_rate, used_channels * ratio, 0.75))
+            claims.append(Claim(word_source, used_channels * samples, 0.75))
+        if samples_from_rates:
+            claims.append(Claim(rate_source, used_channels * samples_from_rates, 0.75))
     channels = {
         used_channels or 0,
         header_count,
         len(sections.texts("ANALOG", "LABELS")),
     }
-    factors = {1, samples, ratio or 0}
-    candidates = {0, *(a * b for a in channels for b in factors)}
+    factors = {1, samples, samples_from_rates or 0}
+    candidates = {
+        0,
+        *(channel_count * factor for channel_count in channels for factor in factors),
+    }
     return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 
-def _samples_per_frame(analog: float | None, point: float | None) -> int | None:
-    """Return analogue samples per frame from the rates, if that is an integer."""
-    if not analog or not point or not math.isfinite(analog) or not point > 0:
+def _analog_samples_per_frame(
+    analog_rate: float | None, point_rate: float | None
+) -> int | None:
+    """Return analogue samples per frame from the rates; None if not an integer."""
+    if (
+        not analog_rate
+        or not point_rate
+        or not math.isfinite(analog_rate)
+        or not point_rate > 0
+    ):
         return None
-    ratio = analog / point
-    in_range = math.isfinite(ratio) and 0.5 < ratio < WORD_VALUES
+    ratio = analog_rate / point_rate
+    is_in_range = math.isfinite(ratio) and 0.5 < ratio < WORD_RANGE
     return (
-        round(ratio) if in_range and abs(ratio - round(ratio)) < 1e-3 * ratio else None
+        round(ratio)
+        if is_in_range and abs(ratio - round(ratio)) < 1e-3 * ratio
+        else None
     )
 
 
 def _frame_claims(sections: Sections) -> Iterable[Claim]:
     header = sections.header
     if not (header.first == 0 and header.last == 0):
-        count = (header.last - header.first + 1) % WORD_VALUES
-        is_full = header.last in FULL_COUNTS or count in FULL_COUNTS
+        count = (header.last - header.first + 1) % WORD_RANGE
+        is_saturated = header.last in SATURATED_COUNTS or count in SATURATED_COUNTS
         if count:
-            yield Claim("header words 4 and 5", count, 1.0, is_full, wraps=True)
-    start, end = trial_fields(sections)
+            yield Claim("header words 4 and 5", count, 1.0, is_saturated, can_wrap=True)
+    start, end = trial_frame_range(sections)
     if end is not None:
         count = end - (header.first if start is None else start) + 1
-        is_full = end in FULL_COUNTS or count in FULL_COUNTS
+        is_saturated = end in SATURATED_COUNTS or count in SATURATED_COUNTS
         if count > 0:
-            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, is_full)
+            yield Claim("TRIAL:ACTUAL_END_FIELD", count, 0.5, is_saturated)
     long_frames = sections.number("POINT", "LONG_FRAMES")
     if long_frames is not None and math.isfinite(long_frames) and long_frames >= 1:
         count = int(long_frames)
-        yield Claim("POINT:LONG_FRAMES", count, 0.5, count in FULL_COUNTS)
+        yield Claim("POINT:LONG_FRAMES", count, 0.5, count in SATURATED_COUNTS)
     frame_count = unsigned_word(sections, "POINT", "FRAMES")
     if frame_count:
-        is_full = frame_count in FULL_COUNTS
+        is_saturated = frame_count in SATURATED_COUNTS
         yield Claim(
-            "POINT:FRAMES", frame_count, 0.5, is_full, wraps=frame_count < WORD_VALUES
+            "POINT:FRAMES",
+            frame_count,
+            0.5,
+            is_saturated,
+            can_wrap=frame_count < WORD_RANGE,
         )

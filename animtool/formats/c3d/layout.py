@@ -1,4 +1,4 @@
-"""C3D data layout: the combination of stated counts that fits the file's size."""
+"""Chooses the C3D data layout: the stated counts that fit the file's size."""
 
 from __future__ import annotations
 
@@ -10,18 +10,25 @@ from animtool.core.record import dataclass
 from animtool.formats.c3d.claims import Claim, Claims
 from animtool.formats.c3d.sections import BLOCK_BYTES
 
-# Costs in addition to those of contradicted claims: padding after the last frame that
-# is not zero (DIRTY), bytes after the last frame that are not padding (TRAILING), bytes
-# before the first frame that are not zero (SKIPPED), a count that no field states
-# (UNSTATED), a number of frames solved from the file size (FITTED), and other counts
-# solved from it (SOLVED).
-DIRTY, TRAILING, SKIPPED, UNSTATED, FITTED, SOLVED = 0.75, 3.0, 1.0, 0.5, 1.0, 1.5
-# Evidence of positions: largest fraction of outliers, and largest mean step of smooth
-# motion and smallest of noise.
-MAX_OUTLIERS, MAX_SMOOTH_ROUGHNESS, NOISE = 0.1, 0.25, 0.5
-# Difference of scores that decides for a combination.
+# Costs in addition to those of contradicted claims: nonzero padding after the last
+# frame (DIRTY), bytes after the last frame that are not padding (TRAILING), nonzero
+# bytes before the first frame (SKIPPED), a count that no field states (UNSTATED), a
+# number of frames solved from the file size (FITTED), and other counts solved from it
+# (SOLVED).
+DIRTY_COST, TRAILING_COST, SKIPPED_COST, UNSTATED_COST, FITTED_COST, SOLVED_COST = (
+    0.75,
+    3.0,
+    1.0,
+    0.5,
+    1.0,
+    1.5,
+)
+# Thresholds for positions: fraction of outliers, roughness of smooth motion, and
+# roughness of noise.
+MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
+# Cost difference that decides for a layout.
 DECISIVE_COST_GAP = 0.2
-# Number of combinations whose values are judged.
+# Maximum number of layouts whose values are examined.
 MAX_JUDGED_LAYOUTS = 16
 # Claims with less weight are hints.
 MIN_CLAIM_WEIGHT = 0.5
@@ -37,10 +44,10 @@ class Layout:
         points: Points per frame.
         analog: Numbers after the points of a frame.
         frames: Number of frames.
-        trailing: Bytes after the last frame, except zeros up to a full block.
+        trailing_bytes: Bytes after the last frame, except zeros up to a full block.
         cost: Total cost of contradicted claims.
         needs_evidence: Whether it is used only if its numbers look like positions.
-        solved: Whether one of its counts is not stated by any field.
+        is_solved: Whether one of its counts is not stated by any field.
     """
 
     begin: int
@@ -48,23 +55,23 @@ class Layout:
     points: int
     analog: int
     frames: int
-    trailing: int = 0
+    trailing_bytes: int = 0
     cost: float = 0.0
     needs_evidence: bool = False
-    solved: bool = False
+    is_solved: bool = False
 
     @property
-    def row(self) -> int:
+    def numbers_per_frame(self) -> int:
         """Count of numbers per frame."""
         return 4 * self.points + self.analog
 
     @property
     def end(self) -> int:
         """Byte offset after the last frame."""
-        return self.begin + self.width * self.row * self.frames
+        return self.begin + self.width * self.numbers_per_frame * self.frames
 
     def __str__(self) -> str:
-        """Return the counts as text."""
+        """Describe the layout for messages."""
         kind = "floats" if self.width == 4 else "integers"
         return (
             f"{self.frames} frames of {self.points} points and {self.analog} "
@@ -77,59 +84,60 @@ class Evidence:
     """Plausibility of a layout's numbers as positions over frames.
 
     Attributes:
-        outliers: Fraction of points that cannot be positions.
-        rough: Mean step between frames relative to the spread of all positions; NaN if
-            nothing moves or no two frames are consecutive.
+        outlier_fraction: Fraction of points that cannot be positions.
+        roughness: Mean step between frames, relative to the spread of all positions;
+            NaN if nothing moves or no two frames are consecutive.
     """
 
-    outliers: float
-    rough: float
+    outlier_fraction: float
+    roughness: float
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The chosen layout, or why none fits.
+    """The layout to read, or the closest ones if none fits.
 
     Attributes:
         layout: The layout to read; None if none fits.
-        short: The layout with the least contradictions that needs more bytes than the
-            file has.
+        truncated: The layout with the fewest contradictions among those that need more
+            bytes than the file has.
         rivals: Layouts that the evidence cannot decide between.
     """
 
     layout: Layout | None
-    short: Layout | None = None
+    truncated: Layout | None = None
     ambiguous_rates: tuple[Layout, ...] = ()
 
 
 def choose_layout(
     claims: Claims,
     data: bytes,
-    ends: Sequence[int],
-    evidence_of: Callable[[Layout], Evidence],
+    end_offsets: Sequence[int],
+    measure_evidence: Callable[[Layout], Evidence],
 ) -> LayoutResult:
-    """Return the combination of claims that fits the file at the lowest cost.
+    """Return the layout that fits the file and contradicts the fewest claims.
 
     Args:
         claims: Values stated by the file.
         data: Content of the file.
-        ends: Offsets at which the points may end [byte]; the last is the file size.
-        evidence_of: Returns the evidence for a layout.
+        end_offsets: Byte offsets where the points may end; the last is the file size.
+        measure_evidence: Returns the evidence for a layout.
     """
     cheapest: dict[tuple[int, ...], Layout] = {}
     truncated_layout: Layout | None = None
-    zero_bytes = _trailing_zeros(data)
-    for layout in _combinations(claims, ends[-1], zero_bytes):
-        if layout.end > ends[-1] or layout.begin > ends[-1]:
-            if not layout.solved and (
+    padding = _count_padding(data)
+    for layout in _combinations(claims, end_offsets[-1], padding):
+        if layout.end > end_offsets[-1] or layout.begin > end_offsets[-1]:
+            if not layout.is_solved and (
                 truncated_layout is None or layout.cost < truncated_layout.cost
             ):
                 truncated_layout = layout
             continue
         candidate = min(
-            (_with_trailing(layout, data, end) for end in ends), key=_layout_order
+            (_add_trailing_cost(layout, data, end) for end in end_offsets),
+            key=_sort_key,
         )
-        candidate = _with_skipped(candidate, claims.after, data)
+        candidate = _add_skipped_cost(candidate, claims.parameters_end, data)
         key = (
             candidate.begin,
             candidate.width,
@@ -139,33 +147,33 @@ def choose_layout(
         )
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
-    candidates = sorted(cheapest.values(), key=_layout_order)[:MAX_JUDGED_LAYOUTS]
+    candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_JUDGED_LAYOUTS]
     if truncated_layout is not None and truncated_layout.cost < MIN_CLAIM_WEIGHT:
-        # If all claims agree but the file is too small, it is truncated, unless other
-        # claims fill it.
+        # All claims agree but the file is too small: it is truncated, unless other
+        # claims match its size exactly.
         candidates = [
-            layout_
-            for layout_ in candidates
-            if layout_.trailing == 0 and not layout_.solved
+            candidate_layout
+            for candidate_layout in candidates
+            if candidate_layout.trailing_bytes == 0 and not candidate_layout.is_solved
         ]
     if not candidates:
         return LayoutResult(None, truncated_layout)
     if candidates[0].cost < MIN_CLAIM_WEIGHT:
         return LayoutResult(candidates[0])
-    outcome = _choose_by_evidence(candidates, truncated_layout, evidence_of)
-    best = outcome.layout
+    result = _choose_by_evidence(candidates, truncated_layout, measure_evidence)
+    best = result.layout
     if best is None:
-        return outcome
+        return result
     if (
-        best.trailing
+        best.trailing_bytes
         and truncated_layout is not None
-        and truncated_layout.cost < best.cost - TRAILING
+        and truncated_layout.cost < best.cost - TRAILING_COST
     ):
         return LayoutResult(None, truncated_layout)
-    return outcome
+    return result
 
 
-def _trailing_zeros(data: bytes) -> int:
+def _count_padding(data: bytes) -> int:
     """Return the number of trailing zero bytes, if the last block is full."""
     if len(data) % BLOCK_BYTES:
         return 0
@@ -176,7 +184,7 @@ def _trailing_zeros(data: bytes) -> int:
 def contradicted_claims(
     claims: Claims, layout: Layout
 ) -> list[tuple[str, int, list[Claim]]]:
-    """Return quantities read against claims: name, value and those claims."""
+    """Return contradicted quantities: name, value and the contradicting claims."""
     contradictions = []
     for name in ("frames", "points", "analog", "width", "begin"):
         value = getattr(layout, name)
@@ -186,16 +194,19 @@ def contradicted_claims(
             if claim.weight >= MIN_CLAIM_WEIGHT and claim.value != value
         ]
         supporting = [claim for claim in getattr(claims, name) if claim.value == value]
-        # Full 16-bit counts do not contradict a larger count that another claim states.
+        # A saturated count does not contradict a larger count that another claim
+        # states.
         opposing = [
-            c for c in opposing if c.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
+            claim
+            for claim in opposing
+            if claim.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
         ]
         if opposing:
             contradictions.append((name, value, opposing))
     return contradictions
 
 
-def _layout_order(layout: Layout) -> tuple[float, ...]:
+def _sort_key(layout: Layout) -> tuple[float, ...]:
     return (
         layout.cost, layout.begin, layout.width, layout.points, layout.analog,
         layout.frames,
@@ -203,19 +214,28 @@ def _layout_order(layout: Layout) -> tuple[float, ...]:
 
 
 def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
-    """Yield combinations of stated counts, one of them solved from the size.
+    """Yield layouts of all combinations of stated counts, or with one count solved.
 
     ``size`` is that of the file, ``padding`` that of the zeros at its end [byte].
     """
-    widths = _with_costs(claims.width, (2, 4))
-    for (begin, by_b), (width, by_w) in itertools.product(
-        _with_costs(claims.begin), widths
+    widths = _costed_values(claims.width, (2, 4))
+    for (begin, begin_cost), (width, width_cost) in itertools.product(
+        _costed_values(claims.begin), widths
     ):
-        against_width = by_w >= MIN_CLAIM_WEIGHT and _all_agree(claims.width)
+        contradicts_width = width_cost >= MIN_CLAIM_WEIGHT and _claims_agree(
+            claims.width
+        )
         capacity = ((size - begin) // width, (size - begin - padding) // width)
-        for p, a, f, counts, is_solved in _count_combinations(claims, *capacity):
-            cost, needs_evidence = by_b + by_w + counts, against_width or is_solved
-            yield Layout(begin, width, p, a, f, 0, cost, needs_evidence, is_solved)
+        for points, analog, frames, count_cost, is_solved in _count_combinations(
+            claims, *capacity
+        ):
+            cost, needs_evidence = (
+                begin_cost + width_cost + count_cost,
+                contradicts_width or is_solved,
+            )
+            yield Layout(
+                begin, width, points, analog, frames, 0, cost, needs_evidence, is_solved
+            )
 
 
 def _count_combinations(
@@ -226,42 +246,71 @@ def _count_combinations(
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
     """
-    points, frames = _with_costs(claims.points), _with_costs(claims.frames)
-    analog = _with_costs(claims.analog, claims.candidates)
-    claimed = {claim.value for claim in claims.analog}
-    for (p, by_p), (a, by_a) in itertools.product(points, analog):
-        row, is_unclaimed = 4 * p + a, a not in claimed
-        for f, by_f in frames:
-            yield p, a, f, by_p + by_a + by_f, is_unclaimed
+    points, frames = _costed_values(claims.points), _costed_values(claims.frames)
+    analog = _costed_values(claims.analog, claims.analog_candidates)
+    claimed_values = {claim.value for claim in claims.analog}
+    for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
+        points, analog
+    ):
+        numbers_per_frame, is_unclaimed = (
+            4 * point_count + analog_count,
+            analog_count not in claimed_values,
+        )
+        for frame_count, frame_cost in frames:
+            yield (
+                point_count,
+                analog_count,
+                frame_count,
+                point_cost + analog_cost + frame_cost,
+                is_unclaimed,
+            )
         frame_counts = (
-            _counts_from_size(claims, -(-min_numbers // row))
-            if row and min_numbers > 0
+            _solve_frame_counts(claims, -(-min_numbers // numbers_per_frame))
+            if numbers_per_frame and min_numbers > 0
             else ()
         )
-        for f, by_f, is_solved in frame_counts:
-            yield p, a, f, by_p + by_a + by_f, is_unclaimed or is_solved
-    for f, by_f in frames:
-        for p, by_p in points if _may_solve(claims.analog) else ():
-            a = capacity // f - 4 * p
-            if a >= 0:
-                cost = by_p + by_f + _claims_cost(claims.analog, a) + SOLVED
-                yield p, a, f, cost, True
-        for a, by_a in analog if _may_solve(claims.points) else ():
-            p, remainder = divmod(capacity // f - a, 4)
-            if p > 0 and remainder == 0:
-                cost = by_a + by_f + _claims_cost(claims.points, p) + SOLVED
-                yield p, a, f, cost, True
+        for frame_count, frame_cost, is_solved in frame_counts:
+            yield (
+                point_count,
+                analog_count,
+                frame_count,
+                point_cost + analog_cost + frame_cost,
+                is_unclaimed or is_solved,
+            )
+    for frame_count, frame_cost in frames:
+        for point_count, point_cost in points if _can_solve(claims.analog) else ():
+            analog_count = capacity // frame_count - 4 * point_count
+            if analog_count >= 0:
+                cost = (
+                    point_cost
+                    + frame_cost
+                    + _claims_cost(claims.analog, analog_count)
+                    + SOLVED_COST
+                )
+                yield point_count, analog_count, frame_count, cost, True
+        for analog_count, analog_cost in analog if _can_solve(claims.points) else ():
+            point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
+            if point_count > 0 and remainder == 0:
+                cost = (
+                    analog_cost
+                    + frame_cost
+                    + _claims_cost(claims.points, point_count)
+                    + SOLVED_COST
+                )
+                yield point_count, analog_count, frame_count, cost, True
 
 
-def _with_costs(
+def _costed_values(
     claims: Sequence[Claim], other_values: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return candidate values, each with the cost of contradicted claims."""
-    claimed = {claim.value for claim in claims}
-    unclaimed_cost = UNSTATED if claims else 0.0
-    return [(value, _claims_cost(claims, value)) for value in sorted(claimed)] + [
+    """Return candidate values, each with the cost of the claims it contradicts."""
+    claimed_values = {claim.value for claim in claims}
+    unclaimed_cost = UNSTATED_COST if claims else 0.0
+    return [
+        (value, _claims_cost(claims, value)) for value in sorted(claimed_values)
+    ] + [
         (value, _claims_cost(claims, value) + unclaimed_cost)
-        for value in sorted(set(other_values) - claimed)
+        for value in sorted(set(other_values) - claimed_values)
     ]
 
 
@@ -269,103 +318,119 @@ def _claims_cost(claims: Sequence[Claim], value: int) -> float:
     return sum(claim.cost(value) for claim in claims)
 
 
-def _all_agree(claims: Sequence[Claim]) -> bool:
-    """Return whether all claims with weight state one value."""
+def _claims_agree(claims: Sequence[Claim]) -> bool:
+    """Return whether all claims that are not hints state one value."""
     return (
         len({claim.value for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT}) == 1
     )
 
 
-def _may_solve(claims: Sequence[Claim]) -> bool:
-    """Return whether a value may be solved from the size: no claims settle it."""
+def _can_solve(claims: Sequence[Claim]) -> bool:
+    """Return whether a value may be solved from the file size: claims leave it open."""
     decisive = [claim for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT]
-    return len(decisive) < 2 or not _all_agree(claims)
+    return len(decisive) < 2 or not _claims_agree(claims)
 
 
-def _counts_from_size(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
-    """Return frame counts solved from the file size, with cost and a flag.
+def _solve_frame_counts(claims: Claims, count: int) -> list[tuple[int, float, bool]]:
+    """Return frame counts solved from the file size: value, cost, and whether solved.
 
-    That is, if stated counts are full 16-bit values, wrap around, differ, or are
-    missing. ``count`` is the number of frames that fit into the data.
+    Empty unless stated counts are saturated, wrap around, differ, or are missing.
+    ``count`` is the number of frames that fit into the data.
     """
     frames = claims.frames
     if any(claim.value == count for claim in frames):
         return []
     cost = _claims_cost(frames, count)
-    if not frames or any(claim.full and count > claim.value for claim in frames):
-        return [(count, cost + UNSTATED, False)]
-    if any(claim.wraps and claim.cost(count) < claim.weight for claim in frames):
+    if not frames or any(
+        claim.is_saturated and count > claim.value for claim in frames
+    ):
+        return [(count, cost + UNSTATED_COST, False)]
+    if any(claim.can_wrap and claim.cost(count) < claim.weight for claim in frames):
         return [(count, cost, False)]
-    return [] if _all_agree(frames) else [(count, cost + FITTED, True)]
+    return [] if _claims_agree(frames) else [(count, cost + FITTED_COST, True)]
 
 
-def _with_skipped(layout: Layout, after: int, data: bytes) -> Layout:
-    """Return a layout with the cost of skipped nonzero bytes."""
-    gap = layout.begin - after
-    if gap <= 0 or data.count(b"\0", after, layout.begin) == gap:
+def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:
+    """Add the cost of nonzero bytes before the first frame to a layout."""
+    gap_bytes = layout.begin - parameters_end
+    if gap_bytes <= 0 or data.count(b"\0", parameters_end, layout.begin) == gap_bytes:
         return layout
-    return replace(layout, cost=layout.cost + SKIPPED)
+    return replace(layout, cost=layout.cost + SKIPPED_COST)
 
 
-def _with_trailing(layout: Layout, data: bytes, end: int) -> Layout:
-    """Return a layout with its count of unused bytes, and their cost."""
+def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
+    """Add the number of bytes after the last frame and their cost to a layout."""
     unused_bytes = end - layout.end
     if unused_bytes < 0:
-        return replace(layout, trailing=-unused_bytes, cost=layout.cost + TRAILING)
-    is_padding = unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
-    size = layout.width * layout.row
-    if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
-        # A last frame of zeros is more likely padding, too.
-        last_frame = layout.end - size
-        zeros = (
-            0 < size < BLOCK_BYTES - unused_bytes
-            and data.count(b"\0", last_frame, layout.end) == size
+        return replace(
+            layout, trailing_bytes=-unused_bytes, cost=layout.cost + TRAILING_COST
         )
-        return replace(layout, cost=layout.cost + DIRTY) if zeros else layout
+    is_padding = unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
+    frame_bytes = layout.width * layout.numbers_per_frame
+    if is_padding and data.count(b"\0", layout.end, end) == unused_bytes:
+        # A last frame of zeros is probably padding.
+        last_frame = layout.end - frame_bytes
+        is_zero_frame = (
+            0 < frame_bytes < BLOCK_BYTES - unused_bytes
+            and data.count(b"\0", last_frame, layout.end) == frame_bytes
+        )
+        return (
+            replace(layout, cost=layout.cost + DIRTY_COST) if is_zero_frame else layout
+        )
     if unused_bytes == 0:
         return layout
     return replace(
         layout,
-        trailing=unused_bytes,
-        cost=layout.cost + (DIRTY if is_padding else TRAILING),
+        trailing_bytes=unused_bytes,
+        cost=layout.cost + (DIRTY_COST if is_padding else TRAILING_COST),
     )
 
 
 def _choose_by_evidence(
     candidates: Sequence[Layout],
     truncated_layout: Layout | None,
-    evidence_of: Callable[[Layout], Evidence],
+    measure_evidence: Callable[[Layout], Evidence],
 ) -> LayoutResult:
-    """Return the best of several layouts after judging their numbers."""
-    with_evidence = [(layout, evidence_of(layout)) for layout in candidates]
-    outliers = min(evidence.outliers for _, evidence in with_evidence)
-    smallest_step = min(
-        (e.rough for _, e in with_evidence if e.rough >= 0), default=0.0
+    """Return the layout whose numbers look most like positions."""
+    layouts_with_evidence = [
+        (layout, measure_evidence(layout)) for layout in candidates
+    ]
+    min_outlier_fraction = min(
+        evidence.outlier_fraction for _, evidence in layouts_with_evidence
     )
-    scored = []
-    for layout, evidence in with_evidence:
-        if layout.solved and layout.trailing:
+    min_roughness = min(
+        (
+            evidence.roughness
+            for _, evidence in layouts_with_evidence
+            if evidence.roughness >= 0
+        ),
+        default=0.0,
+    )
+    scored_layouts = []
+    for layout, evidence in layouts_with_evidence:
+        if layout.is_solved and layout.trailing_bytes:
             continue
         if layout.needs_evidence and not (
-            evidence.outliers <= MAX_OUTLIERS and evidence.rough <= MAX_SMOOTH_ROUGHNESS
+            evidence.outlier_fraction <= MAX_OUTLIER_FRACTION
+            and evidence.roughness <= MAX_SMOOTH_ROUGHNESS
         ):
             continue
-        if layout.trailing >= BLOCK_BYTES and _is_noise(layout, evidence):
+        if layout.trailing_bytes >= BLOCK_BYTES and _is_noise(layout, evidence):
             continue
-        penalty = 4.0 * (evidence.outliers > outliers + 0.02)
-        penalty += 4.0 * (evidence.rough > 3.0 * smallest_step + 0.02)
-        scored.append(replace(layout, cost=layout.cost + penalty))
-    if not scored:
+        penalty = 4.0 * (evidence.outlier_fraction > min_outlier_fraction + 0.02)
+        penalty += 4.0 * (evidence.roughness > 3.0 * min_roughness + 0.02)
+        scored_layouts.append(replace(layout, cost=layout.cost + penalty))
+    if not scored_layouts:
         return LayoutResult(
             None, truncated_layout, () if truncated_layout else tuple(candidates[:3])
         )
-    scored.sort(key=_layout_order)
-    best = scored[0]
+    scored_layouts.sort(key=_sort_key)
+    best = scored_layouts[0]
     rivals = [
         layout
-        for layout in scored
+        for layout in scored_layouts
         if layout.cost < best.cost + DECISIVE_COST_GAP
-        and _row_key(layout) != _row_key(best)
+        and _interpretation_key(layout) != _interpretation_key(best)
     ]
     if rivals:
         return LayoutResult(None, truncated_layout, (best, *rivals[:2]))
@@ -374,11 +439,11 @@ def _choose_by_evidence(
 
 def _is_noise(layout: Layout, evidence: Evidence) -> bool:
     """Return whether numbers look like noise; a single static point always does."""
-    return evidence.outliers > MAX_OUTLIERS or (
-        layout.points > 1 and evidence.rough > NOISE
+    return evidence.outlier_fraction > MAX_OUTLIER_FRACTION or (
+        layout.points > 1 and evidence.roughness > NOISE_ROUGHNESS
     )
 
 
-def _row_key(layout: Layout) -> tuple[int, ...]:
-    """Return the values that assign numbers to coordinates."""
-    return layout.begin, layout.width, layout.points, layout.row
+def _interpretation_key(layout: Layout) -> tuple[int, ...]:
+    """Return the values that determine how numbers become coordinates."""
+    return layout.begin, layout.width, layout.points, layout.numbers_per_frame

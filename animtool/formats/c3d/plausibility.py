@@ -1,4 +1,4 @@
-"""Whether numbers of a C3D file look like positions over frames."""
+"""Measures whether numbers of a C3D file look like positions over frames."""
 
 from __future__ import annotations
 
@@ -24,40 +24,42 @@ MIN_COORDINATE = 1e-12
 MAX_WORD = 32768.0
 
 
-def evidence_of(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Return how plausible a layout's numbers are as positions over frames."""
+def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evidence:
+    """Return the evidence that a layout's numbers are positions over frames."""
     if layout.points == 0:
         return Evidence(0.0, math.nan)
-    length = min(RUN_FRAMES, layout.frames)
-    begins = np.linspace(0, layout.frames - length, SAMPLED_RUNS).astype(np.int64)
-    size = layout.width * layout.row
+    run_length = min(RUN_FRAMES, layout.frames)
+    begins = np.linspace(0, layout.frames - run_length, SAMPLED_RUNS).astype(np.int64)
+    frame_bytes = layout.width * layout.numbers_per_frame
     runs = []
     for begin in sorted(set(begins.tolist())):
-        at = layout.begin + size * begin
-        run_bytes = data[at : at + size * length]
+        offset = layout.begin + frame_bytes * begin
+        run_bytes = data[offset : offset + frame_bytes * run_length]
         point_numbers = 4 * layout.points
-        rows = processor.rows(run_bytes, layout.width, layout.row, point_numbers)
-        runs.append(rows.reshape(length, layout.points, 4))
-    return _evidence(np.array(runs), layout.width)
+        rows = processor.rows(
+            run_bytes, layout.width, layout.numbers_per_frame, point_numbers
+        )
+        runs.append(rows.reshape(run_length, layout.points, 4))
+    return _measure_runs(np.array(runs), layout.width)
 
 
-def _evidence(runs: FloatArray, width: int) -> Evidence:
-    """Return the plausibility of runs of frames ``(R, L, M, 4)``."""
+def _measure_runs(runs: FloatArray, width: int) -> Evidence:
+    """Return the evidence of runs of consecutive frames ``(R, L, M, 4)``."""
     positions, words = runs[..., :3], runs[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
-        sizes = np.abs(positions)
-        invalid_word = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
+        magnitudes = np.abs(positions)
+        is_outlier = ~np.isfinite(words) | (words < -1.5) | (words > MAX_WORD)
         if width == 4:
-            out_of_range = ~(sizes < MAX_COORDINATE)
-            tiny = (sizes > 0) & (sizes < MIN_COORDINATE)
-            invalid_word |= (out_of_range | tiny).any(axis=-1)
-        visible = ~invalid_word & (words > -0.5) & (sizes > 0).any(axis=-1)
-    if not visible.any():
-        return Evidence(float(invalid_word.mean()), 1.0)
-    spread = float(np.sqrt(positions[visible].var(axis=0).sum()))
-    visible_pair = visible[:, 1:] & visible[:, :-1]
-    if not visible_pair.any() or spread == 0.0:
-        return Evidence(float(invalid_word.mean()), math.nan)
-    positions = np.where(visible[..., None], positions, 0.0)
-    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[visible_pair]
-    return Evidence(float(invalid_word.mean()), float(steps.mean()) / spread)
+            out_of_range = ~(magnitudes < MAX_COORDINATE)
+            is_tiny = (magnitudes > 0) & (magnitudes < MIN_COORDINATE)
+            is_outlier |= (out_of_range | is_tiny).any(axis=-1)
+        is_visible = ~is_outlier & (words > -0.5) & (magnitudes > 0).any(axis=-1)
+    if not is_visible.any():
+        return Evidence(float(is_outlier.mean()), 1.0)
+    spread = float(np.sqrt(positions[is_visible].var(axis=0).sum()))
+    is_visible_pair = is_visible[:, 1:] & is_visible[:, :-1]
+    if not is_visible_pair.any() or spread == 0.0:
+        return Evidence(float(is_outlier.mean()), math.nan)
+    positions = np.where(is_visible[..., None], positions, 0.0)
+    steps = np.linalg.norm(np.diff(positions, axis=1), axis=-1)[is_visible_pair]
+    return Evidence(float(is_outlier.mean()), float(steps.mean()) / spread)

@@ -19,10 +19,10 @@ from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import (
-    WORD_VALUES,
+    WORD_RANGE,
     Claim,
-    claims_of,
-    trial_fields,
+    collect_claims,
+    trial_frame_range,
     unsigned_word,
 )
 from animtool.formats.c3d.layout import (
@@ -31,7 +31,7 @@ from animtool.formats.c3d.layout import (
     choose_layout,
     contradicted_claims,
 )
-from animtool.formats.c3d.plausibility import evidence_of
+from animtool.formats.c3d.plausibility import measure_evidence
 from animtool.formats.c3d.sections import (
     BLOCK_BYTES,
     MalformedError,
@@ -41,7 +41,7 @@ from animtool.formats.c3d.sections import (
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.motion.markers import Markers
 
-# A C3D file states its up axis by the axes that point right and up on a screen.
+# C3D files state the axes that point right and up on a screen.
 
 _AXIS = re.compile(r"([+-]?)([XYZ])")
 # For other up axes than +Y and +Z: the up axis after conversion, and the order and
@@ -56,7 +56,7 @@ _UP_CONVERSIONS = {
 
 @dataclass(frozen=True, slots=True)
 class ScreenAxes:
-    """The up axis, and the axis permutation that converts to it.
+    """Up axis of a file, and the axis permutation that converts positions to it.
 
     Attributes:
         up: The up axis of the converted positions.
@@ -68,44 +68,49 @@ class ScreenAxes:
     order: IntArray | None = None
     signs: FloatArray | None = None
 
-    def converted(self, positions: FloatArray) -> FloatArray:
-        """Return positions ``(..., 3)`` rotated so that `up` is up."""
+    def convert(self, positions: FloatArray) -> FloatArray:
+        """Return positions ``(..., 3)`` rotated to the up axis."""
         if self.order is None or self.signs is None:
             return positions
         return positions[..., self.order] * self.signs
 
 
-def read_screen(
-    file: MarkerFile, sections: Sections, option: UpAxis | None
+def read_screen_axes(
+    file: MarkerFile, sections: Sections, stated_up: UpAxis | None
 ) -> ScreenAxes:
     """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
-    if option is not None:
-        return ScreenAxes(UpAxis(option))
-    right, up = (_axis(file, sections, f"{name}_SCREEN") for name in "XY")
-    if up is None and right is not None and right[1] == "Y":
+    if stated_up is not None:
+        return ScreenAxes(UpAxis(stated_up))
+    right_axis, up_axis = (
+        _read_axis(file, sections, f"{name}_SCREEN") for name in "XY"
+    )
+    if up_axis is None and right_axis is not None and right_axis[1] == "Y":
         # Y points sideways and cannot be the default up axis.
-        message = f"the file states no up axis; using Z, as X_SCREEN is {right}"
+        message = f"the file states no up axis; using Z, as X_SCREEN is {right_axis}"
         file.note("MKR103", message, f"set the up axis with {argument('source.up')}")
         return ScreenAxes(UpAxis.Z)
-    if up is None:
+    if up_axis is None:
         return ScreenAxes(file.up(None, None))
-    if right is not None and right[1] == up[1]:
-        message = f"X_SCREEN is {right} and Y_SCREEN {up}, which are the same axis; "
+    if right_axis is not None and right_axis[1] == up_axis[1]:
+        message = (
+            f"X_SCREEN is {right_axis} and Y_SCREEN {up_axis}, which are the same "
+            "axis; "
+        )
         file.warn(
             "C3D105",
-            f"{message}{up} is used as up",
+            f"{message}{up_axis} is used as up",
             f"{argument('source.up', 'Y')} or {argument('source.up', 'Z')}",
         )
-    if up not in _UP_CONVERSIONS:
-        return ScreenAxes(UpAxis(up[1]))
-    axis, order, signs = _UP_CONVERSIONS[up]
-    message = f"has {up} up; positions are rotated so that {axis} is up"
+    if up_axis not in _UP_CONVERSIONS:
+        return ScreenAxes(UpAxis(up_axis[1]))
+    axis, order, signs = _UP_CONVERSIONS[up_axis]
+    message = f"has {up_axis} up; positions are rotated so that {axis} is up"
     file.note("C3D106", message)
     return ScreenAxes(axis, np.array(order), np.array(signs, np.float64))
 
 
-def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
-    """Return a signed axis such as ``+Z``."""
+def _read_axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
+    """Return a signed axis such as ``+Z``; None if missing or invalid."""
     texts = sections.texts("POINT", name)
     text = texts[0].strip() if texts else ""
     if not text:
@@ -122,11 +127,15 @@ def _axis(file: MarkerFile, sections: Sections, name: str) -> str | None:
     return f"{match[1] or '+'}{match[2]}"
 
 
-# Evidence that numbers of a C3D file are positions over frames.
-
-
 # Parameters that list the labels of model outputs, which are stored like points.
-MODEL_OUTPUTS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS", "REACTIONS")
+MODEL_OUTPUT_PARAMETERS = (
+    "ANGLES",
+    "FORCES",
+    "MOMENTS",
+    "POWERS",
+    "SCALARS",
+    "REACTIONS",
+)
 # Parameter group in which `write_c3d` lists filled positions.
 ANIMTOOL_GROUP = "ANIMTOOL"
 
@@ -168,97 +177,102 @@ def read_c3d(
         message = "has no parameters: names, unit and up axis are unknown, and "
         message += "nothing confirms the counts in its header"
         file.warn("C3D107", message, "check the number of points and frames")
-    layout = _layout(file, sections, data)
+    layout = _find_layout(file, sections, data)
     _check_scale(file, sections, layout)
-    length = file.unit(_length_unit(sections), unit, LengthUnit.MM)
+    length_unit = file.unit(_length_unit(sections), unit, LengthUnit.MM)
     rate = file.rate(_frame_rate(file, sections, fps), fps)
-    screen = read_screen(file, sections, up)
-    positions, words = _points(sections, layout, data)
+    screen_axes = read_screen_axes(file, sections, up)
+    positions, words = _read_points(sections, layout, data)
     names, columns = _marker_names(file, sections, layout.points, subject)
     positions, words = positions[:, columns], words[:, columns]
     positions[words < 0] = np.nan
-    positions = screen.converted(file.clean_positions(positions, length.meters))
+    positions = screen_axes.convert(file.clean_positions(positions, length_unit.meters))
     visible = np.isfinite(positions[..., 0])
-    scale = abs(_point_scale(sections)) * length.meters
+    residual_scale = abs(_point_scale(sections)) * length_unit.meters
     first_frame = _first_frame(sections, layout.frames)
     clock = Clock(rate, Fraction(first_frame), Fraction(1), layout.frames)
     return Markers(
         names,
         clock,
         positions,
-        screen.up,
+        screen_axes.up,
         _camera_counts(words, visible),
-        _residuals(words, visible, scale),
+        _residuals(words, visible, residual_scale),
         _filled_positions(sections, words, visible, columns),
         tuple(file.notices),
     )
 
 
-def _layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
+def _find_layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     """Return the layout that fits the file; warn about contradicted claims."""
-    claims = claims_of(sections)
+    claims = collect_claims(sections)
     ends = [*_data_ends(sections, len(data)), len(data)]
-    outcome = choose_layout(
+    result = choose_layout(
         claims,
         data,
         ends,
-        lambda contradiction: evidence_of(contradiction, data, sections.processor),
+        lambda candidate: measure_evidence(candidate, data, sections.processor),
     )
-    layout = outcome.layout
+    layout = result.layout
     if layout is None:
-        raise _layout_error(file, outcome, len(data))
+        raise _layout_error(file, result, len(data))
     if layout.points == 0 or layout.frames == 0:
         noun = "points" if layout.points == 0 else "frames"
         raise file.error("MKR013", f"has no {noun}")
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
         raise file.error("C3D001", message + "above the limit")
-    contradictions = [
-        _contradiction_text(*contradiction)
-        for contradiction in contradicted_claims(claims, layout)
+    candidates = [
+        _candidate_text(*candidate) for candidate in contradicted_claims(claims, layout)
     ]
-    if contradictions:
+    if candidates:
         message = (
             "its header, parameters and size disagree; what matches the file size is "
         )
-        file.warn("C3D101", f"{message}read: {'; '.join(contradictions)}")
-    if layout.trailing >= min(BLOCK_BYTES, layout.width * layout.row) or (
-        layout.trailing and len(data) % BLOCK_BYTES
-    ):
-        message = f"has {counted(layout.trailing, 'byte')} after the last of "
+        file.warn("C3D101", f"{message}read: {'; '.join(candidates)}")
+    if layout.trailing_bytes >= min(
+        BLOCK_BYTES, layout.width * layout.numbers_per_frame
+    ) or (layout.trailing_bytes and len(data) % BLOCK_BYTES):
+        message = f"has {counted(layout.trailing_bytes, 'byte')} after the last of "
         message += f"{counted(layout.frames, 'frame')}, which are ignored"
         file.warn("C3D108", message, "check the number of frames")
     return layout
 
 
 def _data_ends(sections: Sections, size: int) -> list[int]:
-    """Return offsets where points may end before the file does: at rotations."""
-    block = unsigned_word(sections, "ROTATION", "DATA_START")
+    """Return byte offsets where points may end before the end of the file."""
+    rotation_block = unsigned_word(sections, "ROTATION", "DATA_START")
     rotations = sections.number("ROTATION", "USED")
-    if not block or not rotations or not block > 2:
+    if not rotation_block or not rotations or not rotation_block > 2:
         return []
-    return [end for end in [BLOCK_BYTES * (block - 1)] if end < size]
+    return [end for end in [BLOCK_BYTES * (rotation_block - 1)] if end < size]
 
 
-def _layout_error(file: MarkerFile, outcome: LayoutResult, size: int) -> FormatError:
+def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatError:
     """Return the error for a file whose size fits no combination of counts."""
-    if len(outcome.ambiguous_rates) == 1:
-        (only_rival,) = outcome.ambiguous_rates
+    if len(result.ambiguous_rates) == 1:
+        (rival,) = result.ambiguous_rates
         message = (
-            f"its counts do not match its size of {size} bytes: {only_rival} end at "
+            f"its counts do not match its size of {size} bytes: {rival} end at "
         )
-        message += f"{only_rival.end}, and are not positions"
+        message += f"{rival.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
-    if outcome.ambiguous_rates:
+    if result.ambiguous_rates:
         message = "its header, parameters and size disagree, and nothing resolves it: "
-        message += f"between {' or '.join(map(str, outcome.ambiguous_rates))}"
+        message += f"between {' or '.join(map(str, result.ambiguous_rates))}"
         return file.error("C3D003", message, "export it again")
-    short = outcome.short
-    if short is None or not short.points or not short.frames:
+    truncated = result.truncated
+    if truncated is None or not truncated.points or not truncated.frames:
         return file.error("MKR013", "has no points in frames")
-    available = max(0, size - short.begin)
-    message = f"is truncated: it claims {short}, {short.end - short.begin} bytes; "
-    message += f"it has {available}, {available // (short.width * short.row)} frames"
+    available_bytes = max(0, size - truncated.begin)
+    message = (
+        f"is truncated: it claims {truncated}, {truncated.end - truncated.begin} "
+        "bytes; "
+    )
+    message += (
+        f"it has {available_bytes}, "
+        f"{available_bytes // (truncated.width * truncated.numbers_per_frame)} frames"
+    )
     return file.error("C3D002", message, "copy or export it again")
 
 
@@ -271,19 +285,19 @@ _QUANTITIES = {
 }
 
 
-def _contradiction_text(name: str, value: int, contradicting: list[Claim]) -> str:
+def _candidate_text(name: str, value: int, contradicting: list[Claim]) -> str:
     claims = ", ".join(f"{claim.value} ({claim.source})" for claim in contradicting)
     return f"{value} {_QUANTITIES[name]}, not {claims}"
 
 
 def _first_frame(sections: Sections, frames: int) -> int:
-    """Return the number of the first frame, which may exceed the header's range."""
+    """Return the first frame number, which may exceed the 16 bits of the header."""
     header = sections.header
-    start, end = trial_fields(sections)
+    start, end = trial_frame_range(sections)
     if start is None or end is None or end - start + 1 != frames:
         return header.first
-    header_fits = header.last - header.first + 1 == frames and end < WORD_VALUES
-    return header.first if header_fits else start
+    is_header_valid = header.last - header.first + 1 == frames and end < WORD_RANGE
+    return header.first if is_header_valid else start
 
 
 def _point_scale(sections: Sections) -> float:
@@ -295,10 +309,17 @@ def _point_scale(sections: Sections) -> float:
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
     """Warn about a scale that is missing or stated with two values."""
-    header, parameter_scale = sections.header.scale, sections.number("POINT", "SCALE")
+    header_scale, parameter_scale = (
+        sections.header.scale,
+        sections.number("POINT", "SCALE"),
+    )
     if layout.width == 4:
         return
-    scales = [abs(s) for s in (parameter_scale, header) if s and np.isfinite(s)]
+    scales = [
+        abs(scale)
+        for scale in (parameter_scale, header_scale)
+        if scale and np.isfinite(scale)
+    ]
     if not scales:
         message = "has integers without a scale; they are read unscaled"
         file.warn("C3D101", message, "check the size of the captured subject")
@@ -313,12 +334,16 @@ def _frame_rate(
     file: MarkerFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
     """Return the stated frame rate; parameters come before the header."""
-    header, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
+    header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
-        return header
-    if fps is None and header > 0 and not np.isclose(header, parameter_rate, rtol=1e-4):
+        return header_rate
+    if (
+        fps is None
+        and header_rate > 0
+        and not np.isclose(header_rate, parameter_rate, rtol=1e-4)
+    ):
         message = (
-            f"its header has {header:g} fps, but its parameters {parameter_rate:g}"
+            f"its header has {header_rate:g} fps, but its parameters {parameter_rate:g}"
         )
         file.warn("C3D101", f"{message}; using the parameters")
     return parameter_rate
@@ -329,46 +354,48 @@ def _length_unit(sections: Sections) -> str | None:
     return texts[0] if texts else None
 
 
-def _points(
+def _read_points(
     sections: Sections, layout: Layout, data: bytes
 ) -> tuple[FloatArray, IntArray]:
-    """Return positions ``(F, M, 3)`` in file units, and the fourth words."""
-    raw = data[layout.begin : layout.end]
-    rows = sections.processor.rows(raw, layout.width, layout.row, 4 * layout.points)
+    """Return positions ``(F, M, 3)`` in file units, and the status words ``(F, M)``."""
+    data_bytes = data[layout.begin : layout.end]
+    rows = sections.processor.rows(
+        data_bytes, layout.width, layout.numbers_per_frame, 4 * layout.points
+    )
     rows = rows.reshape(layout.frames, layout.points, 4)
     positions = np.ascontiguousarray(rows[..., :3])
     if layout.width == 2:
         positions *= abs(_point_scale(sections))
     fourth_words = rows[..., 3]
-    usable = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
+    is_valid_word = np.isfinite(fourth_words) & (np.abs(fourth_words) < 2**31)
     # The sign of the last word marks a point as not visible.
     words = np.where(
-        usable, fourth_words, np.where(fourth_words < 0, -1.0, 0.0)
+        is_valid_word, fourth_words, np.where(fourth_words < 0, -1.0, 0.0)
     ).astype(np.int64)
     words[fourth_words < 0] = -1
     return positions, words
 
 
 def _marker_names(
-    file: MarkerFile, sections: Sections, points: int, subject: str | None
+    file: MarkerFile, sections: Sections, point_count: int, subject: str | None
 ) -> tuple[tuple[str, ...], IntArray]:
     """Return marker names and point indices, without model outputs."""
     labels = sections.texts("POINT", "LABELS")
-    if len(labels) < points:
-        message = f"names {len(labels)} of {counted(points, 'point')}"
+    if len(labels) < point_count:
+        message = f"names {len(labels)} of {counted(point_count, 'point')}"
         file.warn("C3D102", f"{message}; the others are unlabelled points")
-    labels = [*labels[:points], *[""] * (points - len(labels))]
+    labels = [*labels[:point_count], *[""] * (point_count - len(labels))]
     model_labels = {
         label
-        for group in MODEL_OUTPUTS
+        for group in MODEL_OUTPUT_PARAMETERS
         for label in sections.texts("POINT", group)
         if label
     }
     columns = np.array([i for i, name in enumerate(labels) if name not in model_labels])
-    if len(columns) < points:
-        left_out = [name for name in labels if name in model_labels]
-        message = f"{counted(len(left_out), 'result')} of models skipped: "
-        file.note("C3D103", message + listed(left_out))
+    if len(columns) < point_count:
+        skipped_labels = [name for name in labels if name in model_labels]
+        message = f"{counted(len(skipped_labels), 'result')} of models skipped: "
+        file.note("C3D103", message + listed(skipped_labels))
     if not len(columns):
         raise file.error("MKR013", "has no marker points")
     return file.names([labels[i] for i in columns.tolist()], subject), columns
@@ -383,37 +410,41 @@ def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
 
 
 def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray | None:
-    """Return residuals [m]; 0 means the position was not measured."""
-    steps = words & 0xFF
-    is_measured = visible & (steps > 0)
-    return np.where(is_measured, steps * scale, np.nan) if is_measured.any() else None
+    """Return residuals [m]; NaN where the position was not measured."""
+    residual_steps = words & 0xFF
+    is_measured = visible & (residual_steps > 0)
+    return (
+        np.where(is_measured, residual_steps * scale, np.nan)
+        if is_measured.any()
+        else None
+    )
 
 
 def _filled_positions(
     sections: Sections, words: IntArray, visible: BoolArray, columns: IntArray
 ) -> BoolArray | None:
-    """Return which positions were filled, not measured ``(F, M)``.
+    """Return which positions were filled rather than measured ``(F, M)``.
 
-    Our own parameter group lists them; in other files, residual and cameras of 0 mean
-    filled if other positions have nonzero ones.
+    animtool lists them in its own parameter group. In other files, a residual and
+    cameras of 0 mean filled if other positions have nonzero ones.
     """
     animtool_group = sections.groups.get(ANIMTOOL_GROUP)
     if animtool_group is not None:
-        return _recorded_filled(sections, visible, columns)
+        return _read_filled_group(sections, visible, columns)
     if not (visible & (words > 0)).any():
         return None
     is_filled = visible & (words == 0)
     return is_filled if is_filled.any() else None
 
 
-def _recorded_filled(
+def _read_filled_group(
     sections: Sections, visible: BoolArray, marker_columns: IntArray
 ) -> BoolArray | None:
     is_filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(marker_columns.tolist())}
-    number = 1
+    parameter_number = 1
     while True:
-        key = "FILLED" if number == 1 else f"FILLED{number}"
+        key = "FILLED" if parameter_number == 1 else f"FILLED{parameter_number}"
         rows = np.array(sections.numbers(ANIMTOOL_GROUP, key))
         if not len(rows):
             break
@@ -422,6 +453,6 @@ def _recorded_filled(
                 begin = int(min(max(first, 0), len(visible)))
                 end = int(min(max(last + 1, 0), len(visible)))
                 is_filled[begin:end, columns[int(marker)]] = True
-        number += 1
+        parameter_number += 1
     is_filled &= visible
     return is_filled if is_filled.any() else None

@@ -1,4 +1,4 @@
-"""C3D header and parameters; no count in the file is trusted.
+"""Reads C3D header and parameters without trusting any count in the file.
 
 References:
     Motion Lab Systems, "The C3D File Format: A Technical User Guide", 2021.
@@ -22,8 +22,8 @@ BLOCK_BYTES = 512
 MAGIC = 80
 # Limit of groups and parameters per file; the format allows 127 groups.
 MAX_PARAMETERS = 20_000
-# Plausible scales, and rates [1/s], of captures; values read in the wrong byte order
-# are outside.
+# Range of plausible scales and rates [1/s] of captures; values in the wrong byte order
+# are outside it.
 MIN_SCALE, MAX_SCALE = 1e-8, 1e5
 MIN_RATE, MAX_RATE = 0.5, 1e5
 
@@ -49,26 +49,30 @@ class Processor(IntEnum):
         return np.frombuffer(data, f"{self.order}i2").astype(np.int64)
 
     def floats(self, data: bytes) -> FloatArray:
-        """Return 32-bit floats as float64; DEC's are VAX F: words swapped, times 4."""
+        """Return 32-bit floats as float64; DEC's are in VAX F format."""
         if self is not Processor.DEC:
             # Invalid bytes become NaN, signalling or quiet.
             with np.errstate(invalid="ignore"):
                 return np.frombuffer(data, f"{self.order}f4").astype(np.float64)
         words = np.frombuffer(data, "<u2").reshape(-1, 2)[:, ::-1]
-        raw = np.ascontiguousarray(words).view("<u4").ravel()
-        fraction = (raw & 0x7FFFFF) | 0x800000
-        exponent = ((raw >> 23) & 0xFF).astype(np.int64)
+        bits = np.ascontiguousarray(words).view("<u4").ravel()
+        fraction = (bits & 0x7FFFFF) | 0x800000
+        exponent = ((bits >> 23) & 0xFF).astype(np.int64)
         # An exponent of 0 means zero, and there is no infinity.
-        size = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
-        return np.where(raw >> 31, -size, size)
+        magnitude = np.where(exponent == 0, 0.0, np.ldexp(fraction, exponent - 152))
+        return np.where(bits >> 31, -magnitude, magnitude)
 
-    def rows(self, data: bytes, width: int, row: int, columns: int) -> FloatArray:
+    def rows(
+        self, data: bytes, width: int, numbers_per_row: int, columns: int
+    ) -> FloatArray:
         """Return the first numbers ``(F, columns)`` of rows of integers or floats."""
         if width == 4 and self is Processor.DEC:
-            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * row)[:, : 2 * columns]
+            pairs = np.frombuffer(data, "<u2").reshape(-1, 2 * numbers_per_row)[
+                :, : 2 * columns
+            ]
             return self.floats(pairs.tobytes()).reshape(-1, columns)
-        kind = f"{self.order}{'f4' if width == 4 else 'i2'}"
-        numbers = np.frombuffer(data, kind).reshape(-1, row)
+        dtype = f"{self.order}{'f4' if width == 4 else 'i2'}"
+        numbers = np.frombuffer(data, dtype).reshape(-1, numbers_per_row)
         # Arbitrary bytes may be signalling NaNs.
         with np.errstate(invalid="ignore"):
             return numbers[:, :columns].astype(np.float64)
@@ -130,49 +134,55 @@ class Sections:
 
 
 def read_sections(data: bytes) -> Sections:
-    """Return header and parameters; after a broken parameter, none are read.
+    """Return header and parameters, up to the first broken parameter.
 
-    A file without parameters is read by its header alone.
+    A file without parameters is read from its header alone.
     """
     if len(data) < BLOCK_BYTES or data[1] != MAGIC:
         state = "does not start like a C3D file" if data else "is empty"
         raise MalformedError(f"{state}; copy or export it again")
     start = BLOCK_BYTES * (data[0] - 1)
     has_parameters = data[0] >= 2 and start + 4 <= len(data)
-    kind = data[start + 3] if has_parameters else 0
-    is_known = kind in {int(p) for p in Processor}
-    if is_known:
-        processor = Processor(kind)
+    processor_code = data[start + 3] if has_parameters else 0
+    is_known_processor = processor_code in {int(p) for p in Processor}
+    if is_known_processor:
+        processor = Processor(processor_code)
         sections = Sections(_read_header(data, processor), processor)
     else:
-        sections = Sections(*_header_only(data, kind), has_processor=False)
+        sections = Sections(
+            *_guess_processor(data, processor_code), has_processor=False
+        )
     if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
-        sections = Sections(*_header_only(data, kind), has_processor=is_known)
-    if is_known or sections.groups:
+        sections = Sections(
+            *_guess_processor(data, processor_code), has_processor=is_known_processor
+        )
+    if is_known_processor or sections.groups:
         sections.end_block = data[0] + data[start + 2]
     return sections
 
 
 def _read_header(data: bytes, processor: Processor) -> Header:
     words = (processor.integers(data[:BLOCK_BYTES]) & 0xFFFF).tolist()
-    scale, rate = (float(processor.floats(data[a : a + 4])[0]) for a in (12, 20))
+    scale, rate = (
+        float(processor.floats(data[offset : offset + 4])[0]) for offset in (12, 20)
+    )
     points, analog, first, last = words[1:5]
-    block, samples = words[8:10]
-    return Header(points, analog, first, last, scale, block, samples, rate)
+    data_block, samples = words[8:10]
+    return Header(points, analog, first, last, scale, data_block, samples, rate)
 
 
-def _header_only(data: bytes, kind: int) -> tuple[Header, Processor]:
-    """Return the header of a file without parameters, and its processor."""
+def _guess_processor(data: bytes, kind: int) -> tuple[Header, Processor]:
+    """Return the first plausible header of a file, and its processor."""
     for processor in sorted(Processor, key=lambda p: (p != kind, p)):
         header = _read_header(data, processor)
-        if _is_possible(header, len(data)):
+        if _is_plausible_header(header, len(data)):
             return header, processor
     raise MalformedError("has no parameters where its header points")
 
 
-def _is_possible(header: Header, size: int) -> bool:
+def _is_plausible_header(header: Header, size: int) -> bool:
     """Return whether a header's values are possible for a capture."""
     scale, rate = header.scale, header.rate
     return (
@@ -184,70 +194,76 @@ def _is_possible(header: Header, size: int) -> bool:
     )
 
 
-def _read_parameters(sections: Sections, data: bytes, at: int) -> None:
+def _read_parameters(sections: Sections, data: bytes, offset: int) -> None:
     """Follow the chain of groups and parameters until it ends or breaks."""
     names: dict[int, str] = {}
-    before_group: list[tuple[int, str, Any]] = []
+    parameters: list[tuple[int, str, Any]] = []
     for _ in range(MAX_PARAMETERS):
-        if at + 2 > len(data):
+        if offset + 2 > len(data):
             break
-        length, number = _signed_byte(data[at]), _signed_byte(data[at + 1])
-        length = abs(length)  # below 0 is locked
-        body = at + 2 + length
-        if length == 0 or number == 0 or body + 2 > len(data):
-            break
-        name = _decoded_text(data[at + 2 : body]).upper()
-        next_offset = (
-            int(sections.processor.integers(data[body : body + 2])[0]) & 0xFFFF
+        name_length, group_id = (
+            _signed_byte(data[offset]),
+            _signed_byte(data[offset + 1]),
         )
-        if number < 0:
-            names[-number] = name
+        name_length = abs(name_length)  # below 0 is locked
+        body_offset = offset + 2 + name_length
+        if name_length == 0 or group_id == 0 or body_offset + 2 > len(data):
+            break
+        name = _decode_text(data[offset + 2 : body_offset]).upper()
+        next_offset = (
+            int(sections.processor.integers(data[body_offset : body_offset + 2])[0])
+            & 0xFFFF
+        )
+        if group_id < 0:
+            names[-group_id] = name
         else:
-            value = _parameter_value(sections.processor, data, body + 2)
+            value = _parse_parameter(sections.processor, data, body_offset + 2)
             if value is not None:
-                before_group.append((number, name, value))
+                parameters.append((group_id, name, value))
         if next_offset == 0:
             break
-        at = body + next_offset
-    # A group may come after its parameters.
+        offset = body_offset + next_offset
+    # A group may be defined after its parameters.
     for name in names.values():
         sections.groups.setdefault(name, {})
-    for number, name, value in before_group:
-        if number in names:
-            sections.groups[names[number]][name] = value
+    for group_id, name, value in parameters:
+        if group_id in names:
+            sections.groups[names[group_id]][name] = value
 
 
-def _parameter_value(processor: Processor, data: bytes, at: int) -> Any:
+def _parse_parameter(processor: Processor, data: bytes, offset: int) -> Any:
     """Return a parameter's array or texts; None if it is broken."""
-    if at + 2 > len(data):
+    if offset + 2 > len(data):
         return None
-    kind, dimensions = _signed_byte(data[at]), data[at + 1]
-    sizes = list(data[at + 2 : at + 2 + dimensions])
-    begin = at + 2 + dimensions
-    width = {-1: 1, 1: 1, 2: 2, 4: 4}.get(kind)
-    if width is None or dimensions > 7 or len(sizes) < dimensions:
+    type_code, dimensions = _signed_byte(data[offset]), data[offset + 1]
+    sizes = list(data[offset + 2 : offset + 2 + dimensions])
+    values_offset = offset + 2 + dimensions
+    value_bytes = {-1: 1, 1: 1, 2: 2, 4: 4}.get(type_code)
+    if value_bytes is None or dimensions > 7 or len(sizes) < dimensions:
         return None
     count = math.prod(sizes)
-    raw = data[begin : begin + count * width]
-    if len(raw) < count * width:
+    value_data = data[values_offset : values_offset + count * value_bytes]
+    if len(value_data) < count * value_bytes:
         return None
-    if kind == -1:
-        return _split_texts(raw, sizes)
-    if kind == 1:
-        return np.frombuffer(raw, np.int8).astype(np.int64).reshape(sizes[::-1])
-    convert = processor.integers if kind == 2 else processor.floats
-    return convert(raw).reshape(sizes[::-1])
+    if type_code == -1:
+        return _split_texts(value_data, sizes)
+    if type_code == 1:
+        return np.frombuffer(value_data, np.int8).astype(np.int64).reshape(sizes[::-1])
+    convert = processor.integers if type_code == 2 else processor.floats
+    return convert(value_data).reshape(sizes[::-1])
 
 
 def _split_texts(raw: bytes, sizes: Sequence[int]) -> list[str]:
     if len(sizes) < 2:
-        return [_decoded_text(raw)]
-    width = sizes[0]
+        return [_decode_text(raw)]
+    text_bytes = sizes[0]
     count = math.prod(sizes[1:])
-    return [_decoded_text(raw[i * width : (i + 1) * width]) for i in range(count)]
+    return [
+        _decode_text(raw[i * text_bytes : (i + 1) * text_bytes]) for i in range(count)
+    ]
 
 
-def _decoded_text(raw: bytes) -> str:
+def _decode_text(raw: bytes) -> str:
     """Return text decoded as UTF-8, else Latin-1."""
     raw = raw.partition(b"\0")[0].strip()
     try:

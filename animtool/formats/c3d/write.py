@@ -1,4 +1,4 @@
-"""C3D writer: marker trajectories to a file."""
+"""Writes marker trajectories as a C3D file."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ MAX_NAME_BYTES = 255
 MAX_COUNT = 65535
 MAX_CAMERAS = 7
 # Bytes before the parameters: first block, number of blocks, and processor.
-_PARAMETER_HEAD = 4
+_PARAMETER_HEAD_BYTES = 4
 # Maximum parameter blocks, counted in a byte.
 MAX_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 means that a point was not measured.
 RESIDUAL_STEPS = 255
 # Integer range from which readers expect the scale of floats to be derived.
 INTEGER_RANGE = 32000
-FRAMES_AT_ONCE = 4096
+BLOCK_FRAMES = 4096
 # Analogue samples per channel and frame. There are no channels, but readers compare
 # this number with the rates.
 ANALOG_SAMPLES = 1
@@ -61,33 +61,40 @@ def write_c3d(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    header = _file_head(markers, path)
+    header = _build_head(markers, path)
     write_parts(path, _file_chunks(markers, header))
-    return _loss_warnings(markers, str(path))
+    return _data_loss_notice(markers, str(path))
 
 
-def _file_head(markers: Markers, path: Path) -> bytes:
-    """Return header and parameters."""
-    frames, count = markers.positions.shape[:2]
+def _build_head(markers: Markers, path: Path) -> bytes:
+    """Return the bytes of header and parameters."""
+    frames, marker_count = markers.positions.shape[:2]
     blocks = 1
-    # The start of the data is a parameter itself.
-    section = _parameter_section(markers, 2 + blocks)
-    blocks = -(-(_PARAMETER_HEAD + len(section)) // BLOCK_BYTES)
-    if count > MAX_COUNT or blocks > MAX_BLOCKS or frames == 0 or count == 0:
+    # The parameters contain the start of the data, so their size is needed first.
+    parameters = _build_parameters(markers, 2 + blocks)
+    blocks = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
+    if (
+        marker_count > MAX_COUNT
+        or blocks > MAX_BLOCKS
+        or frames == 0
+        or marker_count == 0
+    ):
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
-        message += f"and at least one frame, not {count} in {frames} frames"
+        message += f"and at least one frame, not {marker_count} in {frames} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
-    section = _parameter_section(markers, 2 + blocks)
-    first, last = _clamped_range(markers.clock)
+    parameters = _build_parameters(markers, 2 + blocks)
+    first, last = _header_frame_range(markers.clock)
     scale = _residual_scale(markers)
-    header = bytes([2, MAGIC]) + struct.pack("<5H", count, 0, first, last, 0)
+    header = bytes([2, MAGIC]) + struct.pack("<5H", marker_count, 0, first, last, 0)
     rate = float(markers.clock.rate)
     header += struct.pack("<fHHf", scale, 2 + blocks, ANALOG_SAMPLES, rate)
-    text = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + section
-    return header.ljust(BLOCK_BYTES, b"\0") + text.ljust(BLOCK_BYTES * blocks, b"\0")
+    parameter_blocks = bytes([1, MAGIC, blocks, int(Processor.INTEL)]) + parameters
+    return header.ljust(BLOCK_BYTES, b"\0") + parameter_blocks.ljust(
+        BLOCK_BYTES * blocks, b"\0"
+    )
 
 
-def _clamped_range(clock: Clock) -> tuple[int, int]:
+def _header_frame_range(clock: Clock) -> tuple[int, int]:
     """Return the first and last frame number, clamped to the header's range."""
     first, last = _frame_range(clock)
     if last <= MAX_COUNT:
@@ -102,23 +109,25 @@ def _frame_range(clock: Clock) -> tuple[int, int]:
 
 
 def _residual_scale(markers: Markers) -> float:
-    """Return the scale [mm], negative for floats: the unit of residuals."""
+    """Return the scale [mm], the unit of residuals; negative for float files."""
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS
-    sizes = np.abs(markers.positions) * 1000.0
-    largest = np.nanmax(np.where(sizes <= FLOAT32_MAX, sizes, 0.0), initial=0.0)
+    magnitudes = np.abs(markers.positions) * 1000.0
+    largest = np.nanmax(
+        np.where(magnitudes <= FLOAT32_MAX, magnitudes, 0.0), initial=0.0
+    )
     return -max(float(largest), 1.0) / INTEGER_RANGE
 
 
-def _parameter_section(markers: Markers, data_block: int) -> bytes:
+def _build_parameters(markers: Markers, data_block: int) -> bytes:
     """Return the parameter section without its first four bytes."""
-    frames, count = markers.positions.shape[:2]
+    frames, marker_count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
     clamped_frames = min(frames, MAX_COUNT)
     x_screen, y_screen = ("+X", f"+{markers.up}")
-    point: dict[str, bytes] = {
-        "USED": _integer_parameter([count]),
+    point_group: dict[str, bytes] = {
+        "USED": _integer_parameter([marker_count]),
         "SCALE": _float_parameter([_residual_scale(markers)]),
         "RATE": _float_parameter([float(markers.clock.rate)]),
         "DATA_START": _integer_parameter([data_block]),
@@ -128,20 +137,21 @@ def _parameter_section(markers: Markers, data_block: int) -> bytes:
         "Y_SCREEN": _text_parameter([y_screen]),
     }
     if frames > MAX_COUNT:
-        point["LONG_FRAMES"] = _float_parameter([frames])
-    point.update(
+        point_group["LONG_FRAMES"] = _float_parameter([frames])
+    point_group.update(
         _continued_parameter(
-            "LABELS", [_text_parameter(n) for n in _chunk_texts(markers.names)]
+            "LABELS", [_text_parameter(texts) for texts in _chunk_texts(markers.names)]
         )
     )
-    blank = [""] * count
-    point.update(
+    blank_texts = [""] * marker_count
+    point_group.update(
         _continued_parameter(
-            "DESCRIPTIONS", [_text_parameter(n) for n in _chunk_texts(blank)]
+            "DESCRIPTIONS",
+            [_text_parameter(texts) for texts in _chunk_texts(blank_texts)],
         )
     )
     groups = {
-        "POINT": point,
+        "POINT": point_group,
         "ANALOG": {
             "USED": _integer_parameter([0]),
             "LABELS": _text_parameter([]),
@@ -160,15 +170,19 @@ def _parameter_section(markers: Markers, data_block: int) -> bytes:
             for i in range(0, len(spans), MAX_PARAMETER_ENTRIES)
         ]
         groups[ANIMTOOL_GROUP] = _continued_parameter("FILLED", rows)
-    out = b""
+    section = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
-        raw = name.encode()
-        out += struct.pack("<bb", len(raw), -number) + raw + struct.pack("<HB", 3, 0)
+        encoded_name = name.encode()
+        section += (
+            struct.pack("<bb", len(encoded_name), -number)
+            + encoded_name
+            + struct.pack("<HB", 3, 0)
+        )
         for key, body in entries.items():
-            raw = key.encode()
-            out += struct.pack("<bb", len(raw), number) + raw
-            out += struct.pack("<H", len(body) + 3) + body + b"\0"
-    return out + b"\0\0"
+            encoded_name = key.encode()
+            section += struct.pack("<bb", len(encoded_name), number) + encoded_name
+            section += struct.pack("<H", len(body) + 3) + body + b"\0"
+    return section + b"\0\0"
 
 
 def _continued_parameter(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
@@ -204,33 +218,33 @@ def _float_parameter(values: Sequence[float] | FloatArray) -> bytes:
 
 
 def filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
-    """Return marker, first and last frame of every filled span, from 0."""
+    """Return marker, first and last frame of every filled span, counted from 0."""
     if markers.filled is None:
         return []
     spans = []
     for marker in np.flatnonzero(markers.filled.any(axis=0)).tolist():
-        spans_of_marker = runs(markers.filled[:, marker])
-        spans += [(marker, first, end - 1) for first, end in spans_of_marker]
+        marker_spans = runs(markers.filled[:, marker])
+        spans += [(marker, first, end - 1) for first, end in marker_spans]
     return spans
 
 
 def _file_chunks(markers: Markers, header: bytes) -> Iterator[bytes]:
     yield header
     size = len(header)
-    for begin in range(0, len(markers), FRAMES_AT_ONCE):
-        rows = _frame_rows(markers, slice(begin, begin + FRAMES_AT_ONCE))
+    for begin in range(0, len(markers), BLOCK_FRAMES):
+        rows = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
         size += len(rows)
         yield rows
-    # Readers derive the number of frames from the size if the header cannot store it:
-    # zeros up to a full block would become frames.
+    # If the header cannot store the number of frames, readers derive it from the file
+    # size; zeros up to a full block would become frames.
     if len(markers) < MAX_COUNT:
         yield b"\0" * (-size % BLOCK_BYTES)
 
 
 def _frame_rows(markers: Markers, frames: slice) -> bytes:
     positions = markers.positions[frames] * 1000.0
-    visible = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
-    words = np.zeros(visible.shape, np.int64)
+    is_visible = np.asarray((np.abs(positions) <= FLOAT32_MAX).all(axis=-1))
+    words = np.zeros(is_visible.shape, np.int64)
     if markers.residuals is not None:
         steps = markers.residuals[frames] * 1000.0 / abs(_residual_scale(markers))
         is_finite = np.isfinite(steps)
@@ -243,23 +257,23 @@ def _frame_rows(markers: Markers, frames: slice) -> bytes:
         words += ((1 << camera_counts) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
-    words[~visible] = -1
-    values = np.where(visible[..., None], positions, 0.0)
+    words[~is_visible] = -1
+    values = np.where(is_visible[..., None], positions, 0.0)
     return np.concatenate([values, words[..., None]], -1).astype("<f4").tobytes()
 
 
-def _loss_warnings(markers: Markers, path: str) -> list[Fault]:
+def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
-    notices = []
+    losses = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        notices.append(f"a point has more than {MAX_CAMERAS} cameras")
+        losses.append(f"a point has more than {MAX_CAMERAS} cameras")
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
-        notices.append(f"the first frame {markers.clock.start}")
-    beyond_float32 = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
-    if beyond_float32.any():
-        count = counted(int(beyond_float32.sum()), "position")
-        notices.append(f"{count} beyond float32 in mm, written as not seen")
-    if not notices:
+        losses.append(f"the first frame {markers.clock.start}")
+    is_out_of_range = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
+    if is_out_of_range.any():
+        count = counted(int(is_out_of_range.sum()), "position")
+        losses.append(f"{count} beyond float32 in mm, written as not seen")
+    if not losses:
         return []
-    message = f"a C3D cannot hold {' and '.join(notices)}"
+    message = f"a C3D cannot hold {' and '.join(losses)}"
     return [Fault("C3D104", message, path, (), "write .npz", Severity.WARNING)]

@@ -1,4 +1,4 @@
-"""Characters of a file: one per skeleton, if a file has several."""
+"""Finds the characters of a file: one per skeleton if there are several."""
 
 from __future__ import annotations
 
@@ -6,57 +6,61 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import NodeTree, parents_first, root_nodes
+from animtool.formats.characters.nodes import (
+    NodeTree,
+    find_root_nodes,
+    sort_parents_first,
+)
 
-# The path that means the whole file.
+# Path that selects the complete file.
 FILE_PATH = "/"
 MAX_LISTED_CHARACTERS = 8
 
 
 @dataclass(frozen=True, slots=True)
 class CharacterNodes:
-    """The nodes of a skeleton, or of everything else that moves."""
+    """The nodes of one character of a file."""
 
     path: str  # such as ``/hero``; ``/`` is the complete file
     nodes: tuple[int, ...]  # its nodes, parents first
 
 
-def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
+def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     """Return the characters of a file: one for the file, or one per skeleton.
 
     Node trees belong to the same character if a skin of a mesh in one uses joints of
     the other.
     """
-    order, tree = parents_first(file.nodes), root_nodes(file.nodes)
-    group = {root: root for root in set(tree)}
+    order, roots = sort_parents_first(file.nodes), find_root_nodes(file.nodes)
+    parent_group = {root: root for root in set(roots)}
 
     def group_of(root: int) -> int:
-        while group[root] != root:
-            group[root] = group[group[root]]
-            root = group[root]
+        while parent_group[root] != root:
+            parent_group[root] = parent_group[parent_group[root]]
+            root = parent_group[root]
         return root
 
     def join(a: int, b: int) -> None:
-        lower, upper = sorted((group_of(tree[a]), group_of(tree[b])))
-        group[upper] = lower
+        lower, upper = sorted((group_of(roots[a]), group_of(roots[b])))
+        parent_group[upper] = lower
 
     skin_nodes: set[int] = set()
     for skin in file.skins:
         for joint in skin.joints[1:]:
             join(skin.joints[0], joint)
-    for i, node_ in enumerate(file.nodes):
-        if node_.skin >= 0:
-            join(i, file.skins[node_.skin].joints[0])
+    for i, file_node in enumerate(file.nodes):
+        if file_node.skin >= 0:
+            join(i, file.skins[file_node.skin].joints[0])
     for skin in file.skins:
         skin_nodes.update(skin.joints[:1])
-    groups = sorted({group_of(tree[joint]) for joint in skin_nodes})
+    groups = sorted({group_of(roots[joint]) for joint in skin_nodes})
     if len(groups) < 2:
         return (CharacterNodes(FILE_PATH, tuple(order)),)
     members: dict[int, list[int]] = {root: [] for root in groups}
     for node in order:
-        of = group_of(tree[node])
-        if of in members:
-            members[of].append(node)
+        node_group = group_of(roots[node])
+        if node_group in members:
+            members[node_group].append(node)
     return tuple(
         CharacterNodes(path, tuple(nodes))
         for path, nodes in zip(
@@ -66,7 +70,7 @@ def characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 
 def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]:
-    """Return distinct paths of characters, from the names of their root joints."""
+    """Return unique paths of characters, from the names of their root nodes."""
     from animtool.core.names import numbered_names
 
     names = []
@@ -82,8 +86,8 @@ def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]
 def choose_character(
     file: NodeTree,
     prim_path: str | None,
-    unknown: str,
-    several: str,
+    unknown_code: str,
+    several_code: str,
 ) -> tuple[CharacterNodes, list[Fault]]:
     """Return the character to read, and a note about the others.
 
@@ -91,14 +95,14 @@ def choose_character(
         file: The file.
         prim_path: Path or name of the character, or the name of a node in it; ``/`` is
             the complete file. None is the first character of the default scene.
-        unknown: Code of the error for an unknown character.
-        several: Code of the note about other characters.
+        unknown_code: Code of the error for an unknown character.
+        several_code: Code of the note about other characters.
     """
     where = str(file.path)
     if not file.nodes:
         message = "the file has no nodes, so nothing moves"
-        raise FormatError(Fault(unknown, message, where))
-    candidates = characters(file)
+        raise FormatError(Fault(unknown_code, message, where))
+    candidates = find_characters(file)
     if prim_path is None:
         best_candidate = candidates[0]
         if len(candidates) > 1 and file.default_scene >= 0:
@@ -111,9 +115,11 @@ def choose_character(
                 ),
                 best_candidate,
             )
-        return best_candidate, _others_note(candidates, best_candidate, where, several)
+        return best_candidate, _skipped_characters_note(
+            candidates, best_candidate, where, several_code
+        )
     if prim_path.strip() == FILE_PATH:
-        return CharacterNodes(FILE_PATH, tuple(parents_first(file.nodes))), []
+        return CharacterNodes(FILE_PATH, tuple(sort_parents_first(file.nodes))), []
     name = prim_path.strip("/")
     for candidate in candidates:
         if candidate.path.strip("/") == name and len(candidates) > 1:
@@ -123,14 +129,16 @@ def choose_character(
             return candidate, []
     paths = [candidate.path for candidate in candidates]
     message = f"unknown character or node {name!r}"
-    raise FormatError(Fault(unknown, message, where, (), nearest(prim_path, paths)))
+    raise FormatError(
+        Fault(unknown_code, message, where, (), nearest(prim_path, paths))
+    )
 
 
-def _others_note(
+def _skipped_characters_note(
     candidates: tuple[CharacterNodes, ...],
     best: CharacterNodes,
     where: str,
-    several: str,
+    several_code: str,
 ) -> list[Fault]:
     other_paths = [candidate.path for candidate in candidates if candidate is not best]
     if not other_paths:
@@ -138,4 +146,4 @@ def _others_note(
     message = f"reading {best.path} of {counted(len(candidates), 'character')}: "
     message += f"others are {listed(other_paths, MAX_LISTED_CHARACTERS)}"
     hint = f"choose one with {argument('source.prim_path')}; / is the whole file"
-    return [Fault(several, message, where, (), hint, Severity.NOTE)]
+    return [Fault(several_code, message, where, (), hint, Severity.NOTE)]

@@ -1,4 +1,4 @@
-"""Names of joints, meshes and shapes of a character."""
+"""Makes unique names for joints and shapes of a character."""
 
 from __future__ import annotations
 
@@ -11,54 +11,61 @@ from animtool.core.quantities import CONTROL
 from animtool.formats.characters.nodes import Node
 
 MAX_LISTED_JOINTS = 6
-_CONTROL = re.compile(f"[{CONTROL}]")
+_CONTROL_PATTERN = re.compile(f"[{CONTROL}]")
 
 
 def joint_names(
-    nodes: list[Node], numbers: list[int]
+    nodes: list[Node], node_indices: list[int]
 ) -> tuple[list[str], list[tuple[str, str]]]:
-    """Return distinct joint names, and those that differ from the file's.
+    """Return unique joint names, and those that differ from the file's.
 
     Characters that text files cannot contain are replaced.
     """
     valid_names = []
-    for node, number in zip(nodes, numbers, strict=True):
-        name = _CONTROL.sub("_", node.name or "").strip()
-        valid_names.append(name or f"node_{number}")
+    for node, node_index in zip(nodes, node_indices, strict=True):
+        name = _CONTROL_PATTERN.sub("_", node.name or "").strip()
+        valid_names.append(name or f"node_{node_index}")
     names = numbered_names(valid_names)
-    renamed = [
+    renamed_joints = [
         (node.name, name)
         for node, name in zip(nodes, names, strict=True)
         if node.name is not None and node.name != name
     ]
-    return names, renamed
+    return names, renamed_joints
 
 
-def renamed_notice(code: str, renamed: list[tuple[str, str]], path: str) -> list[Fault]:
+def renamed_joints_notice(
+    code: str, renamed_joints: list[tuple[str, str]], path: str
+) -> list[Fault]:
     """Return a note about joints whose names differ from the file's."""
-    if not renamed:
+    if not renamed_joints:
         return []
-    shown = listed([f"{excerpt(a)} is {b!r}" for a, b in renamed], MAX_LISTED_JOINTS)
-    message = f"{counted(len(renamed), 'joint')} renamed to make names unique: {shown}"
+    renaming_list = listed(
+        [f"{excerpt(a)} is {b!r}" for a, b in renamed_joints], MAX_LISTED_JOINTS
+    )
+    message = (
+        f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
+        f"{renaming_list}"
+    )
     return [Fault(code, message, path, severity=Severity.NOTE)]
 
 
-def printable(text: str) -> str:
-    """Return a text with ``_`` for characters that cannot be printed, stripped."""
+def replace_unprintable(text: str) -> str:
+    """Return a stripped text with ``_`` in place of unprintable characters."""
     return "".join(c if c.isprintable() else "_" for c in text).strip()
 
 
 def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
-    """Return distinct shape names, prefixed with the mesh if ambiguous.
+    """Return unique shape names, prefixed with the mesh if ambiguous.
 
-    ``shapes`` has for each its name in the file, a default name, and its mesh's name.
+    Each of ``shapes`` is the name in the file, a default name, and the mesh's name.
     """
-    taken: dict[str, None] = {}
+    used_names: dict[str, None] = {}
     for text, default, mesh in shapes:
-        name = printable(text) or default
-        name = f"{mesh}_{name}" if name in taken else name
-        unique, number = name, 2
-        while unique in taken:
-            unique, number = f"{name}_{number}", number + 1
-        taken[unique] = None
-    return list(taken)
+        name = replace_unprintable(text) or default
+        name = f"{mesh}_{name}" if name in used_names else name
+        unique_name, number = name, 2
+        while unique_name in used_names:
+            unique_name, number = f"{name}_{number}", number + 1
+        used_names[unique_name] = None
+    return list(used_names)

@@ -8,8 +8,8 @@ from typing import Protocol
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 
-# Scales closer than this are equal up to float32 rounding [1].
-SAME_SCALE = 3e-7
+# Tolerance of equal scales, for float32 rounding [1].
+SCALE_TOLERANCE = 3e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +25,7 @@ class Node:
         scale: Relative to the parent [1].
         mesh: Index of its mesh; -1 without one.
         skin: Index of its skin; -1 without one.
-        weights: Weights of its mesh's targets; None uses the mesh's own.
+        weights: Weights of its mesh's morph targets; None uses those of the mesh.
         visible: Whether it is visible if all its ancestors are.
         has_matrix: Whether the file stores its transform as a matrix.
         is_inserted: Whether animtool inserted it above the roots of a rig, outside
@@ -81,21 +81,21 @@ class NodeTree(Protocol):
         """Index of the default scene; -1 if there is none."""
 
 
-def root_nodes(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root node above each node; a root maps to itself."""
-    tree = list(range(len(nodes)))
-    for node in parents_first(nodes):
+def find_root_nodes(nodes: tuple[Node, ...]) -> list[int]:
+    """Return the root node of each node; a root is its own."""
+    roots = list(range(len(nodes)))
+    for node in sort_parents_first(nodes):
         parent = nodes[node].parent
-        tree[node] = node if parent < 0 else tree[parent]
-    return tree
+        roots[node] = node if parent < 0 else roots[parent]
+    return roots
 
 
-def parents_first(nodes: tuple[Node, ...]) -> list[int]:
+def sort_parents_first(nodes: tuple[Node, ...]) -> list[int]:
     """Return all node indices depth-first, parents before children."""
     order: list[int] = []
     stack = [i for i in range(len(nodes) - 1, -1, -1) if nodes[i].parent < 0]
     while stack:
-        at = stack.pop()
-        order.append(at)
-        stack.extend(reversed(nodes[at].children))
+        node = stack.pop()
+        order.append(node)
+        stack.extend(reversed(nodes[node].children))
     return order

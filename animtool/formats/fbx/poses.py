@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import SAME_SCALE
+from animtool.formats.characters.nodes import SCALE_TOLERANCE
 from animtool.formats.fbx.layers import SCALING
 from animtool.formats.fbx.models import (
     COMPONENTWISE,
@@ -201,7 +201,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
                 ticks = np.concatenate([ticks - span, ticks, ticks + span])
         local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
         spread = local_scale.max(axis=1) - local_scale.min(axis=1)
-        if (spread > SAME_SCALE * np.abs(local_scale).max(axis=1)).any():
+        if (spread > SCALE_TOLERANCE * np.abs(local_scale).max(axis=1)).any():
             return True
     return False
 
@@ -213,7 +213,9 @@ def uniform_scales(
     rest = NodeTransforms(scene, None, _REST_TICKS)
     scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
     smallest, largest = scales.min(axis=1), scales.max(axis=1)
-    is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))
+    is_uniform = (smallest > 0) & (
+        largest - smallest <= SCALE_TOLERANCE * np.abs(largest)
+    )
     for take in scene.takes:
         changes = AnimatedParts(scene.models, take)
         of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
@@ -222,7 +224,7 @@ def uniform_scales(
                 continue
             difference = np.abs(of_take.row(row)[2][0] - scales[j]).max()
             is_uniform[j] = (
-                not changes.row(row)[2] and difference <= SAME_SCALE * largest[j]
+                not changes.row(row)[2] and difference <= SCALE_TOLERANCE * largest[j]
             )
     return scales, np.asarray(is_uniform)
 

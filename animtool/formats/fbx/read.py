@@ -10,7 +10,7 @@ from animtool.core.names import numbered_names
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
-from animtool.formats.characters.names import printable
+from animtool.formats.characters.names import replace_unprintable
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.fbx.clip_keys import clip_of_fbx
 from animtool.formats.fbx.rig import build_rig, scale_notice
@@ -115,7 +115,7 @@ def take_names(path: Path) -> list[str]:
 
 def take_names_of(scene: FbxScene) -> list[str]:
     """Return distinct names of all takes."""
-    printable_names = [printable(take.name) for take in scene.takes]
+    printable_names = [replace_unprintable(take.name) for take in scene.takes]
     return numbered_names(
         name or f"take_{i + 1}" for i, name in enumerate(printable_names)
     )

@@ -16,8 +16,8 @@ from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import (
     joint_names,
-    printable,
-    renamed_notice,
+    renamed_joints_notice,
+    replace_unprintable,
     shape_names,
 )
 from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
@@ -201,7 +201,7 @@ def _joint_names(
         for name, row in zip(outer_names, rows, strict=True)
     ]
     path = str(scene.path)
-    notices = renamed_notice("FBX113", renamed, path)
+    notices = renamed_joints_notice("FBX113", renamed, path)
     added = unique[len(inner_names) :]
     if added:
         message = (
@@ -219,7 +219,9 @@ def _add_shapes_and_meshes(
 ) -> None:
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
-    printable_names = [printable(scene.nodes[node].name or "") for node in mesh_nodes]
+    printable_names = [
+        replace_unprintable(scene.nodes[node].name or "") for node in mesh_nodes
+    ]
     mesh_names = numbered_names(
         name or f"mesh_{node}"
         for node, name in zip(mesh_nodes, printable_names, strict=True)
@@ -250,7 +252,7 @@ def _add_shapes_and_meshes(
     meshes = tuple(
         _build_mesh(scene, node, fbx_rig.meshes[node], binder) for node in mesh_nodes
     )
-    fbx_rig.rig = binder.rig(meshes, shapes)
+    fbx_rig.rig = binder.build_rig(meshes, shapes)
     fbx_rig.notices += binder.notices
     helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
     fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((helper_count, 3))])
@@ -297,14 +299,14 @@ def _build_skin(
     """Return the skin of a mesh: its bones, or the node that shows it."""
     index = scene.nodes[node].skin
     if index >= 0:
-        geometry, joints = binder.skin(index)
+        geometry, joints = binder.bind_skin(index)
         indices, weights = skin_table(mesh)
     else:
-        geometry, joint = binder.node(node)
+        geometry, joint = binder.bind_node(node)
         joints = [joint]
         count = len(mesh.points)
         indices, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
-    names = binder.names()
+    names = binder.joint_names()
     skin = Skin(
         mesh.method if index >= 0 else "linear",
         tuple(names[joint] for joint in joints),

@@ -8,7 +8,7 @@ from typing import Any
 from animtool.core.errors import Severity, excerpt, listed
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
-from animtool.formats.characters.nodes import Node, SkinEntry, root_nodes
+from animtool.formats.characters.nodes import Node, SkinEntry, find_root_nodes
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER
@@ -272,7 +272,7 @@ def _check_skins(gltf: Gltf) -> None:
             if primitive.joints and node.skin >= 0:
                 joints = len(gltf.skins[node.skin].joints)
                 skin_weights(primitive, joints, gltf.accessors, gltf.notes)
-    tree = root_nodes(gltf.nodes)
+    tree = find_root_nodes(gltf.nodes)
     _check_scenes(gltf, tree)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):

@@ -14,8 +14,8 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
-from animtool.formats.characters.names import joint_names, renamed_notice
-from animtool.formats.characters.nodes import SAME_SCALE
+from animtool.formats.characters.names import joint_names, renamed_joints_notice
+from animtool.formats.characters.nodes import SCALE_TOLERANCE
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.surfaces import mesh_names, mesh_parts, names_of_shapes
@@ -102,7 +102,7 @@ def build_rig(
     scales = np.array([gltf.nodes[node].scale for node in joint_nodes], np.float64)
     scales = np.where(folded_nodes(gltf)[joint_nodes][:, None], 1.0, scales)
     rig_without_meshes = Rig(name, tuple(joint_list), meters_per_unit, up)
-    notices = renamed_notice("GLT113", renamed, str(gltf.path))
+    notices = renamed_joints_notice("GLT113", renamed, str(gltf.path))
     meshes: tuple[Mesh, ...] = ()
     shapes: tuple[Shape, ...] = ()
     keys: tuple[tuple[int, int], ...] = ()
@@ -110,7 +110,7 @@ def build_rig(
     if surfaces:
         binder = SkinBinder(gltf, rig_without_meshes, joints, folded_scales, scales)
         meshes, shapes, keys, mesh_notices = mesh_parts(gltf, character, binder)
-        rig, nodes = binder.rig(meshes, shapes), binder.nodes(nodes)
+        rig, nodes = binder.build_rig(meshes, shapes), binder.joint_nodes(nodes)
         notices += [*mesh_notices, *binder.notices]
         scales = np.concatenate([scales, np.ones((len(nodes) - len(scales), 3))])
     else:
@@ -163,7 +163,9 @@ def folded_nodes(gltf: Gltf) -> BoolArray:
     """Return which nodes have a uniform static scale ``(N,)``."""
     scales = np.array([node.scale for node in gltf.nodes]).reshape(-1, 3)
     smallest, largest = scales.min(axis=1), scales.max(axis=1)
-    is_uniform = (smallest > 0) & (largest - smallest <= SAME_SCALE * np.abs(largest))
+    is_uniform = (smallest > 0) & (
+        largest - smallest <= SCALE_TOLERANCE * np.abs(largest)
+    )
     for animation in gltf.animations:
         for track in animation.tracks:
             if track.path is TargetPath.SCALE and is_uniform[track.node]:
@@ -172,9 +174,11 @@ def folded_nodes(gltf: Gltf) -> BoolArray:
                 slopes = [
                     slope for slope in (track.ins, track.outs) if slope is not None
                 ]
-                is_moving = any(np.abs(slope).max() > SAME_SCALE for slope in slopes)
+                is_moving = any(
+                    np.abs(slope).max() > SCALE_TOLERANCE for slope in slopes
+                )
                 is_uniform[track.node] = (
-                    not is_moving and difference <= SAME_SCALE * scale.max()
+                    not is_moving and difference <= SCALE_TOLERANCE * scale.max()
                 )
     return np.asarray(is_uniform)
 

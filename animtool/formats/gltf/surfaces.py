@@ -12,7 +12,7 @@ from animtool.core.names import numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
-from animtool.formats.characters.names import printable, shape_names
+from animtool.formats.characters.names import replace_unprintable, shape_names
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
 from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
@@ -76,7 +76,7 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
         entry = gltf.nodes[node]
         mesh = gltf.meshes[entry.mesh]
         name = mesh.original_name or entry.name or mesh.name or f"mesh_{node}"
-        names.append(printable(name) or "mesh")
+        names.append(replace_unprintable(name) or "mesh")
     return dict(zip(nodes, numbered_names(names), strict=True))
 
 
@@ -159,7 +159,7 @@ def _build_skin(
     """Return the skin of a mesh: its joints, or the node that carries it."""
     index = gltf.nodes[node].skin
     if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
-        geometry, joints = binder.skin(index)
+        geometry, joints = binder.bind_skin(index)
         rows = [
             skin_weights(vertices.primitive, len(joints), gltf.accessors, gltf.notes)
             for vertices in vertex_sets
@@ -168,11 +168,11 @@ def _build_skin(
         indices = np.concatenate([_padded_columns(row, width) for row, _ in rows])
         weights = np.concatenate([_padded_columns(row, width) for _, row in rows])
     else:
-        geometry, joint = binder.node(node)
+        geometry, joint = binder.bind_node(node)
         joints = [joint]
         count = sum(vertices.count for vertices in vertex_sets)
         indices, weights = np.zeros((count, 1)), np.ones((count, 1))
-    names = binder.names()
+    names = binder.joint_names()
     skin = Skin(
         "linear",
         tuple(names[joint] for joint in joints),

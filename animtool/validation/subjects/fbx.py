@@ -7,7 +7,7 @@ from pathlib import Path
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
-from animtool.formats.characters.choice import characters
+from animtool.formats.characters.choice import find_characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import (
     FbxSampler,
@@ -29,7 +29,7 @@ def open_fbx(path: Path) -> CheckedFile:
     faults: list[Fault] = []
     take_subjects: list[MotionSubject] = []
     if scene.nodes:
-        for character in characters(scene):
+        for character in find_characters(scene):
             built_rig = build_rig(scene, character, scene.path.stem)
             faults += built_rig.notices
             take_subjects += _take_subjects(scene, built_rig, faults)

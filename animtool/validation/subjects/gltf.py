@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
-from animtool.formats.characters.choice import CharacterNodes, characters
+from animtool.formats.characters.choice import CharacterNodes, find_characters
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
@@ -49,7 +49,7 @@ def open_gltf(path: Path) -> CheckedFile:
     faults: list[Fault] = []
     take_subjects: list[MotionSubject] = []
     if gltf.nodes:
-        for character in characters(gltf):
+        for character in find_characters(gltf):
             built_rig = _build_rig(gltf, character, faults)
             take_subjects += _clip_subjects(gltf, built_rig, faults)
     return CheckedFile(

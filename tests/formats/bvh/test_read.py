@@ -22,7 +22,7 @@ from animtool.core.errors import FormatError, Severity
 from animtool.core.units import LengthUnit
 from animtool.formats.bvh import lines as lines_module
 from animtool.formats.bvh.read import read_bvh
-from animtool.formats.bvh.write import bvh_text
+from animtool.formats.bvh.write import build_bvh_text
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import JointType
@@ -259,7 +259,7 @@ def test_a_leaf_without_an_end_site(write, tmp_path: Path) -> None:  # type: ign
         ("Spine", ()),
     ]
     assert validate(path) == []
-    text = b"".join(bvh_text(take).parts).decode()
+    text = b"".join(build_bvh_text(take).parts).decode()
     assert text.startswith(header)
     other = tmp_path / "with.bvh"
     other.write_text(small_bvh(random_rows(3)))

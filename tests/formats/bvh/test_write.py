@@ -14,7 +14,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.core.rates import rate_from_frame_time
 from animtool.formats.bvh.read import read_bvh
-from animtool.formats.bvh.write import bvh_text, frame_time, write_bvh
+from animtool.formats.bvh.write import build_bvh_text, frame_time, write_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -24,7 +24,7 @@ from animtool.rig.skeleton import Joint, Rig
 
 
 def written(take: Take, path: Path) -> Take:
-    path.write_bytes(b"".join(bvh_text(take).parts))
+    path.write_bytes(b"".join(build_bvh_text(take).parts))
     return read_bvh(path).collect()
 
 
@@ -33,7 +33,7 @@ def test_text_comes_back(tmp_path: Path) -> None:
     path = tmp_path / "a.bvh"
     path.write_text(small_bvh(rows))
     take = read_bvh(path).collect()
-    text = b"".join(bvh_text(take).parts).decode()
+    text = b"".join(build_bvh_text(take).parts).decode()
     assert text.startswith(HEADER)
     again = np.array([line.split() for line in text.splitlines()[-10:]], float)
     # Angles may be other triples of the same rotation; positions are the numbers.
@@ -94,7 +94,7 @@ def test_scales_are_named() -> None:
     take = take_of(JOINTS)
     scales = Channel.from_dense(np.full((6, 3, 3), 2.0))
     take = replace(take, motion=replace(take.motion, scales=scales))
-    assert [n.code for n in bvh_text(take).notices] == ["BVH108"]
+    assert [n.code for n in build_bvh_text(take).notices] == ["BVH108"]
 
 
 @pytest.mark.parametrize(("weight", "codes"), [(0.5, ["BVH114"]), (0.0, [])])
@@ -103,7 +103,7 @@ def test_lost_shapes_are_named(weight: float, codes: list[str]) -> None:
     rig = replace(take.rig, shapes=(Shape("smile", "", np.zeros((0, 3))),))
     weights = Channel.from_dense(np.full((6, 1, 1), weight))
     take = replace(take, rig=rig, motion=replace(take.motion, weights=weights))
-    assert [n.code for n in bvh_text(take).notices] == codes
+    assert [n.code for n in build_bvh_text(take).notices] == codes
 
 
 def test_several_roots_and_deep_chains(tmp_path: Path) -> None:
@@ -141,7 +141,7 @@ def test_joints_that_do_not_stand_depth_first_keep_their_values(tmp_path: Path) 
     motion = Motion(Channel.from_dense(np.zeros((1, 5, 3))), Channel.from_dense(turns))
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     path = tmp_path / "arms.bvh"
-    path.write_bytes(b"".join(bvh_text(Take(rig, clock, motion)).parts))
+    path.write_bytes(b"".join(build_bvh_text(Take(rig, clock, motion)).parts))
     back = read_bvh(path).collect()
     assert back.rig.names == ["hips", "arm_l", "hand_l", "arm_r", "hand_r"]
     found = back.motion.rotations.dense()[0]
@@ -152,7 +152,7 @@ def test_joints_that_do_not_stand_depth_first_keep_their_values(tmp_path: Path) 
 def test_a_take_is_written_to_a_file(tmp_path: Path) -> None:
     take, path = take_of(JOINTS), tmp_path / "a.bvh"
     assert write_bvh(take, str(path)) == []
-    assert path.read_bytes() == b"".join(bvh_text(take).parts)
+    assert path.read_bytes() == b"".join(build_bvh_text(take).parts)
     with raises(AnimtoolError, "OUT001") as caught:
         write_bvh(take, path)
     assert str(caught.value).endswith("exists; overwrite=True replaces it")

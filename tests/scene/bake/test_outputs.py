@@ -96,7 +96,7 @@ def test_an_output_that_fails_leaves_none(
     def full(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("animtool.formats.bvh.write.bvh_text", full)
+    monkeypatch.setattr("animtool.formats.bvh.write.build_bvh_text", full)
     before = made(shot)
     with pytest.raises(OSError, match="No space"):
         bake_outputs(load_scene(shot))
