@@ -128,7 +128,7 @@ MOT, STO = (
 GLTF = Writer(
     "gltf",
     "glTF",
-    "animtool.formats.gltf.write:gltf_files",
+    "animtool.formats.gltf.write:build_gltf_files",
     options=("reduce",),
     holds=frozenset({"joints", "shapes", "meshes"}),
     samples="samples, or the keys of a clip",

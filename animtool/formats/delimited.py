@@ -1,4 +1,4 @@
-"""Delimited text: lines of cells separated by tabs, semicolons, commas or blanks."""
+"""Reads delimited text: cells between tabs, semicolons, commas or blanks."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ from animtool.core.files.reading import MAX_INPUT_BYTES, read_input
 from animtool.core.record import dataclass
 
 SEPARATORS = (b"\t", b";", b",")
-BLANKS = b" \t,;"
-ROWS_AT_ONCE = 4096
-# Number of rows checked for decimal commas.
-COMMA_ROWS = 100
-# Bytes of a number in which decimals are counted.
-MAX_CELL_LENGTH = 40
+BLANK_CHARACTERS = b" \t,;"
+BLOCK_ROWS = 4096
+# Number of rows that are checked for decimal commas.
+COMMA_CHECK_ROWS = 100
+# Bytes of a cell in which decimals are counted.
+MAX_CELL_BYTES = 40
 # Maximum ratio of padded to actual values.
-MAX_PADDING = 20
+MAX_PADDING_RATIO = 20
 # Tables up to this many values may be padded freely.
-SMALL_TABLE = 5_000_000
+SMALL_TABLE_VALUES = 5_000_000
 
 
 def read_lines(path: Path) -> list[bytes]:
-    """Return the lines of a UTF-8 file without BOM; any line ending."""
+    """Return the lines of a text file, with any line ending and without BOM."""
     data = read_input(path, MAX_INPUT_BYTES)
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         # Spreadsheets save "Unicode text" as UTF-16.
@@ -46,24 +46,24 @@ def decode_text(text: bytes) -> str:
         return text.decode("latin-1")
 
 
-def separator_of(line: bytes, default: bytes = b" ") -> bytes:
+def find_separator(line: bytes, default: bytes = b" ") -> bytes:
     """Return the cell separator of a line: the default, else the first it contains.
 
-    >>> separator_of(b"a;b c"), separator_of(b"a b,c", b","), separator_of(b"a b")
-    (b';', b',', b' ')
+    >>> find_separator(b"a;b c"), find_separator(b"a b,c", b",")
+    (b';', b',')
     """
     if default != b" " and default in line:
         return default
     return next((separator for separator in SEPARATORS if separator in line), b" ")
 
 
-def row_separator(line: bytes, default: bytes) -> bytes:
-    """Return the separator of a row of numbers, whose commas may be decimal.
+def find_row_separator(line: bytes, default: bytes) -> bytes:
+    """Return the separator of a row of numbers; commas may be decimal commas.
 
-    >>> row_separator(b"1 0,5 2,5", b" "), row_separator(b"1, 0.5, 2.5", b" ")
-    (b' ', b',')
+    >>> find_row_separator(b"1 0,5 2,5", b" ")
+    b' '
     """
-    separator = separator_of(line, default)
+    separator = find_separator(line, default)
     if separator == b"," and default != b",":
         cells = [cell.strip() for cell in line.strip().split(b",")]
         return b" " if any(b" " in cell for cell in cells) else b","
@@ -97,109 +97,123 @@ class TextRows:
     Attributes:
         texts: The R rows that are not blank: cells between blanks or tabs, ``nan`` for
             empty cells, without trailing empty cells.
-        lines: 1-based line number of each row ``(R,)``.
-        filled: Number of cells of each row up to the last nonempty one ``(R,)``.
-        cells: Number of cells of each row, trailing empty ones included ``(R,)``.
-        decimal_commas: Whether decimal commas were replaced by points.
+        line_numbers: 1-based line number of each row ``(R,)``.
+        value_counts: Number of cells of each row up to the last nonempty one ``(R,)``.
+        cell_counts: Number of cells of each row, trailing empty ones included ``(R,)``.
+        has_decimal_commas: Whether decimal commas were replaced by points.
     """
 
     texts: list[bytes]
-    lines: IntArray
-    filled: IntArray
-    cells: IntArray
-    decimal_commas: bool = False
+    line_numbers: IntArray
+    value_counts: IntArray
+    cell_counts: IntArray
+    has_decimal_commas: bool = False
 
     def without_last(self) -> TextRows:
         """Return all rows but the last."""
         return replace(
-            self, texts=self.texts[:-1], lines=self.lines[:-1],
-            filled=self.filled[:-1], cells=self.cells[:-1],
+            self, texts=self.texts[:-1], line_numbers=self.line_numbers[:-1],
+            value_counts=self.value_counts[:-1], cell_counts=self.cell_counts[:-1],
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
         """Return the maximum number of decimals in a column; 15 for exponents."""
         max_decimals = 0
         for text in self.texts:
-            begin = text[: MAX_CELL_LENGTH * (column + 1)]
-            cell = begin.split(None, column + 1)[column : column + 1] or [b""]
-            exact = b"e" in cell[0].lower()
+            prefix = text[: MAX_CELL_BYTES * (column + 1)]
+            cell = prefix.split(None, column + 1)[column : column + 1] or [b""]
+            has_exponent = b"e" in cell[0].lower()
             max_decimals = max(
-                max_decimals, 15 if exact else len(cell[0].partition(b".")[2])
+                max_decimals, 15 if has_exponent else len(cell[0].partition(b".")[2])
             )
         return max_decimals
 
     def values(
-        self, width: int, error: Callable[[str, int], AnimtoolError]
+        self, column_count: int, build_error: Callable[[str, int], AnimtoolError]
     ) -> FloatArray:
         """Parse the numbers ``(R, width)``; NaN where a row is too short.
 
-        ``error`` returns, from a message and a line number, the error to raise for a
-        cell that is not a number, or a row with more than ``width`` numbers.
+        ``build_error`` builds an error from a message and a line number, for a cell
+        that is not a number, or a row with more than ``column_count`` numbers.
         """
-        size = width * len(self.texts)
-        if size > max(SMALL_TABLE, MAX_PADDING * int(self.filled.sum())):
-            line = int(self.lines[np.argmax(self.filled)])
-            raise error(f"has {width} values, but most rows have far fewer", line)
-        blocks = [np.empty((0, width))]
-        for begin in range(0, len(self.texts), ROWS_AT_ONCE):
-            texts = self.texts[begin : begin + ROWS_AT_ONCE]
-            cell_counts = self.filled[begin : begin + ROWS_AT_ONCE]
-            for row in np.flatnonzero(cell_counts < width).tolist():
-                texts[row] += b" nan" * (width - int(cell_counts[row]))
+        value_count = column_count * len(self.texts)
+        if value_count > max(
+            SMALL_TABLE_VALUES, MAX_PADDING_RATIO * int(self.value_counts.sum())
+        ):
+            line = int(self.line_numbers[np.argmax(self.value_counts)])
+            raise build_error(
+                f"has {column_count} values, but most rows have far fewer", line
+            )
+        blocks = [np.empty((0, column_count))]
+        for begin in range(0, len(self.texts), BLOCK_ROWS):
+            texts = self.texts[begin : begin + BLOCK_ROWS]
+            block_counts = self.value_counts[begin : begin + BLOCK_ROWS]
+            for row in np.flatnonzero(block_counts < column_count).tolist():
+                texts[row] += b" nan" * (column_count - int(block_counts[row]))
             text = b"\n".join(texts) + b"\n"
             block, _, _, _, _, count, token = _kernels.parse_bvh_rows(
-                text, width, len(texts), True
+                text, column_count, len(texts), True
             )
             if len(block) < len(texts):
-                message = f"has {count} values instead of {width}"
+                message = f"has {count} values instead of {column_count}"
                 if token:
                     message = f"{excerpt(decode_text(token))} is not a number"
-                raise error(message, int(self.lines[begin + len(block)]))
+                raise build_error(message, int(self.line_numbers[begin + len(block)]))
             blocks.append(block)
         return blocks[1] if len(blocks) == 2 else np.concatenate(blocks)
 
 
-def gather_rows(lines: list[bytes], begin: int, separator: bytes) -> TextRows:
-    """Collect the lines from ``begin`` on as rows of numbers.
+def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
+    """Collect the rows of numbers from a line index on.
 
     A line without the separator is split at blanks. Commas are decimal if they are not
     the separator and no line has a point.
     """
-    texts, numbers, cell_counts, cells = [], [], [], []
-    double_separator, filled_gap = separator * 2, separator + b"nan" + separator
-    for i in range(begin, len(lines)):
+    texts, line_numbers, value_counts, cell_counts = [], [], [], []
+    empty_gap, nan_gap = separator * 2, separator + b"nan" + separator
+    for i in range(start, len(lines)):
         line = lines[i]
         if separator not in line or separator == b" ":
-            if not line.strip(BLANKS):
+            if not line.strip(BLANK_CHARACTERS):
                 continue
             line = line.strip()
-            cell_count = used_count = len(line.split())
+            total_count = value_count = len(line.split())
         else:
-            cell_count = used_count = line.count(separator) + 1
+            total_count = value_count = line.count(separator) + 1
             if b" " in line:
-                line = separator.join([c.strip() for c in line.split(separator)])
+                line = separator.join([cell.strip() for cell in line.split(separator)])
             if line[-1:] == separator:
                 line = line.rstrip(separator)
                 if not line:
                     continue
-                used_count = line.count(separator) + 1
+                value_count = line.count(separator) + 1
             length = len(line)
-            line = line.replace(double_separator, filled_gap)
+            line = line.replace(empty_gap, nan_gap)
             if len(line) > length:
-                # Replaced twice: the first pass skips every second gap of three
-                # separators.
-                line = line.replace(double_separator, filled_gap)
+                # The first pass skips every second gap of consecutive empty cells.
+                line = line.replace(empty_gap, nan_gap)
             if line[:1] == separator:
                 line = b"nan" + line
             if separator != b"\t":
                 line = line.replace(separator, b" ")
         texts.append(line)
-        numbers.append(i + 1)
-        cell_counts.append(used_count)
-        cells.append(cell_count)
-    commas = separator != b"," and any(b"," in text for text in texts[:COMMA_ROWS])
-    commas = commas and not any(b"." in text for text in texts)
-    if commas:
+        line_numbers.append(i + 1)
+        value_counts.append(value_count)
+        cell_counts.append(total_count)
+    has_decimal_commas = separator != b"," and any(
+        b"," in text for text in texts[:COMMA_CHECK_ROWS]
+    )
+    has_decimal_commas = has_decimal_commas and not any(b"." in text for text in texts)
+    if has_decimal_commas:
         texts = [text.replace(b",", b".") for text in texts]
-    decimals, counts = np.array(numbers, np.int64), np.array(cell_counts, np.int64)
-    return TextRows(texts, decimals, counts, np.array(cells, np.int64), commas)
+    line_array, value_count_array = (
+        np.array(line_numbers, np.int64),
+        np.array(value_counts, np.int64),
+    )
+    return TextRows(
+        texts,
+        line_array,
+        value_count_array,
+        np.array(cell_counts, np.int64),
+        has_decimal_commas,
+    )

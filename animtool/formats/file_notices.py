@@ -1,4 +1,4 @@
-"""Warnings and notes of a file that is being read."""
+"""Collects warnings and notes about a file that is being read."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class FileNotices:
     path: str
     notices: list[Fault] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)  # number of warnings by code
-    recorded: set[tuple[str, str, str]] = field(default_factory=set)
+    reported: set[tuple[str, str, str]] = field(default_factory=set)
 
     def fail(
         self, code: str, where: str, message: str, hint: str | None = None
@@ -35,10 +35,10 @@ class FileNotices:
         hint: str | None = None,
         severity: Severity = Severity.WARNING,
     ) -> None:
-        """Record a warning once; of each code, the first `MAX_WARNINGS`."""
-        if (code, where, message) in self.recorded:
+        """Record a warning once, and at most `MAX_WARNINGS` per code."""
+        if (code, where, message) in self.reported:
             return
-        self.recorded.add((code, where, message))
+        self.reported.add((code, where, message))
         count = self.counts[code] = self.counts.get(code, 0) + 1
         if count <= MAX_WARNINGS:
             fault = Fault(code, message, self.path, (), hint, severity, where=where)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from animtool.formats.characters.choice import find_characters
-from animtool.formats.fbx.read import take_names_of
+from animtool.formats.fbx.read import scene_take_names
 from animtool.formats.fbx.scene import open_fbx
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.report.describe_gltf import GltfClip, GltfContents
@@ -18,11 +18,11 @@ def fbx_contents(path: Path | str) -> GltfContents:
     clips = [
         GltfClip(
             name,
-            take.begin / TICKS_PER_SECOND,
-            take.end / TICKS_PER_SECOND,
+            take.start_ticks / TICKS_PER_SECOND,
+            take.end_ticks / TICKS_PER_SECOND,
             len(take.curves()),
         )
-        for name, take in zip(take_names_of(scene), scene.takes, strict=True)
+        for name, take in zip(scene_take_names(scene), scene.takes, strict=True)
     ]
     return GltfContents(
         len(scene.nodes),
@@ -33,5 +33,5 @@ def fbx_contents(path: Path | str) -> GltfContents:
         [take.path for take in skeletons] if len(skeletons) > 1 else [],
         clips,
         {},
-        list(scene.left_out),
+        list(scene.ignored_contents),
     )

@@ -9,7 +9,7 @@ from animtool.core.files.reading import note_input
 from animtool.core.record import dataclass
 from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.document import Gltf, open_gltf
-from animtool.formats.gltf.timing import distinct_clip_names
+from animtool.formats.gltf.timing import unique_clip_names
 from animtool.formats.gltf.vrm import humanoid_bones
 
 
@@ -64,7 +64,7 @@ def describe_without_nodes(path: Path) -> GltfDescription | None:
 
 def _contents(gltf: Gltf) -> GltfContents:
     skeletons = find_characters(gltf) if gltf.nodes else ()
-    names = distinct_clip_names(gltf.animations)
+    names = unique_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *animation.span, len(animation.tracks))
         for name, animation in zip(names, gltf.animations, strict=True)
@@ -78,5 +78,5 @@ def _contents(gltf: Gltf) -> GltfContents:
         [animation.path for animation in skeletons] if len(skeletons) > 1 else [],
         clips,
         {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
-        list(gltf.left_out),
+        list(gltf.ignored_contents),
     )

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.files.output import write_parts
-from animtool.formats.gltf.write import gltf_files
+from animtool.formats.gltf.write import build_gltf_files
 from animtool.maths import so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
@@ -278,7 +278,8 @@ def main() -> None:
     clips = [idle(), trot(), leap()]
     first, *others = [one.sample(fox) for one in clips]
     names = tuple(one.name for one in clips)
-    made = gltf_files(first, output, WriteOptions(others=tuple(others), names=names))
+    options = WriteOptions(others=tuple(others), names=names)
+    made = build_gltf_files(first, output, options)
     for path, contents in made.contents.items():
         write_parts(path, contents)  # type: ignore[arg-type]
 

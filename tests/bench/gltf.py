@@ -28,7 +28,7 @@ from support.gltf import Maker, as_glb, chain
 
 from animtool.core.array_types import FloatArray
 from animtool.formats.gltf.read import read_gltf
-from animtool.formats.gltf.write import gltf_files
+from animtool.formats.gltf.write import build_gltf_files
 from animtool.motion.take import Take
 from animtool.motion.take_files import WriteOptions
 
@@ -93,7 +93,7 @@ def by_pygltflib(path: Path) -> list[FloatArray]:
 
 def write_take(take: Take, path: Path) -> None:
     """Write a take to a GLB."""
-    made = gltf_files(take, path, WriteOptions(names=("take",)))
+    made = build_gltf_files(take, path, WriteOptions(names=("take",)))
     with path.open("wb") as file:
         for part in made.contents[path]:
             file.write(part)  # type: ignore[arg-type]

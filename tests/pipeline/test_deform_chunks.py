@@ -91,7 +91,7 @@ def test_few_files_are_open_at_a_time(
 
     def close(self: chunks.ChunkedWriter, number: int) -> None:
         nonlocal most
-        most = max(most, len(self._open))
+        most = max(most, len(self._open_chunks))
         closing(self, number)
 
     monkeypatch.setattr(chunks.ChunkedWriter, "_close", close)

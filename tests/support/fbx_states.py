@@ -62,13 +62,13 @@ class FbxCharacter:
         if id(take) not in self._samplers:
             self._samplers[id(take)] = FbxSampler(self.scene, self.made, take)
         ticks = np.array([round(seconds * TICKS_PER_SECOND)], np.int64)
-        motion = self._samplers[id(take)].at(ticks)
+        motion = self._samplers[id(take)].sample(ticks)
         return Posed(motion, forward_kinematics(self.made.rig, *motion.dense()))
 
     def matrix(self, posed: Posed, node: int) -> Array | None:
         """Return the world matrix of a node in the file's unit and axes ``(3, 4)``."""
         made = self.made
-        joint = int(made.joints[node])
+        joint = int(made.joint_of_node[node])
         if joint < 0:
             return None
         back = self.scene.settings.basis.T
@@ -78,7 +78,7 @@ class FbxCharacter:
 
     def points(self, posed: Posed, node: int) -> Array | None:
         """Return the points of the mesh that a node shows, likewise ``(V, 3)``."""
-        mesh = self.meshes.get(self.made.meshes.get(node, ""))
+        mesh = self.meshes.get(self.made.mesh_names.get(node, ""))
         if mesh is None:
             return None
         weights = posed.motion.weights
@@ -197,7 +197,7 @@ def _weights(
         return
     weights = posed.motion.weights.dense()[0, :, 0]
     for shape, value in zip(expected["shapes"], values, strict=True):
-        for row, (channel, full) in enumerate(character.made.shapes):
+        for row, (channel, full) in enumerate(character.made.shape_channels):
             if channel.name == shape["name"]:
                 apart.add(f"{kind}weight", weights[row] * full / 100.0 - value)
 
@@ -239,7 +239,7 @@ def points_of_pair(character: FbxCharacter, pair: dict[str, Any]) -> Array | Non
         return None
     if pair["time_s"] is not None:
         name = pair.get("take")
-        take = character.take(name) if name else scene.takes[scene.default]
+        take = character.take(name) if name else scene.takes[scene.default_take]
     if take is not None and pair.get("extrapolation") is False:
         take = _held(take)
     posed = character.pose(take, pair["time_s"] or 0.0)
@@ -249,7 +249,7 @@ def points_of_pair(character: FbxCharacter, pair: dict[str, Any]) -> Array | Non
         by_name.setdefault(path.split("\n")[-1], []).extend(nodes)
     parts = []
     for block in pair.get("blocks") or [{"node": n} for n in by_name]:
-        nodes = [n for n in by_name[block["node"]] if n in character.made.meshes]
+        nodes = [n for n in by_name[block["node"]] if n in character.made.mesh_names]
         for node in nodes[:1]:
             own = character.points(posed, node)
             assert own is not None
@@ -289,6 +289,6 @@ def _with_node(
     if scene.nodes[node].skin < 0:
         return own
     ticks = np.array([round(seconds * TICKS_PER_SECOND)], np.int64)
-    world = NodeTransforms(scene, take, ticks).world(node)[0]
-    step = world @ np.linalg.inv(scene.bind[scene.nodes[node].skin])
+    world = NodeTransforms(scene, take, ticks).world_matrices(node)[0]
+    step = world @ np.linalg.inv(scene.mesh_bind_worlds[scene.nodes[node].skin])
     return np.asarray(own @ step[:3, :3].T + step[:3, 3])

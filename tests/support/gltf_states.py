@@ -13,7 +13,7 @@ from animtool.formats.characters.choice import choose_character
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.rig import GltfRig, build_rig
-from animtool.formats.gltf.sampling import sampler_of
+from animtool.formats.gltf.sampling import build_sampler
 from animtool.formats.gltf.surfaces import mesh_names, vertex_offset
 from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, bind_matrices, forward_kinematics
@@ -74,8 +74,8 @@ def compare(character: Character, expected: dict[str, Any], apart: Apart) -> Non
     clips: list[tuple[Animation | None, dict[str, Any]]] = [(None, rest)]
     clips += zip(character.gltf.animations, expected["clips"], strict=True)
     for animation, clip in clips:
-        moving = sampler_of(character.gltf, character.made, animation)
-        motion = moving.at(np.array(clip["times_s"], np.float64))
+        moving = build_sampler(character.gltf, character.made, animation)
+        motion = moving.sample(np.array(clip["times_s"], np.float64))
         world = forward_kinematics(character.made.rig, *motion.dense())
         for k, state in enumerate(clip["at"]):
             _state(character, expected, state, motion.select(slice(k, k + 1)), apart)
@@ -92,7 +92,7 @@ def _places(
 ) -> None:
     size = expected["size"] or 1.0
     made = character.made
-    for node, joint in enumerate(made.joints.tolist()):
+    for node, joint in enumerate(made.joint_of_node.tolist()):
         if joint < 0:
             continue
         own = world.positions[k, joint] - state["positions"][node]
@@ -113,7 +113,7 @@ def _state(
     made, size = character.made, expected["size"] or 1.0
     weights = None if motion.weights is None else motion.weights.dense()[:, :, 0]
     for node, values in (state.get("weights") or {}).items():
-        rows = [r for r, (own, _) in enumerate(made.shapes) if own == int(node)]
+        rows = [r for r, (own, _) in enumerate(made.shape_sources) if own == int(node)]
         assert len(rows) == len(values)
         assert weights is not None
         apart.add("weight", weights[0, rows] - values)

@@ -1,4 +1,4 @@
-"""A take of a character as a stream: its choice, its blocks and its keys."""
+"""Builds the stream of a character's take: chooses it, samples it, adds its keys."""
 
 from __future__ import annotations
 
@@ -26,61 +26,68 @@ MAX_LISTED_TAKES = 8
 
 @dataclass(frozen=True, slots=True)
 class TakeMessages:
-    """Words and codes of messages about the takes of a format.
+    """Wording and codes of messages about the takes of a format.
 
     Attributes:
         noun: The format's word for a take.
-        static: Message for a character without a take.
-        unknown: Code of the error for an unknown take.
-        none: Code of the note that there is no take.
-        several: Code of the note that one of several is read.
+        static_message: Message for a character without a take.
+        unknown_code: Code of the error for an unknown take.
+        no_take_code: Code of the note about a file without takes.
+        several_code: Code of the note about takes that are not read.
     """
 
     noun: str
-    static: str
-    unknown: str
-    none: str
-    several: str
+    static_message: str
+    unknown_code: str
+    no_take_code: str
+    several_code: str
 
 
 def choose_take(
-    words: TakeMessages,
+    messages: TakeMessages,
     path: str,
     names: list[str],
     take: str | None,
     candidates: Sequence[int],
-    default: int,
+    default_index: int,
 ) -> tuple[int, list[Fault]]:
     """Return the index of the take to read, -1 for none, and notes.
 
     Args:
-        words: Words and codes of the format.
+        messages: Wording and codes of the format.
         path: The file.
         names: Names of its takes.
         take: Name of the requested take; None is the default.
         candidates: Indices of takes that can be read without a name.
-        default: Index of the default; the first candidate if it is none of them.
+        default_index: Index of the default; the first candidate if it is none of them.
     """
     if take is not None:
         if take in names:
             return names.index(take), []
-        message = f"has no {words.noun} {take!r}"
-        fault = Fault(words.unknown, message, path, (), nearest(take, names))
+        message = f"has no {messages.noun} {take!r}"
+        fault = Fault(messages.unknown_code, message, path, (), nearest(take, names))
         raise FormatError(fault)
     if not candidates:
-        return -1, [Fault(words.none, words.static, path, severity=Severity.NOTE)]
-    index = default if default in candidates else candidates[0]
+        return -1, [
+            Fault(
+                messages.no_take_code,
+                messages.static_message,
+                path,
+                severity=Severity.NOTE,
+            )
+        ]
+    index = default_index if default_index in candidates else candidates[0]
     if len(candidates) == 1:
         return index, []
-    count = counted(len(candidates), words.noun)
-    message = f"reading {words.noun} {names[index]!r} of {count}"
+    count = counted(len(candidates), messages.noun)
+    message = f"reading {messages.noun} {names[index]!r} of {count}"
     listed_names = listed(names, MAX_LISTED_TAKES)
     hint = f"read another with {argument('source.take')}: {listed_names}"
-    return index, [Fault(words.several, message, path, (), hint, Severity.NOTE)]
+    return index, [Fault(messages.several_code, message, path, (), hint, Severity.NOTE)]
 
 
 def sampled_stream(
-    rig: Rig, clock: Clock, sample: Callable[[FloatArray], Motion], block: int
+    rig: Rig, clock: Clock, sample: Callable[[FloatArray], Motion], block_frames: int
 ) -> TakeStream:
     """Return a take as a stream, sampled block by block.
 
@@ -88,32 +95,32 @@ def sampled_stream(
         rig: The rig.
         clock: Frames of the take.
         sample: Returns the motion at time codes ``(F,)``.
-        block: Frames per block.
+        block_frames: Frames per block.
     """
     return TakeStream(
         rig,
         clock.fps,
         clock.start,
         Fraction(1),
-        _blocks(clock, sample, block),
+        _sample_blocks(clock, sample, block_frames),
         curve=sample,
         count=clock.count,
     )
 
 
-def _blocks(
-    clock: Clock, sample: Callable[[FloatArray], Motion], block: int
+def _sample_blocks(
+    clock: Clock, sample: Callable[[FloatArray], Motion], block_frames: int
 ) -> Iterator[Motion]:
-    times, previous = clock.times, None
-    for at in range(0, clock.count, block):
-        motion = sample(times[at : at + block])
+    times, last_rotations = clock.times, None
+    for start in range(0, clock.count, block_frames):
+        motion = sample(times[start : start + block_frames])
         rotations = motion.rotations
         if len(rotations.animated):
-            if previous is not None:
-                signs = np.einsum("jc,jc->j", rotations.values[0], previous)
+            if last_rotations is not None:
+                signs = np.einsum("jc,jc->j", rotations.values[0], last_rotations)
                 if (signs < 0).any():
                     rotations.values[:, signs < 0] *= -1.0
-            previous = rotations.values[-1].copy()
+            last_rotations = rotations.values[-1].copy()
         yield motion
 
 
@@ -122,28 +129,28 @@ def finish_stream(
     format_name: str,
     names: list[str],
     index: int,
-    clip: Callable[[str], tuple[Clip, list[Fault]]],
-    native: object = None,
+    build_clip: Callable[[str], tuple[Clip, list[Fault]]],
+    native_keys: object = None,
 ) -> TakeStream:
-    """Return a stream with the keys of its take, and details about the file.
+    """Add the keys of its take and details about the file to a stream.
 
     Args:
         stream: The stream.
         format_name: Name of the file format.
         names: Names of the file's takes.
         index: Index of the take; -1 for none.
-        clip: Returns the take's keys as a clip of a given name, and notices.
-        native: Keys as stored in the file; see `KeyedCurve`.
+        build_clip: Returns the take's keys as a named clip, and notices.
+        native_keys: Keys as stored in the file; see `KeyedCurve`.
     """
     name = names[index] if index >= 0 else None
     if name is not None:
 
         def keys() -> Clip:
-            built, notices = clip(name)
-            return replace(built, notices=tuple(notices))
+            clip, notices = build_clip(name)
+            return replace(clip, notices=tuple(notices))
 
         assert stream.curve is not None
-        stream.curve = KeyedCurve(stream.curve, keys, foreign=True, native=native)
+        stream.curve = KeyedCurve(stream.curve, keys, foreign=True, native=native_keys)
     stream.details = {
         "format": format_name,
         "units": unit_name(stream.rig.meters_per_unit),

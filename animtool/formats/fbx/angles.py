@@ -1,4 +1,4 @@
-"""Euler angles about X, Y and Z to quaternions and back, for any order."""
+"""Converts Euler angles about X, Y and Z to quaternions and back."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from animtool.maths import euler, so3
 XYZ = "ZYX"
 
 
-def rotations_of(angles: FloatArray, order: str) -> FloatArray:
+def rotations_from_angles(angles: FloatArray, order: str) -> FloatArray:
     """Return quaternions ``(F, 4)`` of angles about X, Y and Z ``(F, 3)`` [deg].
 
-    >>> rotations_of(np.array([[90.0, 0, 0]]), XYZ).round(4).tolist()
+    >>> rotations_from_angles(np.array([[90.0, 0, 0]]), XYZ).round(4).tolist()
     [[0.7071, 0.0, 0.0, 0.7071]]
     """
     return euler.to_quaternion(angles[:, euler.axes_of(order)], order)
@@ -23,20 +23,20 @@ def rotations_of(angles: FloatArray, order: str) -> FloatArray:
 def principal_angles(rotations: FloatArray) -> FloatArray:
     """Return XYZ angles ``(F, 3)`` [deg] of quaternions ``(F, 4)``.
 
-    Of the equivalent triples, returns the one with Y within a quarter turn, independent
-    of neighbouring frames: tools that read the angles in another order expect that one.
+    Of the equivalent triples, this is the one with Y within 90 degrees, independent of
+    neighbouring frames. Tools that read the angles in another order expect it.
 
-    >>> rotations = rotations_of(np.array([[10.0, 20, 30]]), XYZ)
+    >>> rotations = rotations_from_angles(np.array([[10.0, 20, 30]]), XYZ)
     >>> principal_angles(rotations).round(6).tolist()
     [[10.0, 20.0, 30.0]]
     """
-    m = so3.to_matrix(rotations)
-    sine = np.clip(-m[:, 2, 0], -1.0, 1.0)
-    y = np.arctan2(sine, np.hypot(m[:, 2, 1], m[:, 2, 2]))
-    x = np.arctan2(m[:, 2, 1], m[:, 2, 2])
-    z = np.arctan2(m[:, 1, 0], m[:, 0, 0])
+    matrices = so3.to_matrix(rotations)
+    sine = np.clip(-matrices[:, 2, 0], -1.0, 1.0)
+    y = np.arctan2(sine, np.hypot(matrices[:, 2, 1], matrices[:, 2, 2]))
+    x = np.arctan2(matrices[:, 2, 1], matrices[:, 2, 2])
+    z = np.arctan2(matrices[:, 1, 0], matrices[:, 0, 0])
     # In gimbal lock only the sum of the other two angles is determined.
-    in_gimbal_lock = np.abs(sine) > 1.0 - 1e-12
-    x = np.where(in_gimbal_lock, 0.0, x)
-    z = np.where(in_gimbal_lock, np.arctan2(-m[:, 0, 1], m[:, 1, 1]), z)
+    is_gimbal_lock = np.abs(sine) > 1.0 - 1e-12
+    x = np.where(is_gimbal_lock, 0.0, x)
+    z = np.where(is_gimbal_lock, np.arctan2(-matrices[:, 0, 1], matrices[:, 1, 1]), z)
     return np.asarray(np.degrees(np.stack([x, y, z], axis=1)))

@@ -1,4 +1,4 @@
-"""An FBX take as a clip: file keys if a clip can store them, else samples."""
+"""Converts an FBX take to a clip, with the file's keys or with samples."""
 
 from __future__ import annotations
 
@@ -29,19 +29,18 @@ from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
 
-_TARGET_PARTS = ("local_translation", "local_rotation", "scale")
-# Values closer to rest than this are at rest.
+_TARGET_SUFFIXES = ("local_translation", "local_rotation", "scale")
+# Tolerance of values at rest.
 REST_TOLERANCE = 1e-12
 
 
-def clip_of_fbx(
+def build_clip(
     name: str, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> tuple[Clip, list[Fault]]:
     """Return a clip of a take, and notices about channels that are sampled.
 
-    Translations, scales, Euler angles and shapes keep their keys if a take has one
-    layer.
-    Other channels are sampled: a key per frame, and one at each key between frames.
+    Translations, scales, Euler angles and shapes keep their keys if the take has one
+    layer. Other channels are sampled at every frame, and at each key between frames.
 
     Args:
         name: Name of the clip.
@@ -49,16 +48,16 @@ def clip_of_fbx(
         sampler: The take on the rig.
         frames: Frames of the take.
     """
-    writer = _ClipBuilder(fbx_rig, sampler, frames)
+    builder = _ClipBuilder(fbx_rig, sampler, frames)
     channels: list[ClipChannel] = []
     for component in range(3):
-        channels += writer.component_channels(component)
-    channels += writer.shapes()
+        channels += builder.component_channels(component)
+    channels += builder.shape_channels()
     first_frame = Fraction(frames.first)
     last_frame = first_frame + frames.count - 1
     return Clip(
         name, frames.fps, first_frame, last_frame, tuple(channels)
-    ), writer.notices()
+    ), builder.sampling_notices()
 
 
 @dataclass(slots=True, eq=False)
@@ -72,7 +71,7 @@ class _SamplingErrors:
 
 
 class _ClipBuilder:
-    """Builder of a clip's channels from curves or samples."""
+    """Builds a clip's channels from curves or samples."""
 
     def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
         self.fbx_rig, self.sampler, self.frames = (
@@ -83,7 +82,7 @@ class _ClipBuilder:
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
         self.errors = _SamplingErrors()
-        self.sampled: list[set[int]] = [set(), set(), set()]
+        self.sampled_joints: list[set[int]] = [set(), set(), set()]
         defaults = np.ones((len(fbx_rig.rig.joints), 3))
         rig = fbx_rig.rig
         self.defaults = (rig.rest_translations, rig.rest_rotations, defaults)
@@ -91,55 +90,57 @@ class _ClipBuilder:
     def component_channels(self, component: int) -> list[ClipChannel]:
         """Return the channels of translations (0), rotations (1) or scales (2)."""
         channels: list[ClipChannel] = []
-        animated_joints = set(self.sampler.animated[component].tolist())
-        rest = self.sampler.rest[component]
+        animated_joints = set(self.sampler.animated_joints[component].tolist())
+        rest = self.sampler.rest_values[component]
         for j in range(len(rest)):
             if j in animated_joints:
                 exact_channels = self._exact_channels(component, j)
                 if exact_channels:
                     channels += exact_channels
                 else:
-                    self.sampled[component].add(j)
+                    self.sampled_joints[component].add(j)
             elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
                 channels.append(
                     self._static_channel(self._channel_target(j, component), rest[j])
                 )
         return channels + self._sampled_channels(component)
 
-    def shapes(self) -> list[ClipChannel]:
-        """Return the channels of shapes."""
+    def shape_channels(self) -> list[ClipChannel]:
+        """Return the channels of blend shapes."""
         channels = []
-        animated_shapes = set(self.sampler.shapes.tolist())
+        animated_shapes = set(self.sampler.animated_shapes.tolist())
         for row, shape in enumerate(self.fbx_rig.rig.shapes):
             target = f"shape/{shape.name}"
             if row not in animated_shapes:
-                value = self.sampler.rest[3][row]
+                value = self.sampler.rest_values[3][row]
                 if value.any():
                     channels.append(self._static_channel(target, value))
                 continue
-            channel, full_percent = self.fbx_rig.shapes[row]
-            track = self.sampler.track(row)
+            channel, full_percent = self.fbx_rig.shape_channels[row]
+            track = self.sampler.weight_track(row)
             assert track is not None
             keys = join_keys(track, np.array([channel.percent]))
             if keys is None:
                 ticks = self._sample_times()
                 values = self.sampler.weight(row, ticks)[:, None]
                 self.errors.count += 1
-                channels.append(self._key_channel(target, ticks, values, Interp.LINEAR))
+                channels.append(
+                    self._sampled_key_channel(target, ticks, values, Interp.LINEAR)
+                )
                 continue
             channels.append(
-                self._channel(target, keys, np.eye(1) / full_percent, np.zeros(1))
+                self._build_channel(target, keys, np.eye(1) / full_percent, np.zeros(1))
             )
         return channels
 
     def _channel_target(self, j: int, component: int) -> str:
-        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGET_PARTS[component]}"
+        return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGET_SUFFIXES[component]}"
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
-        """Return clip channels with the file's keys; empty if they cannot be kept."""
-        model = self.models[self.fbx_rig.rows[j].model]
-        track = self._track(model, (TRANSLATION, ROTATION, SCALING)[component])
-        keys = None if track is None else join_keys(track, model.base[component])
+        """Return channels with the file's keys; empty if a clip cannot store them."""
+        model = self.models[self.fbx_rig.joint_rows[j].model]
+        track = self._find_track(model, (TRANSLATION, ROTATION, SCALING)[component])
+        keys = None if track is None else join_keys(track, model.base_values[component])
         if keys is None:
             return []
         if component == 1:
@@ -151,52 +152,65 @@ class _ClipBuilder:
     def _translation_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        shift = self._pivot_offset(model)
-        if shift is None:
+        pivot_offset = self._pivot_offset(model)
+        if pivot_offset is None:
             return []
-        factor = self.fbx_rig.factors[j]
+        factor = self.fbx_rig.translation_factors[j]
         basis = self.sampler.scene.settings.basis if model.parent < 0 else np.eye(3)
         target = self._channel_target(j, 0)
-        return [self._channel(target, keys, basis * factor, basis @ shift * factor)]
+        return [
+            self._build_channel(
+                target, keys, basis * factor, basis @ pivot_offset * factor
+            )
+        ]
 
     def _scale_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
-        inherits = model.inherit == INHERIT or model.parent < 0
-        if not inherits or self.fbx_rig.rows[j].kind is not RowKind.FULL:
+        inherits_scale = model.scale_inheritance == INHERIT or model.parent < 0
+        if not inherits_scale or self.fbx_rig.joint_rows[j].kind is not RowKind.FULL:
             return []
-        return [self._channel(self._channel_target(j, 2), keys, np.eye(3), np.zeros(3))]
+        return [
+            self._build_channel(
+                self._channel_target(j, 2), keys, np.eye(3), np.zeros(3)
+            )
+        ]
 
-    def _track(self, model: Model, name: str) -> PropertyTrack | None:
+    def _find_track(self, model: Model, name: str) -> PropertyTrack | None:
         take = self.sampler.take
         return None if take is None else take.tracks.get((model.object.id, name))
 
     def _pivot_offset(self, model: Model) -> FloatArray | None:
-        """Return the pivots' constant translation offset; None if it moves."""
-        if any(self._track(model, name) is not None for name in PIVOT_PROPERTIES):
+        """Return the constant translation offset of the pivots; None if animated."""
+        if any(self._find_track(model, name) is not None for name in PIVOT_PROPERTIES):
             return None
-        offset, pivot, stretch, centre = model.pivots
-        if not (stretch.any() or centre.any() or pivot.any()):
-            return np.asarray(offset)
+        rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = model.pivots
+        if not (scaling_offset.any() or scaling_pivot.any() or rotation_pivot.any()):
+            return np.asarray(rotation_offset)
         if any(
-            self._track(model, name) for name in (ROTATION, SCALING, *OUTER_ROTATIONS)
+            self._find_track(model, name)
+            for name in (ROTATION, SCALING, *OUTER_ROTATIONS)
         ):
             return None
         ticks = np.zeros(1, np.int64)
-        return np.asarray(model.local(None, ticks)[0][0] - model.base[0])
+        return np.asarray(
+            model.local_transforms(None, ticks)[0][0] - model.base_values[0]
+        )
 
     def _rotation_channels(
         self, j: int, model: Model, keys: JoinedKeys
     ) -> list[ClipChannel]:
         """Return Euler angle channels after the constant pre-rotation."""
-        if any(self._track(model, name) is not None for name in OUTER_ROTATIONS):
+        if any(self._find_track(model, name) is not None for name in OUTER_ROTATIONS):
             return []
-        if np.abs(model.post[:3]).max() > REST_TOLERANCE:
+        if np.abs(model.inverse_post_rotation[:3]).max() > REST_TOLERANCE:
             return []
-        is_inner = self.fbx_rig.rows[j].kind is RowKind.INNER
+        is_inner = self.fbx_rig.joint_rows[j].kind is RowKind.INNER
         is_root = model.parent < 0 and not is_inner
         pre_rotation = (
-            so3.multiply(self.axes_rotation, model.pre) if is_root else model.pre
+            so3.multiply(self.axes_rotation, model.pre_rotation)
+            if is_root
+            else model.pre_rotation
         )
         pre_rotation = so3.normalize(pre_rotation)
         channels = []
@@ -204,19 +218,26 @@ class _ClipBuilder:
             channels.append(
                 self._static_channel(self._channel_target(j, 1), pre_rotation)
             )
-        order = np.eye(3)[list(euler.axes_of(model.order))] * (np.pi / 180.0)
+        axis_matrix = np.eye(3)[list(euler.axes_of(model.rotation_order))] * (
+            np.pi / 180.0
+        )
         target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
-        return [*channels, self._channel(target, keys, order, np.zeros(3), model.order)]
+        return [
+            *channels,
+            self._build_channel(
+                target, keys, axis_matrix, np.zeros(3), model.rotation_order
+            ),
+        ]
 
-    def _channel(
+    def _build_channel(
         self,
         target: str,
         keys: JoinedKeys,
         linear: FloatArray,
-        shift: FloatArray,
-        order: str = "",
+        offset: FloatArray,
+        euler_order: str = "",
     ) -> ClipChannel:
-        """Return keys with values transformed by a matrix and an offset."""
+        """Return a channel with key values transformed by a matrix and an offset."""
         per_second = float(self.frames.fps)
         handles = []
         for handle_rows in (keys.ins, keys.outs):
@@ -229,19 +250,19 @@ class _ClipBuilder:
         return ClipChannel(
             target,
             self._key_frames(keys.ticks),
-            keys.values @ linear.T + shift,
+            keys.values @ linear.T + offset,
             keys.interps,
             ((Tangent.FREE, Tangent.FREE),) * count,
             handles[0],
             handles[1],
             np.zeros((count, 3)),
-            euler=order,
+            euler=euler_order,
             pre=keys.pre,
             post=keys.post,
         )
 
     def _key_frames(self, ticks: IntArray) -> FloatArray:
-        """Return key times [frames], snapped to a frame within a tick."""
+        """Return key times [frames], snapped to frames that are within two ticks."""
         per_tick = float(self.frames.fps) / TICKS_PER_SECOND
         codes = ticks * per_tick
         frames = np.round(codes)
@@ -250,22 +271,22 @@ class _ClipBuilder:
     def _static_channel(self, target: str, value: FloatArray) -> ClipChannel:
         interp = Interp.SLERP if len(value) == 4 else Interp.LINEAR
         ticks = self.frames.ticks(np.array([float(self.frames.first)]))
-        return self._key_channel(target, ticks, value[None].copy(), interp)
+        return self._sampled_key_channel(target, ticks, value[None].copy(), interp)
 
-    def _key_channel(
+    def _sampled_key_channel(
         self, target: str, ticks: IntArray, values: FloatArray, interp: Interp
     ) -> ClipChannel:
-        keys, width = values.shape
-        auto = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
+        key_count, component_count = values.shape
+        tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
         return ClipChannel(
             target,
             self._key_frames(ticks),
             values,
-            (interp,) * keys,
-            (auto,) * keys,
-            np.zeros((keys, 1 + width)),
-            np.zeros((keys, 1 + width)),
-            np.zeros((keys, 3)),
+            (interp,) * key_count,
+            (tangents,) * key_count,
+            np.zeros((key_count, 1 + component_count)),
+            np.zeros((key_count, 1 + component_count)),
+            np.zeros((key_count, 3)),
         )
 
     def _sample_times(self) -> IntArray:
@@ -273,65 +294,70 @@ class _ClipBuilder:
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
         take = self.sampler.take
-        keys = np.zeros(0, np.int64) if take is None else take.key_times()
-        keys = keys[(keys > ticks[0]) & (keys < ticks[-1])]
-        tick_after = ticks[np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1)]
+        key_times = np.zeros(0, np.int64) if take is None else take.key_times()
+        key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]
+        tick_after = ticks[
+            np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
+        ]
         tick_before = ticks[
-            np.clip(np.searchsorted(ticks, keys), 1, len(ticks) - 1) - 1
+            np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1) - 1
         ]
-        distance = np.minimum(np.abs(tick_after - keys), np.abs(keys - tick_before))
-        keys = keys[
-            distance > FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
+        frame_distance = np.minimum(
+            np.abs(tick_after - key_times), np.abs(key_times - tick_before)
+        )
+        key_times = key_times[
+            frame_distance > FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
         ]
-        return ticks if len(keys) > len(ticks) else np.union1d(ticks, keys)
+        return ticks if len(key_times) > len(ticks) else np.union1d(ticks, key_times)
 
     def _sampled_channels(self, component: int) -> list[ClipChannel]:
-        """Return sampled channels of a part; record their errors."""
-        rows = self.sampled[component]
-        if not rows:
+        """Return sampled channels of a component; record their errors."""
+        sampled_joints = self.sampled_joints[component]
+        if not sampled_joints:
             return []
         ticks = self._sample_times()
         middles = (ticks[1:] + ticks[:-1]) // 2
-        columns = self.sampler.animated[component].tolist()
+        columns = self.sampler.animated_joints[component].tolist()
         values, middle_values = (
-            self._sampled_values(component, at) for at in (ticks, middles)
+            self._sampled_values(component, sample_ticks)
+            for sample_ticks in (ticks, middles)
         )
         channels = []
         for column, j in enumerate(columns):
-            if j not in rows:
+            if j not in sampled_joints:
                 continue
-            samples, exact = values[:, column], middle_values[:, column]
+            samples, exact_values = values[:, column], middle_values[:, column]
             self.errors.count += 1
             if component == 1:
                 samples = so3.align_signs(samples)
                 errors = so3.angle_between(
-                    so3.slerp(samples[:-1], samples[1:], 0.5), exact
+                    so3.slerp(samples[:-1], samples[1:], 0.5), exact_values
                 )
-                worst = float(errors.max(initial=0.0))
-                self.errors.radians = max(self.errors.radians, worst)
+                max_angle = float(errors.max(initial=0.0))
+                self.errors.radians = max(self.errors.radians, max_angle)
             else:
-                error = np.abs((samples[:-1] + samples[1:]) / 2 - exact).max(
+                max_error = np.abs((samples[:-1] + samples[1:]) / 2 - exact_values).max(
                     initial=0.0
                 )
                 if component == 0:
-                    self.errors.metres = max(self.errors.metres, float(error))
+                    self.errors.metres = max(self.errors.metres, float(max_error))
                 else:
-                    self.errors.scale = max(self.errors.scale, float(error))
+                    self.errors.scale = max(self.errors.scale, float(max_error))
             interp = Interp.SLERP if component == 1 else Interp.LINEAR
             channels.append(
-                self._key_channel(
+                self._sampled_key_channel(
                     self._channel_target(j, component), ticks, samples, interp
                 )
             )
         return channels
 
     def _sampled_values(self, component: int, ticks: IntArray) -> FloatArray:
-        motion = self.sampler.at(ticks)
+        motion = self.sampler.sample(ticks)
         channel = (motion.translations, motion.rotations, motion.scales)[component]
         assert channel is not None
         return np.asarray(channel.values)
 
-    def notices(self) -> list[Fault]:
+    def sampling_notices(self) -> list[Fault]:
         """Return one notice with the count and errors of sampled channels."""
         errors = self.errors
         if not errors.count:

@@ -1,8 +1,8 @@
 """FBX animation curves: keys, tangents and extrapolation.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurve` and `FbxAnimCurveKey`.
-Between two keys a cubic segment is a Bézier curve. Its handles lie along the slopes of
-the keys, at a weight of the segment's duration, which is a third by default.
+Between two keys a cubic segment is a Bézier curve. Its handles have the slopes of the
+keys; their duration is a fraction (weight) of the segment's, by default a third.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from animtool.formats.fbx.settings import TICKS_PER_SECOND
 CONSTANT, NEXT, LINEAR, CUBIC = range(4)
 ONE_THIRD = 1.0 / 3.0
 MAX_KEYS = 20_000_000
-# Largest time that is read [tick]; 2^62 leaves room for sums.
+# Largest valid time [tick]; sums of two stay below 2^62.
 MAX_TICKS = 2**61
 
 
@@ -40,9 +40,9 @@ class FbxCurve:
         times: Times of the K keys, ascending ``(K,)`` [tick].
         values: ``(K,)``.
         modes: Interpolation from each key to the next ``(K,)``.
-        out_slopes: Slope out of each key ``(K,)`` [1/s]; for linear
-            segments their slope.
-        in_slopes: Slope into the next key ``(K,)`` [1/s], likewise.
+        out_slopes: Slope after each key ``(K,)`` [1/s]; that of the segment if it is
+            linear.
+        in_slopes: Slope before the next key ``(K,)`` [1/s], likewise.
         weights: Weights of the handles out of each key and into the next, as fractions
             of the segment's duration ``(K, 2)``.
         pre: Extrapolation before the first key.
@@ -62,12 +62,14 @@ class FbxCurve:
         """Return whether the value never changes."""
         if (self.values != self.values[0]).any():
             return False
-        cubic = self.modes[:-1] == CUBIC
+        is_cubic = self.modes[:-1] == CUBIC
         has_slope = (self.out_slopes[:-1] != 0) | (self.in_slopes[:-1] != 0)
-        straight = "K" in {self.pre.mode, self.post.mode} and len(self.times) > 1
-        return not (cubic & has_slope).any() and not straight
+        is_sloped_outside = (
+            "K" in {self.pre.mode, self.post.mode} and len(self.times) > 1
+        )
+        return not (is_cubic & has_slope).any() and not is_sloped_outside
 
-    def at(self, ticks: IntArray) -> FloatArray:
+    def evaluate(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F,)`` [ticks]."""
         first, last = int(self.times[0]), int(self.times[-1])
         values = self._interpolate(np.clip(ticks, first, last))
@@ -83,30 +85,31 @@ class FbxCurve:
         self, ticks: IntArray, extrapolation: FbxExtrapolation, *, is_post: bool
     ) -> FloatArray:
         first, last = int(self.times[0]), int(self.times[-1])
-        span = last - first
+        duration = last - first
         distance = ticks - last if is_post else first - ticks
         if extrapolation.mode == "K":
             slope = self.in_slopes[-2] if is_post else self.out_slopes[0]
-            end = self.values[-1 if is_post else 0]
+            end_value = self.values[-1 if is_post else 0]
             return np.asarray(
-                end + slope * (ticks - (last if is_post else first)) / TICKS_PER_SECOND
+                end_value
+                + slope * (ticks - (last if is_post else first)) / TICKS_PER_SECOND
             )
         if extrapolation.count == 0:
             return np.full(len(ticks), self.values[-1 if is_post else 0])
-        repeats, remainder = np.divmod(distance, span)
+        repeat_index, remainder = np.divmod(distance, duration)
         if extrapolation.count > 0:
-            is_exhausted = repeats >= extrapolation.count
-            repeats = np.where(is_exhausted, extrapolation.count - 1, repeats)
-            remainder = np.where(is_exhausted, span, remainder)
+            is_exhausted = repeat_index >= extrapolation.count
+            repeat_index = np.where(is_exhausted, extrapolation.count - 1, repeat_index)
+            remainder = np.where(is_exhausted, duration, remainder)
         is_backward = np.full(len(ticks), not is_post)
         if extrapolation.mode == "M":
-            is_backward = (repeats % 2 == 0) == is_post
+            is_backward = (repeat_index % 2 == 0) == is_post
         repeated_values = self._interpolate(
             np.where(is_backward, last - remainder, first + remainder)
         )
         if extrapolation.mode == "A":
             step = self.values[-1] - self.values[0]
-            repeated_values = repeated_values + (repeats + 1) * (
+            repeated_values = repeated_values + (repeat_index + 1) * (
                 step if is_post else -step
             )
         return repeated_values
@@ -118,39 +121,39 @@ class FbxCurve:
         k = np.searchsorted(self.times, ticks, "right") - 1
         k = np.clip(k, 0, len(self.times) - 1)
         values = self.values[k].copy()
-        off_key = ticks != self.times[k]
-        if not off_key.any():
+        is_off_key = ticks != self.times[k]
+        if not is_off_key.any():
             return values
-        rows = np.flatnonzero(off_key)
+        rows = np.flatnonzero(is_off_key)
         k = k[rows]
-        mode = self.modes[k]
-        span = (self.times[k + 1] - self.times[k]).astype(np.float64)
-        fraction = (ticks[rows] - self.times[k]) / span
+        modes = self.modes[k]
+        durations = (self.times[k + 1] - self.times[k]).astype(np.float64)
+        fraction = (ticks[rows] - self.times[k]) / durations
         start_values, end_values = self.values[k], self.values[k + 1]
-        stepped_values = np.where(mode == NEXT, end_values, start_values)
-        stepped_values = np.where(
-            mode == LINEAR,
+        segment_values = np.where(modes == NEXT, end_values, start_values)
+        segment_values = np.where(
+            modes == LINEAR,
             start_values + fraction * (end_values - start_values),
-            stepped_values,
+            segment_values,
         )
-        cubic = mode == CUBIC
-        if cubic.any():
-            k, seconds = k[cubic], span[cubic] / TICKS_PER_SECOND
+        is_cubic = modes == CUBIC
+        if is_cubic.any():
+            k, seconds = k[is_cubic], durations[is_cubic] / TICKS_PER_SECOND
             weights = self.weights[k]
-            u = bezier_parameter(fraction[cubic], weights)
-            a = start_values[cubic] + self.out_slopes[k] * weights[:, 0] * seconds
-            b = end_values[cubic] - self.in_slopes[k] * weights[:, 1] * seconds
+            u = solve_bezier_parameter(fraction[is_cubic], weights)
+            a = start_values[is_cubic] + self.out_slopes[k] * weights[:, 0] * seconds
+            b = end_values[is_cubic] - self.in_slopes[k] * weights[:, 1] * seconds
             v = 1.0 - u
-            stepped_values[cubic] = v * v * (v * start_values[cubic] + 3 * u * a)
-            stepped_values[cubic] += u * u * (u * end_values[cubic] + 3 * v * b)
-        values[rows] = stepped_values
+            segment_values[is_cubic] = v * v * (v * start_values[is_cubic] + 3 * u * a)
+            segment_values[is_cubic] += u * u * (u * end_values[is_cubic] + 3 * v * b)
+        values[rows] = segment_values
         return values
 
 
-def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
+def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
     """Return the Bézier parameter ``(F,)`` of time fractions of a segment.
 
-    Uses Newton's method, or bisection if that leaves the bounds.
+    Uses Newton's method, with bisection if a step leaves the bounds.
     """
     u = fraction.copy()
     has_weights = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
@@ -171,9 +174,9 @@ def bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatArray:
             np.where(residual >= 0, x, upper),
         )
         slope = 3 * y * y * a + 6 * y * x * (b - a) + 3 * x * x * (1 - b)
-        step = x - residual / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
-        in_bounds = (step > lower) & (step < upper)
-        next_x = np.where(in_bounds, step, 0.5 * (lower + upper))
+        newton_x = x - residual / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
+        is_in_bounds = (newton_x > lower) & (newton_x < upper)
+        next_x = np.where(is_in_bounds, newton_x, 0.5 * (lower + upper))
         is_converged = np.abs(next_x - x).max() < 1e-15
         x = next_x
         if is_converged:

@@ -13,13 +13,13 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 
-# Maximum nesting. Keys of an object are four deep; deeper files are not scenes.
+# Maximum nesting depth; keys of an object are four levels deep.
 MAX_DEPTH = 48
 MAX_ELEMENTS = 3_000_000
 # Limit of all arrays of a file, inflated [byte].
 MAX_ARRAY_BYTES = 1_000_000_000
 # Largest float32; larger numbers are invalid.
-FLOAT32_LIMIT = 3.4028234663852886e38
+FLOAT32_MAX = 3.4028234663852886e38
 
 
 @dataclass(slots=True, eq=False)
@@ -35,7 +35,7 @@ class Element:
         """Return the first child element of a name."""
         return next((child for child in self.children if child.name == name), None)
 
-    def all(self, name: str) -> Iterator[Element]:
+    def find_all(self, name: str) -> Iterator[Element]:
         """Yield the child elements of a name."""
         return (child for child in self.children if child.name == name)
 
@@ -45,26 +45,26 @@ class Element:
         return value if isinstance(value, str) else ""
 
 
-def number(element: Element, index: int, notes: FileNotices) -> float:
+def read_number(element: Element, index: int, notes: FileNotices) -> float:
     """Return a finite number of an element."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
-    if not isinstance(value, int | float) or not abs(value) <= FLOAT32_LIMIT:
+    if not isinstance(value, int | float) or not abs(value) <= FLOAT32_MAX:
         message = f"{element.name} must be a number, not {excerpt(repr(value))}"
         notes.fail("FBX005", element.where, message)
     return float(value)
 
 
-def floats(
+def read_floats(
     parent: Element, name: str, notes: FileNotices, count: int | None = None
 ) -> FloatArray | None:
     """Return the finite numbers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    values = np.asarray(_array(element, notes), np.float64)
-    if not (np.abs(values) <= FLOAT32_LIMIT).all():
+    values = np.asarray(_numeric_array(element, notes), np.float64)
+    if not (np.abs(values) <= FLOAT32_MAX).all():
         notes.fail(
             "FBX005", element.where, f"{name} contains a value that is not finite"
         )
@@ -74,21 +74,23 @@ def floats(
     return values
 
 
-def integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
+def read_integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
     """Return the integers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    values = _array(element, notes)
+    values = _numeric_array(element, notes)
     if values.dtype.kind == "f":
-        in_range = np.isfinite(values).all() and (np.abs(values) < 2.0**63).all()
-        if not in_range or (values != np.round(values)).any():
+        is_in_range = (
+            np.isfinite(values).find_all() and (np.abs(values) < 2.0**63).find_all()
+        )
+        if not is_in_range or (values != np.round(values)).any():
             notes.fail("FBX005", element.where, f"{name} must hold integers")
     return np.asarray(values, np.int64)
 
 
-def _array(element: Element, notes: FileNotices) -> Any:
-    """Return the numbers of an element, one array or single values."""
+def _numeric_array(element: Element, notes: FileNotices) -> Any:
+    """Return the numbers of an element as an array; raise for other values."""
     values = element.values
     if len(values) == 1 and isinstance(values[0], np.ndarray):
         return values[0]

@@ -1,4 +1,4 @@
-"""Meshes of an FBX: control points, faces, skins and blend shapes."""
+"""Reads the meshes of an FBX: points, faces, skins and blend shapes."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
-from animtool.formats.fbx.elements import Element, floats, integers
+from animtool.formats.fbx.elements import Element, read_floats, read_integers
 from animtool.formats.fbx.layers import DEFORM_PERCENT
 from animtool.formats.fbx.objects import (
     FIRST_NUMBERED_VERSION,
@@ -17,9 +17,9 @@ from animtool.formats.fbx.objects import (
     FbxFile,
     Object,
     ObjectId,
-    scalar,
+    read_scalar,
 )
-from animtool.formats.fbx.takes import shape_id, shapes_before_7000
+from animtool.formats.fbx.takes import old_shape_id, old_shapes
 
 LINEAR, DUAL_QUATERNION = "linear", "dual_quaternion"
 _BLENDER_EXPORTER = "blender (stable fbx io)"
@@ -33,16 +33,16 @@ class Cluster:
 
     Attributes:
         bone: Id of the bone's node.
-        from_mesh: bone_from_mesh at bind time ``(4, 4)``.
-        world: world_from_bone at bind time ``(4, 4)``.
+        bone_from_mesh: Transform at bind time ``(4, 4)``.
+        world_from_bone: Transform at bind time ``(4, 4)``.
         indices: Control points ``(N,)``.
-        weights: Weights of these ``(N,)`` [1].
+        weights: Weights of the control points ``(N,)`` [1].
         where: Location of its element in the file.
     """
 
     bone: ObjectId
-    from_mesh: FloatArray
-    world: FloatArray
+    bone_from_mesh: FloatArray
+    world_from_bone: FloatArray
     indices: IntArray
     weights: FloatArray
     where: str
@@ -67,7 +67,7 @@ class ShapeChannel:
 
 @dataclass(slots=True, eq=False)
 class FbxGeometry:
-    """A mesh, shown by one or several nodes.
+    """A mesh of one or several nodes.
 
     Attributes:
         name: Name in the file, often empty.
@@ -87,28 +87,28 @@ class FbxGeometry:
 
 
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
-    """Return the mesh of each node that shows one, by node id."""
+    """Return the mesh of each node that has one, by node id."""
     if file.version < FIRST_NUMBERED_VERSION:
-        old_meshes = [
-            model_object
-            for model_object in file.of_kind("Model")
-            if model_object.element.find("Vertices")
+        mesh_objects = [
+            mesh_object
+            for mesh_object in file.of_kind("Model")
+            if mesh_object.element.find("Vertices")
         ]
-        shown_meshes = [(model_object, model_object) for model_object in old_meshes]
+        mesh_models = [(mesh_object, mesh_object) for mesh_object in mesh_objects]
         # Instances share the mesh of another object.
-        old_meshes = file.of_kind("Geometry", "Mesh")
+        mesh_objects = file.of_kind("Geometry", "Mesh")
     else:
-        shown_meshes, old_meshes = [], file.of_kind("Geometry", "Mesh")
-    for model_object in old_meshes:
-        shown_meshes += [
-            (model_object, model) for model in file.targets(model_object.id, "Model")
+        mesh_models, mesh_objects = [], file.of_kind("Geometry", "Mesh")
+    for mesh_object in mesh_objects:
+        mesh_models += [
+            (mesh_object, model) for model in file.targets(mesh_object.id, "Model")
         ]
-    meshes_by_id: dict[ObjectId, FbxGeometry | None] = {}
+    meshes_by_object: dict[ObjectId, FbxGeometry | None] = {}
     meshes: dict[ObjectId, FbxGeometry] = {}
-    for holder, model in shown_meshes:
-        if holder.id not in meshes_by_id:
-            meshes_by_id[holder.id] = _read_mesh(file, holder, model)
-        mesh = meshes_by_id[holder.id]
+    for mesh_object, model in mesh_models:
+        if mesh_object.id not in meshes_by_object:
+            meshes_by_object[mesh_object.id] = _read_mesh(file, mesh_object, model)
+        mesh = meshes_by_object[mesh_object.id]
         if mesh is not None:
             meshes.setdefault(model.id, mesh)
     return meshes
@@ -116,15 +116,15 @@ def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
 
 def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry | None:
     notes, element, name = file.notes, mesh_object.element, model.name
-    coordinates = floats(element, "Vertices", notes)
-    corners = integers(element, "PolygonVertexIndex", notes)
+    coordinates = read_floats(element, "Vertices", notes)
+    vertex_indices = read_integers(element, "PolygonVertexIndex", notes)
     if coordinates is None or not len(coordinates):
         return None
     if len(coordinates) % 3:
         message = f"{len(coordinates)} numbers of {name!r} do not make points"
         notes.fail("FBX008", element.where, message)
     points = coordinates.reshape(-1, 3)
-    faces = _read_faces(file, mesh_object, corners, len(points), name)
+    faces = _read_faces(file, mesh_object, vertex_indices, len(points), name)
     geometry = FbxGeometry(mesh_object.name, points, faces)
     _add_skin(file, mesh_object, geometry, name)
     _add_shapes(file, mesh_object, geometry, model)
@@ -132,26 +132,38 @@ def _read_mesh(file: FbxFile, mesh_object: Object, model: Object) -> FbxGeometry
 
 
 def _read_faces(
-    file: FbxFile, mesh_object: Object, corners: IntArray | None, count: int, name: str
+    file: FbxFile,
+    mesh_object: Object,
+    vertex_indices: IntArray | None,
+    point_count: int,
+    name: str,
 ) -> IntArray:
-    """Return faces; FBX bit-inverts the last corner index of each."""
-    if corners is None or not len(corners):
+    """Return faces padded with -1; FBX bit-inverts the last index of each face."""
+    if vertex_indices is None or not len(vertex_indices):
         return np.zeros((0, 3), np.int64)
-    is_last = corners < 0
-    point_indices = np.where(is_last, ~corners, corners)
-    if not is_last[-1] or (point_indices >= count).any() or (point_indices < 0).any():
-        message = f"a face of {name!r} has a corner outside its {count} points"
+    is_last = vertex_indices < 0
+    point_indices = np.where(is_last, ~vertex_indices, vertex_indices)
+    if (
+        not is_last[-1]
+        or (point_indices >= point_count).any()
+        or (point_indices < 0).any()
+    ):
+        message = f"a face of {name!r} has a corner outside its {point_count} points"
         file.notes.fail("FBX008", mesh_object.element.where, message)
-    last_corners = np.flatnonzero(is_last)
-    sizes = np.diff(np.concatenate([[-1], last_corners]))
-    if int(sizes.max()) * len(sizes) > MAX_TABLE_CELLS:
-        message = f"faces of {name!r} have up to {int(sizes.max())} corners"
+    last_corner_rows = np.flatnonzero(is_last)
+    corner_counts = np.diff(np.concatenate([[-1], last_corner_rows]))
+    if int(corner_counts.max()) * len(corner_counts) > MAX_TABLE_CELLS:
+        message = f"faces of {name!r} have up to {int(corner_counts.max())} corners"
         file.notes.fail("FBX013", mesh_object.element.where, message)
-    rows = np.repeat(np.arange(len(sizes)), sizes)
-    columns = np.arange(len(point_indices)) - np.repeat(last_corners + 1 - sizes, sizes)
-    faces = np.full((len(sizes), max(3, int(sizes.max()))), -1, np.int64)
+    rows = np.repeat(np.arange(len(corner_counts)), corner_counts)
+    columns = np.arange(len(point_indices)) - np.repeat(
+        last_corner_rows + 1 - corner_counts, corner_counts
+    )
+    faces = np.full(
+        (len(corner_counts), max(3, int(corner_counts.max()))), -1, np.int64
+    )
     faces[rows, columns] = point_indices
-    return faces[sizes >= 3]
+    return faces[corner_counts >= 3]
 
 
 def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) -> None:
@@ -177,8 +189,8 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
             cluster = _read_cluster(file, deformer, len(mesh.points), name)
             if cluster is not None:
                 mesh.clusters.append(cluster)
-        kind = skin.element.find("SkinningType")
-        method = "Linear" if kind is None else kind.text(0)
+        type_element = skin.element.find("SkinningType")
+        method = "Linear" if type_element is None else type_element.text(0)
         if method == "DualQuaternion":
             mesh.method = DUAL_QUATERNION
         elif method not in {"Linear", "Rigid", ""}:
@@ -189,12 +201,14 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    indices = [integers(cluster.element, "Indexes", file.notes) for cluster in clusters]
-    return any(cluster is not None and len(cluster) for cluster in indices)
+    indices = [
+        read_integers(indices_.element, "Indexes", file.notes) for indices_ in clusters
+    ]
+    return any(row is not None and len(row) for row in indices)
 
 
 def _read_cluster(
-    file: FbxFile, source: Object, points: int, name: str
+    file: FbxFile, source: Object, point_count: int, name: str
 ) -> Cluster | None:
     notes, element = file.notes, source.element
     bones = [
@@ -202,8 +216,8 @@ def _read_cluster(
         for bone_object in file.sources(source.id, "Model")
         if bone_object.id not in ROOT_IDS
     ]
-    indices = integers(element, "Indexes", notes)
-    weights = floats(element, "Weights", notes)
+    indices = read_integers(element, "Indexes", notes)
+    weights = read_floats(element, "Weights", notes)
     if indices is None or weights is None or not len(indices):
         return None
     if not bones:
@@ -219,7 +233,7 @@ def _read_cluster(
             f"{len(indices)} indices of {source.name!r} have {len(weights)} weights"
         )
         notes.fail("FBX008", element.where, message)
-    if (indices < 0).any() or (indices >= points).any():
+    if (indices < 0).any() or (indices >= point_count).any():
         message = (
             f"cluster {source.name!r} refers to a point that {name!r} does not have"
         )
@@ -242,47 +256,57 @@ def _read_cluster(
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     """Return a column-vector matrix; files store row-vector ones."""
-    numbers = floats(element, name, file.notes, 16)
+    numbers = read_floats(element, name, file.notes, 16)
     if numbers is None:
         return np.eye(4)
     matrix = numbers.reshape(4, 4).T.copy()
-    size = float(np.abs(matrix[:3, :3]).max())
-    singular = not size or abs(np.linalg.det(matrix[:3, :3] / size)) < 1e-12
-    if singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
+    magnitude = float(np.abs(matrix[:3, :3]).max())
+    is_singular = (
+        not magnitude or abs(np.linalg.det(matrix[:3, :3] / magnitude)) < 1e-12
+    )
+    if is_singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         message = f"{name} has no inverse"
         file.notes.fail("FBX008", element.where, message)
     return matrix
 
 
-def skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
+def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     """Return cluster indices and weights of each point ``(V, I)``.
 
-    Weights are normalised. The cluster after the last is the mesh's own node, which
-    moves points without weights.
+    Weights are normalised. The index after the last cluster is the mesh's own node,
+    which moves points without weights.
     """
-    count, clusters = len(mesh.points), len(mesh.clusters)
+    point_count, cluster_count = len(mesh.points), len(mesh.clusters)
     points = np.concatenate([cluster.indices for cluster in mesh.clusters])
     weights = np.concatenate([cluster.weights for cluster in mesh.clusters])
-    sizes = [len(cluster.indices) for cluster in mesh.clusters]
-    of = np.repeat(np.arange(clusters), sizes)
+    cluster_sizes = [len(cluster.indices) for cluster in mesh.clusters]
+    cluster_indices = np.repeat(np.arange(cluster_count), cluster_sizes)
     has_weight = weights > 0
-    points, weights, of = points[has_weight], weights[has_weight], of[has_weight]
+    points, weights, cluster_indices = (
+        points[has_weight],
+        weights[has_weight],
+        cluster_indices[has_weight],
+    )
     order = np.argsort(points, kind="stable")
-    points, weights, of = points[order], weights[order], of[order]
-    influence_counts = np.bincount(points, minlength=count)
-    width = max(1, int(influence_counts.max(initial=0)))
+    points, weights, cluster_indices = (
+        points[order],
+        weights[order],
+        cluster_indices[order],
+    )
+    influence_counts = np.bincount(points, minlength=point_count)
+    influence_count = max(1, int(influence_counts.max(initial=0)))
     starts = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
     columns = np.arange(len(points)) - starts[points]
-    indices = np.zeros((count, width), np.int64)
-    table = np.zeros((count, width))
-    indices[points, columns], table[points, columns] = of, weights
+    indices = np.zeros((point_count, influence_count), np.int64)
+    table = np.zeros((point_count, influence_count))
+    indices[points, columns], table[points, columns] = cluster_indices, weights
     weight_sums = table.sum(axis=1, keepdims=True)
     is_unweighted = weight_sums[:, 0] <= 0
-    indices[is_unweighted, 0], table[is_unweighted, 0] = clusters, 1.0
+    indices[is_unweighted, 0], table[is_unweighted, 0] = cluster_count, 1.0
     return indices, table / np.where(weight_sums <= 0, 1.0, weight_sums)
 
 
-def has_free_points(mesh: FbxGeometry) -> bool:
+def has_unweighted_points(mesh: FbxGeometry) -> bool:
     """Return whether some point of a skinned mesh has no weights."""
     weight_sums = np.zeros(len(mesh.points))
     for cluster in mesh.clusters:
@@ -295,31 +319,31 @@ def _add_shapes(
 ) -> None:
     notes = file.notes
     for shape in (
-        shapes_before_7000(file, model) if file.version < FIRST_NUMBERED_VERSION else ()
+        old_shapes(file, model) if file.version < FIRST_NUMBERED_VERSION else ()
     ):
         offsets = _shape_offsets(file, shape, shape.text(0), len(mesh.points))
-        percent = scalar(model, shape.text(0), 0.0, notes)
-        channel_id = shape_id(model.id, shape.text(0))
+        percent = read_scalar(model, shape.text(0), 0.0, notes)
+        channel_id = old_shape_id(model.id, shape.text(0))
         mesh.shapes.append(
             ShapeChannel(channel_id, shape.text(0), percent, [(100.0, offsets)])
         )
-    for group in file.sources(mesh_object.id, "Deformer", "BlendShape"):
-        for channel in file.sources(group.id, "Deformer", "BlendShapeChannel"):
-            channel_ = _read_shape_channel(file, channel, len(mesh.points))
-            if channel_ is not None:
-                mesh.shapes.append(channel_)
+    for blend_shape in file.sources(mesh_object.id, "Deformer", "BlendShape"):
+        for channel in file.sources(blend_shape.id, "Deformer", "BlendShapeChannel"):
+            shape_channel = _read_shape_channel(file, channel, len(mesh.points))
+            if shape_channel is not None:
+                mesh.shapes.append(shape_channel)
 
 
 def _read_shape_channel(
-    file: FbxFile, source: Object, points: int
+    file: FbxFile, source: Object, point_count: int
 ) -> ShapeChannel | None:
     notes, element = file.notes, source.element
     shapes = file.sources(source.id, "Geometry", "Shape")
     if not shapes:
         return None
-    full_weights = floats(element, "FullWeights", notes)
+    full_weights = read_floats(element, "FullWeights", notes)
     point_percents = None
-    if full_weights is not None and _counts_points(file):
+    if full_weights is not None and _has_weights_per_point(file):
         point_percents, full_weights = full_weights, None
         if len(shapes) > 1:
             full_weights = np.full(len(shapes), 100.0)
@@ -330,27 +354,30 @@ def _read_shape_channel(
             )
             notes.fail("FBX008", element.where, message)
         full_weights = np.array([100.0])
-    percent = scalar(source, DEFORM_PERCENT, 0.0, notes)
+    percent = read_scalar(source, DEFORM_PERCENT, 0.0, notes)
     if DEFORM_PERCENT not in source.properties:
-        percents = floats(element, DEFORM_PERCENT, notes)
+        percents = read_floats(element, DEFORM_PERCENT, notes)
         percent = (
             float(percents[0]) if percents is not None and len(percents) else percent
         )
     targets = []
-    for shape, at in zip(shapes, full_weights.tolist(), strict=False):
+    for shape, full_weight in zip(shapes, full_weights.tolist(), strict=False):
         offsets = _shape_offsets(
-            file, shape.element, shape.name, points, point_percents
+            file, shape.element, shape.name, point_count, point_percents
         )
-        targets.append((at, offsets))
-    targets.sort(key=lambda target_: target_[0])
+        targets.append((full_weight, offsets))
+    targets.sort(key=lambda entry: entry[0])
     return ShapeChannel(source.id, source.name, percent, targets)
 
 
-def _counts_points(file: FbxFile) -> bool:
-    """Return whether full weights are per point (Blender writes vertex groups)."""
+def _has_weights_per_point(file: FbxFile) -> bool:
+    """Return whether full weights are per point, as Blender writes vertex groups."""
     header = file.root.find("FBXHeaderExtension")
     creators = [
-        creator for top in (file.root, header) if top for creator in top.all("Creator")
+        creator
+        for element in (file.root, header)
+        if element
+        for creator in element.find_all("Creator")
     ]
     return any(
         creator.text(0).lower().startswith(_BLENDER_EXPORTER) for creator in creators
@@ -361,29 +388,29 @@ def _shape_offsets(
     file: FbxFile,
     element: Element,
     name: str,
-    points: int,
+    point_count: int,
     percents: FloatArray | None = None,
 ) -> FloatArray:
     """Return the point offsets of a shape ``(V, 3)``.
 
-    ``percents`` is the percentage of each stated offset that applies [%].
+    ``percents`` is the applied percentage of each offset [%].
     """
     notes = file.notes
-    table = np.zeros((points, 3))
-    indices = integers(element, "Indexes", notes)
-    coordinates = floats(element, "Vertices", notes)
+    point_offsets = np.zeros((point_count, 3))
+    indices = read_integers(element, "Indexes", notes)
+    coordinates = read_floats(element, "Vertices", notes)
     if indices is None or coordinates is None or not len(indices):
-        return table
+        return point_offsets
     if len(coordinates) != 3 * len(indices):
         message = (
             f"{len(indices)} indices of shape {name!r} have {len(coordinates)} numbers"
         )
         notes.fail("FBX008", element.where, message)
-    if (indices < 0).any() or (indices >= points).any():
+    if (indices < 0).any() or (indices >= point_count).any():
         message = f"shape {name!r} counts a point that its mesh has not"
         notes.fail("FBX008", element.where, message)
     offsets = coordinates.reshape(-1, 3)
     if percents is not None and len(percents) == len(offsets):
         offsets = offsets * (percents[:, None] / 100.0)
-    table[indices] = offsets
-    return table
+    point_offsets[indices] = offsets
+    return point_offsets

@@ -1,4 +1,4 @@
-"""Curves of FBX 7000 and newer, and the checks of every curve."""
+"""Reads curves of FBX 7000 and newer, and validates all curves."""
 
 from __future__ import annotations
 
@@ -18,65 +18,85 @@ from animtool.formats.fbx.curves import (
     FbxCurve,
     FbxExtrapolation,
 )
-from animtool.formats.fbx.elements import Element, floats, integers, number
-from animtool.formats.fbx.settings import TICKS_PER_SECOND, in_ticks
-from animtool.formats.fbx.tangents import CURVED, NEXT_VALUE, STEPPED, TCB, key_slopes
+from animtool.formats.fbx.elements import (
+    Element,
+    read_floats,
+    read_integers,
+    read_number,
+)
+from animtool.formats.fbx.settings import TICKS_PER_SECOND, convert_new_ticks
+from animtool.formats.fbx.tangents import (
+    CURVED,
+    NEXT_VALUE,
+    STEPPED,
+    TCB,
+    compute_key_slopes,
+)
 from animtool.formats.file_notices import FileNotices
 
-# Unit of stored handle weights: 4 decimals, two of which fill 32 bits.
-WEIGHT_STEP = 1e-4
+# Unit of stored handle weights; two of them are packed into 32 bits.
+WEIGHT_UNIT = 1e-4
 
 
-def curve_of_object(
-    element: Element, notes: FileNotices, *, new_ticks: bool = False
+def read_curve(
+    element: Element, notes: FileNotices, *, has_new_ticks: bool = False
 ) -> FbxCurve | None:
     """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
-    ``new_ticks`` is whether its times count 141,120,000 ticks per second.
+    ``has_new_ticks`` says whether there are 141,120,000 ticks per second.
     """
-    times = integers(element, "KeyTime", notes)
+    times = read_integers(element, "KeyTime", notes)
     if times is None or not len(times):
         return None
-    if new_ticks:
-        times = in_ticks(times)
+    if has_new_ticks:
+        times = convert_new_ticks(times)
     count = len(times)
-    values = floats(element, "KeyValueFloat", notes, count)
-    flags = integers(element, "KeyAttrFlags", notes)
-    data = element.find("KeyAttrDataFloat")
-    counts = integers(element, "KeyAttrRefCount", notes)
+    values = read_floats(element, "KeyValueFloat", notes, count)
+    flags = read_integers(element, "KeyAttrFlags", notes)
+    attribute_data = element.find("KeyAttrDataFloat")
+    reference_counts = read_integers(element, "KeyAttrRefCount", notes)
     check_times(times, element, notes)
-    if values is None or flags is None or counts is None or data is None:
+    if (
+        values is None
+        or flags is None
+        or reference_counts is None
+        or attribute_data is None
+    ):
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
-    raw = _attribute_bits(data, notes)
-    lengths_match = len(flags) == len(counts) and raw.size == 4 * len(flags)
-    lengths_match = lengths_match and bool(
-        (counts >= 0).all() and (counts <= count).all()
+    attribute_bits = _attribute_bits(attribute_data, notes)
+    is_consistent = len(flags) == len(
+        reference_counts
+    ) and attribute_bits.size == 4 * len(flags)
+    is_consistent = is_consistent and bool(
+        (reference_counts >= 0).all() and (reference_counts <= count).all()
     )
-    if not lengths_match or int(counts.sum()) != count:
+    if not is_consistent or int(reference_counts.sum()) != count:
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
-    flags = np.repeat(flags, counts)
-    rows = np.repeat(raw.reshape(-1, 4), counts, axis=0)
+    flags = np.repeat(flags, reference_counts)
+    rows = np.repeat(attribute_bits.reshape(-1, 4), reference_counts, axis=0)
     is_stepped = flags & STEPPED != 0
-    cubic = ~is_stepped & (flags & CURVED != 0)
-    tcb = cubic & (flags & TCB != 0)
+    is_cubic = ~is_stepped & (flags & CURVED != 0)
+    is_tcb = is_cubic & (flags & TCB != 0)
     key_data = rows[:, :3].copy().view(np.float32).astype(np.float64)
-    # The third number is the bias of TCB tangents, or two packed weights of others.
+    # The third number is the bias of TCB tangents; for others, two packed weights.
     if (
-        not np.isfinite(key_data[cubic, :2]).all()
-        or not np.isfinite(key_data[tcb]).all()
+        not np.isfinite(key_data[is_cubic, :2]).all()
+        or not np.isfinite(key_data[is_tcb]).all()
     ):
         notes.fail("FBX006", element.where, "a slope of a key is not finite")
     packed_weights = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
     weights = np.full((count, 2), ONE_THIRD)
-    for side, (flag, numbers) in enumerate(
+    for column, (flag, stored_weights) in enumerate(
         ((0x1000000, packed_weights & 0xFFFF), (0x2000000, packed_weights >> 16))
     ):
-        is_weighted = cubic & ~tcb & (flags & flag != 0)
-        weights[is_weighted, side] = np.minimum(numbers[is_weighted] * WEIGHT_STEP, 1.0)
-    modes = np.where(cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
+        is_weighted = is_cubic & ~is_tcb & (flags & flag != 0)
+        weights[is_weighted, column] = np.minimum(
+            stored_weights[is_weighted] * WEIGHT_UNIT, 1.0
+        )
+    modes = np.where(is_cubic, CUBIC, np.where(is_stepped, CONSTANT, LINEAR))
     modes[is_stepped & (flags & NEXT_VALUE != 0)] = NEXT
-    out_slopes, in_slopes = key_slopes(
+    out_slopes, in_slopes = compute_key_slopes(
         times / TICKS_PER_SECOND, values, flags, key_data, weights
     )
     return validate_curve(
@@ -85,7 +105,7 @@ def curve_of_object(
 
 
 def _attribute_bits(data: Element, notes: FileNotices) -> Any:
-    """Return key attributes as float32 bits; text files write integers."""
+    """Return key attributes as float32 bits; text files store them as integers."""
     values = data.values[0] if len(data.values) == 1 else np.array(data.values)
     array = np.asarray(values)
     if array.dtype.kind == "f":
@@ -104,8 +124,8 @@ def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fbx
         if not np.isfinite(slopes).all():
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
     pre, post = (
-        _fbx_extrapolation(element, f"{name}-Extrapolation", notes)
-        for name in _EXTRAPOLATION_ENDS
+        _read_extrapolation(element, f"{name}-Extrapolation", notes)
+        for name in _EXTRAPOLATION_NAMES
     )
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
@@ -114,17 +134,17 @@ def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fbx
     return FbxCurve(
         times,
         curve.values,
-        _shared_row(curve.modes),
-        _shared_row(out_slopes),
-        _shared_row(in_slopes),
-        _shared_row(curve.weights),
+        _compact_rows(curve.modes),
+        _compact_rows(out_slopes),
+        _compact_rows(in_slopes),
+        _compact_rows(curve.weights),
         pre,
         post,
     )
 
 
-def _shared_row(rows: Any) -> Any:
-    """Return an array of equal rows as a view of one row."""
+def _compact_rows(rows: Any) -> Any:
+    """Return an array of equal rows as a view of one row, to save memory."""
     if len(rows) > 1 and (rows == rows[:1]).all():
         return np.broadcast_to(rows[0].copy(), rows.shape)
     return rows
@@ -141,22 +161,24 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
         notes.fail("FBX006", element.where, "the times of keys must not descend")
 
 
-_EXTRAPOLATION_ENDS = ("Pre", "Post")
+_EXTRAPOLATION_NAMES = ("Pre", "Post")
 
 
-def _fbx_extrapolation(
+def _read_extrapolation(
     element: Element, name: str, notes: FileNotices
 ) -> FbxExtrapolation:
-    block = element.find(name)
-    kind = None if block is None else block.find("Type")
-    if block is None or kind is None or not kind.values:
+    extrapolation_element = element.find(name)
+    type_element = (
+        None if extrapolation_element is None else extrapolation_element.find("Type")
+    )
+    if extrapolation_element is None or type_element is None or not type_element.values:
         return FbxExtrapolation()
-    mode = kind.values[0]
+    mode = type_element.values[0]
     if isinstance(mode, int) and 0 <= mode < 256:
         mode = chr(mode)
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
-        notes.fail("FBX006", kind.where, message)
-    repeats = block.find("Repetition")
-    count = -1.0 if repeats is None else number(repeats, 0, notes)
+        notes.fail("FBX006", type_element.where, message)
+    repeats = extrapolation_element.find("Repetition")
+    count = -1.0 if repeats is None else read_number(repeats, 0, notes)
     return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

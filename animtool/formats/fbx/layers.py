@@ -1,4 +1,4 @@
-"""Animation layers: additive and override blending of a property.
+"""Blends animation layers of a property, additive or override.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimLayer`: blend mode, rotation and
 scale accumulation mode. Rotations that accumulate by layer are composed in XYZ order,
@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.angles import XYZ, principal_angles, rotations_of
+from animtool.formats.fbx.angles import XYZ, principal_angles, rotations_from_angles
 from animtool.formats.fbx.curves import FbxCurve
 from animtool.maths import so3
 
@@ -24,7 +24,7 @@ DEFORM_PERCENT = "DeformPercent"
 # the rotations before and after.
 PIVOT_PROPERTIES = ("RotationOffset", "RotationPivot", "ScalingOffset", "ScalingPivot")
 OUTER_ROTATIONS = ("PreRotation", "PostRotation")
-# Weights from here on count as 1 [1].
+# Weights above this are 1 [1].
 FULL_WEIGHT = 0.99999
 
 
@@ -35,27 +35,27 @@ class Layer:
     Attributes:
         name: Name in the file.
         weight: Weight without a curve [1].
-        curve: Weight over time [%]; None uses the constant weight.
-        mode: Additive; override, which ignores the weight; or passthrough, which
+        weight_curve: Weight over time [%]; None uses the constant weight.
+        mode: `ADDITIVE`; `OVERRIDE`, which ignores the weight; or `PASSTHROUGH`, which
             blends.
-        by_layer: Whether rotations accumulate as quaternions.
-        by_product: Whether scales accumulate as products.
+        accumulates_rotations: Whether rotations accumulate as quaternions.
+        accumulates_scales: Whether scales accumulate as products.
     """
 
     name: str
     weight: float = 1.0
-    curve: FbxCurve | None = None
+    weight_curve: FbxCurve | None = None
     mode: int = ADDITIVE
-    by_layer: bool = False
-    by_product: bool = False
+    accumulates_rotations: bool = False
+    accumulates_scales: bool = False
 
     def weights(self, ticks: IntArray) -> FloatArray:
         """Return the layer weight at times ``(F,)`` [1]."""
-        if self.curve is None:
+        if self.weight_curve is None:
             return np.full(
                 len(ticks), 1.0 if self.weight > FULL_WEIGHT else self.weight
             )
-        weights = np.clip(self.curve.at(ticks) / 100.0, 0.0, 1.0)
+        weights = np.clip(self.weight_curve.evaluate(ticks) / 100.0, 0.0, 1.0)
         return np.where(weights > FULL_WEIGHT, 1.0, weights)
 
 
@@ -68,24 +68,24 @@ class LayerValues:
     defaults: list[float]  # values of components without a curve
     curves: list[FbxCurve | None]
 
-    def at(self, ticks: IntArray) -> FloatArray:
+    def evaluate(self, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``."""
         values = np.tile(np.array(self.defaults, np.float64), (len(ticks), 1))
         for component, curve in enumerate(self.curves):
             if curve is not None:
-                values[:, component] = curve.at(ticks)
+                values[:, component] = curve.evaluate(ticks)
         return values
 
-    def constant(self) -> FloatArray | None:
+    def constant_value(self) -> FloatArray | None:
         """Return its values if they never change, else None."""
         if any(curve is not None and not curve.is_static() for curve in self.curves):
             return None
-        return np.asarray(self.at(np.zeros(1, np.int64))[0])
+        return np.asarray(self.evaluate(np.zeros(1, np.int64))[0])
 
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """A property over time, all layers blended.
+    """An animated property with its layers.
 
     Attributes:
         object_id: Id of the object.
@@ -97,47 +97,57 @@ class PropertyTrack:
     name: str
     layers: list[LayerValues] = field(default_factory=list)
 
-    def constant(self, base: FloatArray) -> FloatArray | None:
+    def constant_value(self, base: FloatArray) -> FloatArray | None:
         """Return its values if they never change, else None."""
         for layer_values in self.layers:
-            blends = layer_values.layer.mode != OVERRIDE and not layer_values.is_first
-            if layer_values.constant() is None or (
-                blends and layer_values.layer.curve is not None
+            is_blended = (
+                layer_values.layer.mode != OVERRIDE and not layer_values.is_first
+            )
+            if layer_values.constant_value() is None or (
+                is_blended and layer_values.layer.weight_curve is not None
             ):
                 return None
-        return np.asarray(self.at(base, np.zeros(1, np.int64))[0])
+        return np.asarray(self.evaluate(base, np.zeros(1, np.int64))[0])
 
-    def at(self, base: FloatArray, ticks: IntArray) -> FloatArray:
+    def evaluate(self, base: FloatArray, ticks: IntArray) -> FloatArray:
         """Return the values at times ``(F, width)``.
 
         ``base`` is the value without animation ``(width,)``.
         """
-        result = np.tile(base, (len(ticks), 1))
+        blended_values = np.tile(base, (len(ticks), 1))
         for layer_values in self.layers:
-            values = layer_values.at(ticks)
+            values = layer_values.evaluate(ticks)
             if layer_values.is_first or layer_values.layer.mode == OVERRIDE:
-                result = values
+                blended_values = values
             else:
                 weights = layer_values.layer.weights(ticks)[:, None]
-                result = self._blend_layer(layer_values.layer, result, values, weights)
-        return result
+                blended_values = self._blend_layer(
+                    layer_values.layer, blended_values, values, weights
+                )
+        return blended_values
 
     def _blend_layer(
         self, layer: Layer, below: FloatArray, above: FloatArray, weights: FloatArray
     ) -> FloatArray:
-        additive = layer.mode == ADDITIVE
-        if self.name == ROTATION and layer.by_layer:
-            a, b = (rotations_of(angles, XYZ) for angles in (below, above))
-            if additive:
-                identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], b.shape)
-                rotations = so3.multiply(a, so3.slerp(identity, b, weights[:, 0]))
+        is_additive = layer.mode == ADDITIVE
+        if self.name == ROTATION and layer.accumulates_rotations:
+            rotations_below, rotations_above = (
+                rotations_from_angles(angles, XYZ) for angles in (below, above)
+            )
+            if is_additive:
+                identity = np.broadcast_to([0.0, 0.0, 0.0, 1.0], rotations_above.shape)
+                rotations = so3.multiply(
+                    rotations_below, so3.slerp(identity, rotations_above, weights[:, 0])
+                )
             else:
-                rotations = so3.slerp(a, b, weights[:, 0])
+                rotations = so3.slerp(rotations_below, rotations_above, weights[:, 0])
             return principal_angles(rotations)
-        if self.name == SCALING and layer.by_product:
-            size = _scale_power(above, weights)
-            return size * (below if additive else _scale_power(below, 1.0 - weights))
-        if additive:
+        if self.name == SCALING and layer.accumulates_scales:
+            scale_factor = _scale_power(above, weights)
+            return scale_factor * (
+                below if is_additive else _scale_power(below, 1.0 - weights)
+            )
+        if is_additive:
             return below + weights * above
         return below + weights * (above - below)
 

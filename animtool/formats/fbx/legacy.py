@@ -1,4 +1,4 @@
-"""FBX of versions 5000 to 5999 in the layout of 6100: objects and connections.
+"""Converts FBX versions 5000 to 5999 to the layout of 6100: objects, connections.
 
 A model contains its children by name, its transform as default values of channels, and
 its skin as links.
@@ -7,7 +7,7 @@ its skin as links.
 from __future__ import annotations
 
 from animtool.core.errors import excerpt
-from animtool.formats.fbx.elements import Element, number
+from animtool.formats.fbx.elements import Element, read_number
 from animtool.formats.file_notices import FileNotices
 
 _PROPERTY_NAMES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
@@ -22,74 +22,88 @@ _UNSUPPORTED_PROPERTIES = (
 )
 
 
-def with_objects(root: Element, notes: FileNotices) -> Element:
+def convert_to_objects(root: Element, notes: FileNotices) -> Element:
     """Convert the elements of versions 5000 to 5999 to the 6100 layout."""
     objects = Element("Objects", [], root.where)
-    links = Element("Connections", [], root.where)
-    for model in root.all("Model"):
-        _add_model(model, objects, links, notes)
-    settings = Element("Version5", [], root.where, list(root.all("Settings")))
-    takes = list(root.all("Takes"))
-    return Element("", [], root.where, [objects, links, settings, *takes])
+    connections = Element("Connections", [], root.where)
+    for model in root.find_all("Model"):
+        _add_model(model, objects, connections, notes)
+    settings = Element("Version5", [], root.where, list(root.find_all("Settings")))
+    takes = list(root.find_all("Takes"))
+    return Element("", [], root.where, [objects, connections, settings, *takes])
 
 
 def _add_model(
-    model: Element, objects: Element, links: Element, notes: FileNotices
+    model: Element, objects: Element, connections: Element, notes: FileNotices
 ) -> None:
     name = model.text(0)
     for child in model.children:
         if child.name in _UNSUPPORTED_PROPERTIES:
             message = f"{child.name} of {name!r} is not supported in files this old"
             notes.fail("FBX004", child.where, excerpt(message))
-    kind = model.find("Type")
-    subtype = "Mesh" if model.find("Vertices") else kind.text(0) if kind else ""
-    geometry_elements = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
+    type_element = model.find("Type")
+    subtype = (
+        "Mesh"
+        if model.find("Vertices")
+        else type_element.text(0)
+        if type_element
+        else ""
+    )
+    geometry_elements = [
+        child for child in model.children if child.name in _GEOMETRY_ELEMENTS
+    ]
     new_model = Element(
         "Model", [f"Model::{name}", subtype], model.where, geometry_elements
     )
     new_model.children.append(_property_elements(model, notes))
     objects.children.append(new_model)
-    for children in model.all("Children"):
+    for children in model.find_all("Children"):
         for child in children.values:
             if isinstance(child, str):
-                _add_connection(links, f"Model::{child}", f"Model::{name}")
-    skin = f"Deformer::{name}"
-    bones = list(model.all("Link"))
+                _add_connection(connections, f"Model::{child}", f"Model::{name}")
+    skin_name = f"Deformer::{name}"
+    bones = list(model.find_all("Link"))
     if bones:
-        objects.children.append(Element("Deformer", [skin, "Skin"], model.where))
-        _add_connection(links, skin, f"Model::{name}")
+        objects.children.append(Element("Deformer", [skin_name, "Skin"], model.where))
+        _add_connection(connections, skin_name, f"Model::{name}")
     for bone in bones:
-        cluster = f"SubDeformer::{name} {bone.text(0)}"
-        values = [cluster, "Cluster"]
+        cluster_name = f"SubDeformer::{name} {bone.text(0)}"
+        values = [cluster_name, "Cluster"]
         objects.children.append(Element("Deformer", values, bone.where, bone.children))
-        _add_connection(links, cluster, skin)
-        _add_connection(links, f"Model::{bone.text(0)}", cluster)
+        _add_connection(connections, cluster_name, skin_name)
+        _add_connection(connections, f"Model::{bone.text(0)}", cluster_name)
 
 
 def _property_elements(model: Element, notes: FileNotices) -> Element:
     properties = Element("Properties60", [], model.where)
-    for channel in model.all("Channel"):
+    for channel in model.find_all("Channel"):
         if channel.text(0) != "Transform":
             default = channel.find("Default")
             if default is not None:
-                start = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
-                row = [*start, number(default, 0, notes)]
-                properties.children.append(Element("Property", row, channel.where))
+                head = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
+                property_values = [*head, read_number(default, 0, notes)]
+                properties.children.append(
+                    Element("Property", property_values, channel.where)
+                )
             continue
-        for channels in channel.all("Channel"):
-            name = _PROPERTY_NAMES.get(channels.text(0))
+        for property_channel in channel.find_all("Channel"):
+            name = _PROPERTY_NAMES.get(property_channel.text(0))
             if name is None:
                 continue
-            values = [1.0 if channels.text(0) == "S" else 0.0] * 3
-            for axis_channel in channels.all("Channel"):
+            values = [1.0 if property_channel.text(0) == "S" else 0.0] * 3
+            for axis_channel in property_channel.find_all("Channel"):
                 default = axis_channel.find("Default")
                 axis = "XYZ".find(axis_channel.text(0)) if axis_channel.text(0) else -1
                 if default is not None and axis >= 0:
-                    values[axis] = number(default, 0, notes)
-            row = [name, "", "", *values]
-            properties.children.append(Element("Property", row, channels.where))
+                    values[axis] = read_number(default, 0, notes)
+            property_values = [name, "", "", *values]
+            properties.children.append(
+                Element("Property", property_values, property_channel.where)
+            )
     return properties
 
 
-def _add_connection(links: Element, child: str, parent: str) -> None:
-    links.children.append(Element("Connect", ["OO", child, parent], links.where))
+def _add_connection(connections: Element, child: str, parent: str) -> None:
+    connections.children.append(
+        Element("Connect", ["OO", child, parent], connections.where)
+    )

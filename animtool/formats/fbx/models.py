@@ -1,4 +1,4 @@
-"""FBX nodes (models) and the evaluation of their transforms.
+"""Reads FBX nodes (models) and evaluates their transforms.
 
 ``local = T · Roff · Rp · Rpre · R · Rpost⁻¹ · Rp⁻¹ · Soff · Sp · S · Sp⁻¹``; the
 linear part is a rotation times a scale. A child may ignore its parent's own scale
@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.formats.fbx.angles import XYZ, rotations_of
+from animtool.formats.fbx.angles import XYZ, rotations_from_angles
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
     PIVOT_PROPERTIES,
@@ -27,8 +27,8 @@ from animtool.formats.fbx.objects import (
     FbxFile,
     Object,
     ObjectId,
-    scalar,
-    vector,
+    read_scalar,
+    read_vector,
 )
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
@@ -43,64 +43,72 @@ _TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node.
+    """A node of the scene.
 
     Attributes:
         object: Its object in the file.
         parent: Index of the parent node; -1 for a root.
-        base: Translation, rotation [deg] and scale without animation ``(3, 3)``.
-        order: Rotation order, as in `euler.to_quaternion`.
-        pre: Pre-rotation ``(4,)``.
-        post: Inverse of the post-rotation ``(4,)``.
+        base_values: Translation, rotation [deg] and scale without animation ``(3, 3)``.
+        rotation_order: Rotation order, as in `euler.to_quaternion`.
+        pre_rotation: Pre-rotation ``(4,)``.
+        inverse_post_rotation: Inverse of the post-rotation ``(4,)``.
         pivots: Offset and pivot of rotation, then of scaling ``(4, 3)``.
-        inherit: How it inherits the scale of its parent.
-        geometric: Transform of its own mesh only ``(4, 4)``.
-        active: Whether rotation order, pre- and post-rotation apply.
+        scale_inheritance: How it inherits the scale of its parent.
+        geometric_transform: Transform of its own mesh only ``(4, 4)``.
+        has_outer_rotations: Whether rotation order, pre- and post-rotation apply.
         outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
-        scale_from: Node whose scale, including inherited scale, it applies along its
+        scale_source: Node whose scale, including inherited scale, it applies along its
             own axes; -1 for none.
     """
 
     object: Object
     parent: int
-    base: FloatArray
-    order: str
-    pre: FloatArray
-    post: FloatArray
+    base_values: FloatArray
+    rotation_order: str
+    pre_rotation: FloatArray
+    inverse_post_rotation: FloatArray
     pivots: FloatArray
-    inherit: int
-    geometric: FloatArray
-    active: bool
+    scale_inheritance: int
+    geometric_transform: FloatArray
+    has_outer_rotations: bool
     outer_angles: FloatArray
-    scale_from: int = -1
+    scale_source: int = -1
 
     @property
     def name(self) -> str:
-        """The node name, namespace included."""
+        """Name of the node, including its namespace."""
         return self.object.name
 
-    def local(
+    def local_transforms(
         self, take: AnimTake | None, ticks: IntArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales at times ``(F,)`` [ticks]."""
-        values = _transform_state(self, take, ticks)
-        pre, post = self.pre, self.post
-        if take is not None and self.active:
+        values = _transform_values(self, take, ticks)
+        pre, post = self.pre_rotation, self.inverse_post_rotation
+        if take is not None and self.has_outer_rotations:
             pre_track, post_track = (
                 _property_track(self, take, name) for name in OUTER_ROTATIONS
             )
             if pre_track is not None:
-                pre = rotations_of(pre_track.at(self.outer_angles[0], ticks), XYZ)
+                pre = rotations_from_angles(
+                    pre_track.evaluate(self.outer_angles[0], ticks), XYZ
+                )
             if post_track is not None:
                 post = so3.conjugate(
-                    rotations_of(post_track.at(self.outer_angles[1], ticks), XYZ)
+                    rotations_from_angles(
+                        post_track.evaluate(self.outer_angles[1], ticks), XYZ
+                    )
                 )
-        rotations = rotations_of(values[:, 1], self.order)
+        rotations = rotations_from_angles(values[:, 1], self.rotation_order)
         rotations = so3.multiply(so3.multiply(pre, rotations), post)
         scales = values[:, 2]
-        offset, pivot, stretch, centre = _pivot_offsets(self, take, ticks)
-        pivot_offset = stretch + centre - pivot - scales * centre
-        translations = values[:, 0] + offset + pivot
+        rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = _pivot_values(
+            self, take, ticks
+        )
+        pivot_offset = (
+            scaling_offset + scaling_pivot - rotation_pivot - scales * scaling_pivot
+        )
+        translations = values[:, 0] + rotation_offset + rotation_pivot
         if pivot_offset.any():
             translations = translations + so3.rotate(rotations, pivot_offset)
         return translations, rotations, scales
@@ -109,97 +117,111 @@ class Model:
 def read_models(file: FbxFile) -> list[Model]:
     """Return the nodes, parents first."""
     objects = [
-        element
-        for element in file.of_kind("Model")
-        if not _is_default_camera(file, element)
+        node_object
+        for node_object in file.of_kind("Model")
+        if not _is_default_camera(file, node_object)
     ]
-    objects = [element for element in objects if element.id not in ROOT_IDS]
+    objects = [node_object for node_object in objects if node_object.id not in ROOT_IDS]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
-    parents = {element.id: _parent_model(file, element) for element in objects}
+    parents = {
+        node_object.id: _parent_model(file, node_object) for node_object in objects
+    }
     children: dict[ObjectId | None, list[Object]] = {}
-    for element in objects:
-        children.setdefault(parents[element.id], []).append(element)
+    for node_object in objects:
+        children.setdefault(parents[node_object.id], []).append(node_object)
     models: list[Model] = []
-    stack = [(element, -1) for element in reversed(children.get(None, []))]
+    stack = [(node_object, -1) for node_object in reversed(children.get(None, []))]
     while stack:
-        element, parent = stack.pop()
-        node, index = _read_model(file, element, parent), len(models)
-        if parent >= 0 and node.inherit == COMPONENTWISE:
-            node.scale_from = parent
-        elif parent >= 0 and node.inherit == IGNORE:
-            node.scale_from = models[parent].scale_from
+        node_object, parent = stack.pop()
+        node, index = _read_model(file, node_object, parent), len(models)
+        if parent >= 0 and node.scale_inheritance == COMPONENTWISE:
+            node.scale_source = parent
+        elif parent >= 0 and node.scale_inheritance == IGNORE:
+            node.scale_source = models[parent].scale_source
         models.append(node)
-        stack += [(child, index) for child in reversed(children.get(element.id, []))]
+        stack += [
+            (child, index) for child in reversed(children.get(node_object.id, []))
+        ]
     if len(models) < len(objects):
         reachable_ids = {model.object.id for model in models}
-        cyclic_node = next(
-            element for element in objects if element.id not in reachable_ids
+        cyclic_object = next(
+            node_object
+            for node_object in objects
+            if node_object.id not in reachable_ids
         )
-        message = f"the node {cyclic_node.name!r} is its own ancestor"
-        file.notes.fail("FBX009", cyclic_node.element.where, message)
+        message = f"the node {cyclic_object.name!r} is its own ancestor"
+        file.notes.fail("FBX009", cyclic_object.element.where, message)
     return models
 
 
 def _is_default_camera(file: FbxFile, node: Object) -> bool:
-    """Return whether a node is a default camera that old exporters add."""
+    """Return whether a node is a default camera, as old exporters add."""
     return node.subtype.startswith("Camera") and node.id not in file.outgoing
 
 
 def _parent_model(file: FbxFile, node: Object) -> ObjectId | None:
-    parents = [model.id for model in file.targets(node.id, "Model")]
-    parents = [id_ for id_ in parents if id_ not in ROOT_IDS]
-    if len(set(parents)) > 1:
-        message = f"the node {node.name!r} has {len(set(parents))} parents"
+    parent_ids = [model.id for model in file.targets(node.id, "Model")]
+    parent_ids = [model_id for model_id in parent_ids if model_id not in ROOT_IDS]
+    if len(set(parent_ids)) > 1:
+        message = f"the node {node.name!r} has {len(set(parent_ids))} parents"
         file.notes.fail("FBX009", node.element.where, message)
-    return parents[0] if parents else None
+    return parent_ids[0] if parent_ids else None
 
 
 def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
     notes = file.notes
 
-    def triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
-        return np.array(vector(node, name, default, notes))
+    def read_triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
+        return np.array(read_vector(node, name, default, notes))
 
-    base = np.stack(
-        [triple(TRANSLATION), triple(ROTATION), triple(SCALING, (1.0,) * 3)]
+    base_values = np.stack(
+        [
+            read_triple(TRANSLATION),
+            read_triple(ROTATION),
+            read_triple(SCALING, (1.0,) * 3),
+        ]
     )
-    active = bool(scalar(node, "RotationActive", 0, notes))
-    order, pre, post = 0, _ZERO_VECTOR, _ZERO_VECTOR
-    if active:
-        order = int(scalar(node, "RotationOrder", 0, notes))
-        pre, post = (tuple(triple(f"{name}Rotation")) for name in ("Pre", "Post"))
-    if not 0 <= order < len(_ROTATION_ORDERS):
+    is_active = bool(read_scalar(node, "RotationActive", 0, notes))
+    order_index, pre, post = 0, _ZERO_VECTOR, _ZERO_VECTOR
+    if is_active:
+        order_index = int(read_scalar(node, "RotationOrder", 0, notes))
+        pre, post = (tuple(read_triple(f"{name}Rotation")) for name in ("Pre", "Post"))
+    if not 0 <= order_index < len(_ROTATION_ORDERS):
         message = (
-            f"the node {node.name!r} has rotation order {order}, which is not supported"
+            f"the node {node.name!r} has rotation order {order_index}, which is not "
+            "supported"
         )
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
         notes.fail("FBX004", node.element.where, message, hint)
-    angles = np.array([pre, post])
-    pre_and_post = rotations_of(angles, XYZ)
-    inherit = int(scalar(node, "InheritType", INHERIT, notes))
-    if inherit not in {COMPONENTWISE, INHERIT, IGNORE}:
+    outer_angles = np.array([pre, post])
+    outer_rotations = rotations_from_angles(outer_angles, XYZ)
+    scale_inheritance = int(read_scalar(node, "InheritType", INHERIT, notes))
+    if scale_inheritance not in {COMPONENTWISE, INHERIT, IGNORE}:
         message = (
-            f"the node {node.name!r} has inherit type {inherit}, which is not supported"
+            f"the node {node.name!r} has inherit type {scale_inheritance}, which is "
+            "not supported"
         )
         notes.fail("FBX004", node.element.where, message)
-    geometric = np.eye(4)
-    rotation = rotations_of(triple("GeometricRotation")[None], XYZ)[0]
-    geometric[:3, :3] = so3.to_matrix(rotation) * triple("GeometricScaling", (1.0,) * 3)
-    geometric[:3, 3] = triple("GeometricTranslation")
+    geometric_transform = np.eye(4)
+    rotation = rotations_from_angles(read_triple("GeometricRotation")[None], XYZ)[0]
+    geometric_transform[:3, :3] = so3.to_matrix(rotation) * read_triple(
+        "GeometricScaling", (1.0,) * 3
+    )
+    geometric_transform[:3, 3] = read_triple("GeometricTranslation")
     return Model(
         node,
         parent,
-        base,
-        _ROTATION_ORDERS[order],
-        pre_and_post[0],
-        so3.conjugate(pre_and_post[1]),
-        np.stack([triple(name) for name in PIVOT_PROPERTIES]),
-        inherit,
-        geometric,
-        active,
-        angles,
+        base_values,
+        _ROTATION_ORDERS[order_index],
+        outer_rotations[0],
+        so3.conjugate(outer_rotations[1]),
+        np.stack([read_triple(name) for name in PIVOT_PROPERTIES]),
+        scale_inheritance,
+        geometric_transform,
+        is_active,
+        outer_angles,
     )
 
 
@@ -209,32 +231,32 @@ def _property_track(
     return None if take is None else take.tracks.get((model.object.id, name))
 
 
-def _transform_state(
+def _transform_values(
     model: Model, take: AnimTake | None, ticks: IntArray
 ) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
-    states = np.repeat(model.base[None], len(ticks), axis=0)
+    values = np.repeat(model.base_values[None], len(ticks), axis=0)
     for k, name in enumerate(_TRANSFORM_PROPERTIES):
         track = _property_track(model, take, name)
         if track is not None:
-            states[:, k] = track.at(model.base[k], ticks)
-    return states
+            values[:, k] = track.evaluate(model.base_values[k], ticks)
+    return values
 
 
-def _pivot_offsets(
+def _pivot_values(
     model: Model, take: AnimTake | None, ticks: IntArray
 ) -> list[FloatArray]:
-    """Return rotation offset and pivot, scaling offset and pivot."""
+    """Return rotation offset and pivot, then scaling offset and pivot, over time."""
     pivots = list(model.pivots)
     for k, name in enumerate(PIVOT_PROPERTIES):
         track = _property_track(model, take, name)
         if track is not None:
-            pivots[k] = track.at(model.pivots[k], ticks)
+            pivots[k] = track.evaluate(model.pivots[k], ticks)
     return pivots
 
 
 def has_pivots(model: Model, take: AnimTake | None) -> bool:
-    """Return whether a node has an offset or a pivot, saved or in a take."""
+    """Return whether a node has a pivot or pivot offset, saved or in a take."""
     if model.pivots.any():
         return True
     return any(
@@ -242,22 +264,25 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
     )
 
 
-def animated_components(model: Model, take: AnimTake | None) -> tuple[bool, bool, bool]:
+def find_animated_components(
+    model: Model, take: AnimTake | None
+) -> tuple[bool, bool, bool]:
     """Return whether translation, rotation and scale change in a take."""
 
-    def varies(name: str, base: FloatArray) -> bool:
+    def is_animated(name: str, base: FloatArray) -> bool:
         track = _property_track(model, take, name)
-        return track is not None and track.constant(base) is None
+        return track is not None and track.constant_value(base) is None
 
-    changes = [
-        varies(name, model.base[k]) for k, name in enumerate(_TRANSFORM_PROPERTIES)
+    is_changing = [
+        is_animated(name, model.base_values[k])
+        for k, name in enumerate(_TRANSFORM_PROPERTIES)
     ]
-    changes[0] |= any(
-        varies(name, model.pivots[k]) for k, name in enumerate(PIVOT_PROPERTIES)
+    is_changing[0] |= any(
+        is_animated(name, model.pivots[k]) for k, name in enumerate(PIVOT_PROPERTIES)
     )
-    if model.active:
-        changes[1] |= any(
-            varies(name, model.outer_angles[k])
+    if model.has_outer_rotations:
+        is_changing[1] |= any(
+            is_animated(name, model.outer_angles[k])
             for k, name in enumerate(OUTER_ROTATIONS)
         )
-    return changes[0], changes[1], changes[2]
+    return is_changing[0], is_changing[1], is_changing[2]

@@ -11,14 +11,14 @@ from animtool.core.files.reading import read_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.fbx.binary import MAGIC, read_binary
-from animtool.formats.fbx.elements import FLOAT32_LIMIT, Element
-from animtool.formats.fbx.legacy import with_objects
+from animtool.formats.fbx.elements import FLOAT32_MAX, Element
+from animtool.formats.fbx.legacy import convert_to_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
 from animtool.formats.file_notices import FileNotices
 
 # Supported versions; the layout of others is unknown.
 MIN_VERSION, MAX_VERSION = 5000, 7999
-# First version with objects; before, models contain their children and skins.
+# First version with objects; in older ones models contain their children and skins.
 FIRST_OBJECT_VERSION = 6000
 # First version in which objects have numeric ids, and curves are objects.
 FIRST_NUMBERED_VERSION = 7000
@@ -85,17 +85,27 @@ class FbxFile:
         self, object_id: ObjectId, kind: str, subtype: str | None = None
     ) -> list[Object]:
         """Return objects of a kind connected to an object as sources."""
-        objects = [self.objects.get(id_) for id_, _ in self.incoming.get(object_id, ())]
+        objects = [
+            self.objects.get(candidate)
+            for candidate, _ in self.incoming.get(object_id, ())
+        ]
         return [
-            id_
-            for id_ in objects
-            if id_ is not None and _is_of_kind(id_, kind, subtype)
+            candidate
+            for candidate in objects
+            if candidate is not None and _is_of_kind(candidate, kind, subtype)
         ]
 
     def targets(self, object_id: ObjectId, kind: str) -> list[Object]:
         """Return objects of a kind that an object is connected to."""
-        objects = [self.objects.get(id_) for id_, _ in self.outgoing.get(object_id, ())]
-        return [id_ for id_ in objects if id_ is not None and id_.kind == kind]
+        objects = [
+            self.objects.get(candidate)
+            for candidate, _ in self.outgoing.get(object_id, ())
+        ]
+        return [
+            candidate
+            for candidate in objects
+            if candidate is not None and candidate.kind == kind
+        ]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
         """Return all objects of a kind."""
@@ -110,14 +120,16 @@ def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
     return candidate.kind == kind and (subtype is None or candidate.subtype == subtype)
 
 
-def vector(
+def read_vector(
     owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
     """Return a vector property with as many numbers as its default."""
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default
-    if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_LIMIT for v in values):
+    if not all(
+        isinstance(value, int | float) and abs(value) <= FLOAT32_MAX for value in values
+    ):
         message = (
             f"{name} of {owner.name!r} must be numbers, not {excerpt(str(values))}"
         )
@@ -125,14 +137,14 @@ def vector(
     return tuple(float(value) for value in values)
 
 
-def scalar(owner: Object, name: str, default: float, notes: FileNotices) -> float:
-    """Return a scalar property."""
-    return vector(owner, name, (default,), notes)[0]
+def read_scalar(owner: Object, name: str, default: float, notes: FileNotices) -> float:
+    """Return a scalar property, else its default."""
+    return read_vector(owner, name, (default,), notes)[0]
 
 
 @expects_format("FBX001", "an FBX file")
 def open_objects(path: Path | str) -> FbxFile:
-    """Open an FBX; return its objects."""
+    """Read the objects and connections of an FBX file."""
     path = Path(path)
     notes = FileNotices(str(path))
     content = read_input(path)
@@ -141,7 +153,7 @@ def open_objects(path: Path | str) -> FbxFile:
         message = "does not start like an FBX, binary or ASCII; export it again"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
     version, root = (read_text if is_text else read_binary)(content, notes)
-    version = _stated_version(root, version)
+    version = _find_version(root, version)
     if not MIN_VERSION <= version <= MAX_VERSION:
         message = (
             f"version {version} is not supported, only {MIN_VERSION} to {MAX_VERSION}"
@@ -152,32 +164,37 @@ def open_objects(path: Path | str) -> FbxFile:
         )
         notes.fail("FBX003", root.where, message, hint)
     if version < FIRST_OBJECT_VERSION:
-        root = with_objects(root, notes)
+        root = convert_to_objects(root, notes)
     templates = _default_properties(root)
     objects: dict[ObjectId, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
-    elements = [child for file in root.all("Objects") for child in file.children]
-    for element in [*elements, *root.all("GlobalSettings")]:
+    elements = [
+        fbx_object
+        for objects_element in root.find_all("Objects")
+        for fbx_object in objects_element.children
+    ]
+    for element in [*elements, *root.find_all("GlobalSettings")]:
         if element.name == "GlobalSettings":
             settings.properties |= _read_properties(element)
             continue
-        child = _read_object(element, version, templates)
-        if child is None:
+        fbx_object = _read_object(element, version, templates)
+        if fbx_object is None:
             continue
-        if child.id in objects:
+        if fbx_object.id in objects:
             message = (
-                f"two objects have the ID {excerpt(str(child.id))}: using the first"
+                f"two objects have the ID {excerpt(str(fbx_object.id))}: using the "
+                "first"
             )
             notes.warn("FBX106", element.where, message)
             continue
-        objects[child.id] = child
+        objects[fbx_object.id] = fbx_object
     file = FbxFile(path, version, is_text, root, objects, settings, notes)
     _connect_objects(file)
     return file
 
 
-def _stated_version(root: Element, version: int) -> int:
-    """Return the version in the header element, used by old files."""
+def _find_version(root: Element, version: int) -> int:
+    """Return the version; old files state it in an element."""
     header = root.find("FBXHeaderExtension")
     version_element = None if header is None else header.find("FBXVersion")
     if (
@@ -189,10 +206,10 @@ def _stated_version(root: Element, version: int) -> int:
     return version
 
 
-def plain_name(text: str) -> tuple[str, str]:
+def split_name(text: str) -> tuple[str, str]:
     r"""Split an object name into kind and name.
 
-    >>> plain_name("Model::hero:hips"), plain_name("hips\x00\x01Model")
+    >>> split_name("Model::hero:hips"), split_name("hips\x00\x01Model")
     (('Model', 'hero:hips'), ('Model', 'hips'))
     """
     if "\x00\x01" in text:
@@ -207,18 +224,18 @@ def _read_object(
 ) -> Object | None:
     values = element.values
     name_index = 1 if version >= FIRST_NUMBERED_VERSION else 0
-    kind, name = plain_name(element.text(name_index))
-    id_: ObjectId = f"{kind or element.name}::{name}"
+    kind, name = split_name(element.text(name_index))
+    object_id: ObjectId = f"{kind or element.name}::{name}"
     if name_index:
         if not values or not isinstance(values[0], int):
             return None
-        id_ = values[0]
+        object_id = values[0]
     elif not values:
         return None
     subtype = element.text(name_index + 1)
     properties = _read_properties(element)
     defaults = templates.get(element.name, {})
-    return Object(id_, element.name, name, subtype, element, properties, defaults)
+    return Object(object_id, element.name, name, subtype, element, properties, defaults)
 
 
 def _read_properties(element: Element) -> dict[str, list[Any]]:
@@ -228,8 +245,8 @@ def _read_properties(element: Element) -> dict[str, list[Any]]:
         ("Properties70", "P", 4),
         ("Properties60", "Property", 3),
     ):
-        for properties in element.all(group):
-            for property_element in properties.all(name):
+        for properties in element.find_all(group):
+            for property_element in properties.find_all(name):
                 if property_element.values and isinstance(
                     property_element.values[0], str
                 ):
@@ -242,18 +259,17 @@ def _read_properties(element: Element) -> dict[str, list[Any]]:
 def _default_properties(root: Element) -> dict[str, dict[str, list[Any]]]:
     """Return the default properties of each kind of object."""
     templates: dict[str, dict[str, list[Any]]] = {}
-    for definitions in root.all("Definitions"):
-        for kind in definitions.all("ObjectType"):
-            for template in kind.all("PropertyTemplate"):
-                # Node attributes have a template per class; none of them affects
-                # motion.
+    for definitions in root.find_all("Definitions"):
+        for kind in definitions.find_all("ObjectType"):
+            for template in kind.find_all("PropertyTemplate"):
+                # Node attributes have a template per class; none affects motion.
                 if kind.text(0) != "NodeAttribute":
                     templates.setdefault(kind.text(0), _read_properties(template))
     return templates
 
 
 def _connect_objects(file: FbxFile) -> None:
-    for connections in file.root.all("Connections"):
+    for connections in file.root.find_all("Connections"):
         for connection in connections.children:
             if connection.name not in {"C", "Connect"} or len(connection.values) < 3:
                 continue
@@ -267,6 +283,6 @@ def _connect_objects(file: FbxFile) -> None:
 
 def _object_id(value: Any) -> ObjectId | None:
     if isinstance(value, str):
-        kind, name = plain_name(value)
+        kind, name = split_name(value)
         return f"{kind}::{name}"
     return value if isinstance(value, int) else None

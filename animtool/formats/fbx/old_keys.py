@@ -1,4 +1,4 @@
-"""Curves of takes before version 7000: keys as one list of numbers and letters."""
+"""Reads curves of FBX before 7000, whose keys are a list of numbers and letters."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ from animtool.formats.fbx.tangents import (
     STRAIGHT,
     TIME_INDEPENDENT,
     USER,
-    key_slopes,
+    compute_key_slopes,
 )
 from animtool.formats.file_notices import FileNotices
 
-# Key layouts by KeyVer: that of 6100; the first whose constant keys state which value
-# applies; and one without tangent weights.
-LAYOUT, STEP_LETTERS, UNWEIGHTED = 4005, 4004, 4003
+# Key layouts by KeyVer: that of 6100, the first whose constant keys state which value
+# applies, and one without tangent weights.
+WEIGHTED_LAYOUT, STEP_LETTER_LAYOUT, UNWEIGHTED_LAYOUT = 4005, 4004, 4003
 # Layout in 5000 files whose channels state none.
-LAYOUT_OF_5000 = 4004
+DEFAULT_5000_LAYOUT = 4004
 
 
-def curve_of_channel(
-    element: Element, notes: FileNotices, layout: int = LAYOUT
+def read_channel_curve(
+    element: Element, notes: FileNotices, layout: int = WEIGHTED_LAYOUT
 ) -> FbxCurve | None:
     """Return the curve of a take's channel (before FBX 7000).
 
-    ``layout`` is that of its keys if it states none.
+    ``layout`` is the key layout if the channel states none.
     """
     key = element.find("Key")
     if key is None or not key.values:
@@ -54,10 +54,13 @@ def curve_of_channel(
         key, notes, key_version if isinstance(key_version, int) else layout
     )
     rows = []
-    while keys.in_slopes():
+    while keys.has_more():
         rows.append(_read_key(keys))
-    if keys.guessed:
-        message = f"tangents of kind {listed(sorted(map(repr, keys.guessed)))} are "
+    if keys.approximated_kinds:
+        message = (
+            f"tangents of kind {listed(sorted(map(repr, keys.approximated_kinds)))} "
+            "are "
+        )
         message += "read as automatic ones, between the keys"
         hint = "bake the curves before exporting, or export FBX 2011 or later"
         notes.warn("FBX120", element.where, message, hint)
@@ -69,7 +72,7 @@ def curve_of_channel(
     )
     weights = np.stack([np.array(column) for column in columns[5:7]], axis=1)
     check_times(times, element, notes)
-    out_slopes, in_slopes = key_slopes(
+    out_slopes, in_slopes = compute_key_slopes(
         times / TICKS_PER_SECOND, values, flags, slopes, weights
     )
     step_modes = np.where(flags & NEXT_VALUE != 0, NEXT, CONSTANT)
@@ -87,33 +90,33 @@ class _KeyCursor:
         values = element.values
         is_array = len(values) == 1 and isinstance(values[0], np.ndarray)
         self.values = values[0].tolist() if is_array else values
-        self.element, self.notes, self.at = element, notes, 0
+        self.element, self.notes, self.offset = element, notes, 0
         self.layout = layout
-        self.guessed: set[str] = set()
+        self.approximated_kinds: set[str] = set()
 
-    def in_slopes(self) -> bool:
-        return self.at < len(self.values)
+    def has_more(self) -> bool:
+        return self.offset < len(self.values)
 
-    def value(self) -> Any:
-        if not self.in_slopes():
+    def next_value(self) -> Any:
+        if not self.has_more():
             self.fail("the last key of a channel is cut off")
-        self.at += 1
-        return self.values[self.at - 1]
+        self.offset += 1
+        return self.values[self.offset - 1]
 
-    def number(self) -> float:
-        value = self.value()
+    def next_number(self) -> float:
+        value = self.next_value()
         if not isinstance(value, int | float) or not abs(value) < 1e300:
             self.fail(f"{value!r} is not a number of a key")
         return float(value)
 
-    def time(self) -> int:
-        value = self.value()
+    def next_time(self) -> int:
+        value = self.next_value()
         if not isinstance(value, int) or abs(value) > MAX_TICKS:
             self.fail(f"{value!r} is not a time of a key")
         return int(value)
 
-    def letter(self) -> str:
-        value = self.value()
+    def next_letter(self) -> str:
+        value = self.next_value()
         if isinstance(value, int) and 0 <= value < 256:
             value = chr(value)
         return value if isinstance(value, str) else self.fail(f"{value!r} in a key")
@@ -124,24 +127,24 @@ class _KeyCursor:
 
 def _read_key(keys: _KeyCursor) -> tuple[int, float, int, float, float, float, float]:
     """Return time, value, flags, two slopes and two weights of the next key."""
-    time, value, mode = keys.time(), keys.number(), keys.letter()
+    time, value, mode = keys.next_time(), keys.next_number(), keys.next_letter()
     if mode == "L":
         return time, value, STRAIGHT, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode == "C":
-        step_letter = keys.letter() if keys.layout >= STEP_LETTERS else ""
+        step_letter = keys.next_letter() if keys.layout >= STEP_LETTER_LAYOUT else ""
         flags = STEPPED | (NEXT_VALUE if step_letter == "n" else 0)
         return time, value, flags, 0.0, 0.0, ONE_THIRD, ONE_THIRD
     if mode != "U":
         keys.fail(f"interpolation {mode!r} of a key is not read")
-    flags, out_slopes, in_slopes, weight_lists = _read_tangent(keys)
+    flags, out_slopes, in_slopes, weight_list_count = _read_tangent(keys)
     weights = [ONE_THIRD, ONE_THIRD]
-    for _ in range(weight_lists):
+    for _ in range(weight_list_count):
         _set_weights(keys, weights)
     return time, value, flags, out_slopes, in_slopes, weights[0], weights[1]
 
 
-# Undocumented tangent kinds: count of numbers, and of weight lists in older layouts and
-# in that of 6100.
+# Undocumented tangent kinds: number of values, and number of weight lists in older
+# layouts and in that of 6100.
 _UNDOCUMENTED_TANGENTS = {
     "p": (2, 1, 2),
     "q": (2, 1, 2),
@@ -152,31 +155,31 @@ _UNDOCUMENTED_TANGENTS = {
 
 def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
     """Return flags and slopes of a cubic key, and the count of weight lists."""
-    kind = keys.letter()
+    kind = keys.next_letter()
     if kind in {"s", "b"}:
-        out_slopes, in_slopes = keys.number(), keys.number()
+        out_slopes, in_slopes = keys.next_number(), keys.next_number()
         return (
             CURVED | USER,
             out_slopes,
             in_slopes,
-            0 if keys.layout == UNWEIGHTED else 1,
+            0 if keys.layout == UNWEIGHTED_LAYOUT else 1,
         )
-    automatic = CURVED | PROGRESSIVE | TIME_INDEPENDENT
-    is_6100 = keys.layout >= LAYOUT
+    auto_flags = CURVED | PROGRESSIVE | TIME_INDEPENDENT
+    is_6100 = keys.layout >= WEIGHTED_LAYOUT
     if kind == "a":
-        return automatic, 0.0, 0.0, 1 if is_6100 else 0
+        return auto_flags, 0.0, 0.0, 1 if is_6100 else 0
     if kind not in _UNDOCUMENTED_TANGENTS:
         keys.fail(f"tangents {kind!r} of a key are not read")
-    numbers, older_lists, new_lists = _UNDOCUMENTED_TANGENTS[kind]
-    for _ in range(numbers):
-        keys.number()
-    keys.guessed.add(kind)
-    return automatic, 0.0, 0.0, new_lists if is_6100 else older_lists
+    number_count, older_list_count, list_count = _UNDOCUMENTED_TANGENTS[kind]
+    for _ in range(number_count):
+        keys.next_number()
+    keys.approximated_kinds.add(kind)
+    return auto_flags, 0.0, 0.0, list_count if is_6100 else older_list_count
 
 
 def _set_weights(keys: _KeyCursor, weights: list[float]) -> None:
-    kind = keys.letter()
+    kind = keys.next_letter()
     if kind not in {"a", "r", "l", "n", "c"}:
         keys.fail(f"weights {kind!r} of a key are not read")
-    for side in {"a": (0, 1), "r": (0,), "l": (1,)}.get(kind, ()):
-        weights[side] = min(max(keys.number(), 0.0), 1.0)
+    for column in {"a": (0, 1), "r": (0,), "l": (1,)}.get(kind, ()):
+        weights[column] = min(max(keys.next_number(), 0.0), 1.0)

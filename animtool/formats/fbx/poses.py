@@ -22,7 +22,7 @@ from animtool.formats.fbx.models import (
     IGNORE,
     INHERIT,
     Model,
-    animated_components,
+    find_animated_components,
     has_pivots,
 )
 from animtool.formats.fbx.scene import FbxScene
@@ -30,13 +30,13 @@ from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.fbx.takes import AnimTake
 from animtool.maths import so3
 
-# Scales closer to 0 are replaced by this in divisions.
+# Smallest scale to divide by; smaller ones are replaced by it.
 MIN_SCALE = 1e-9
 _REST_TICKS = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
-    """Which part of a node's transform a joint has."""
+    """Component of a node's transform that a joint has."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -45,14 +45,14 @@ class RowKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JointRow:
-    """A joint: a node and the component of its transform."""
+    """Node of a joint, and the component of its transform."""
 
     model: int
     kind: RowKind
 
 
 class NodeTransforms:
-    """Node transforms at given times of a take, each evaluated once."""
+    """Evaluates node transforms at given times of a take, each node once."""
 
     def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
         """Evaluate at times ``(F,)`` [ticks]; None is the saved scene."""
@@ -60,60 +60,65 @@ class NodeTransforms:
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)
         self._ignored_scales = {
-            model.parent for model in self.models if model.inherit != INHERIT
+            model.parent for model in self.models if model.scale_inheritance != INHERIT
         }
-        self._locals: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
+        self._local_cache: dict[int, tuple[FloatArray, FloatArray, FloatArray]] = {}
 
-    def local(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def local_transforms(self, i: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return local translations, rotations and scales of a node."""
-        if i not in self._locals:
-            translations, rotations, scales = self.models[i].local(
+        if i not in self._local_cache:
+            translations, rotations, scales = self.models[i].local_transforms(
                 self.take, self.ticks
             )
             # Children that ignore this scale divide by it.
-            scales = _without_zeros(scales) if i in self._ignored_scales else scales
-            self._locals[i] = translations, rotations, scales
-        return self._locals[i]
+            scales = _replace_zeros(scales) if i in self._ignored_scales else scales
+            self._local_cache[i] = translations, rotations, scales
+        return self._local_cache[i]
 
     def local_scale(self, i: int) -> FloatArray:
-        """Return a node's scale along its axes ``(F, 3)``, inherited scale included.
+        """Return a node's scale along its axes, including inherited scale ``(F, 3)``.
 
         Children may ignore this scale.
         """
-        scale = self.local(i)[2]
-        while (i := self.models[i].scale_from) >= 0:
-            scale = scale * self.local(i)[2]
+        scale = self.local_transforms(i)[2]
+        while (i := self.models[i].scale_source) >= 0:
+            scale = scale * self.local_transforms(i)[2]
         return scale
 
-    def world(self, i: int) -> FloatArray:
+    def world_matrices(self, i: int) -> FloatArray:
         """Return world transforms of a node in file axes ``(F, 4, 4)``."""
-        world, chain = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
-        while self.models[chain[-1]].parent >= 0:
-            chain.append(self.models[chain[-1]].parent)
-        for node in reversed(chain):
+        world, ancestors = np.tile(np.eye(4), (len(self.ticks), 1, 1)), [i]
+        while self.models[ancestors[-1]].parent >= 0:
+            ancestors.append(self.models[ancestors[-1]].parent)
+        for node in reversed(ancestors):
             model = self.models[node]
-            translations, rotations, _ = self.local(node)
-            scale, ignores_scale = self.local_scale(node), model.inherit != INHERIT
+            translations, rotations, _ = self.local_transforms(node)
+            scale, ignores_parent_scale = (
+                self.local_scale(node),
+                model.scale_inheritance != INHERIT,
+            )
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
-            if ignores_scale and model.parent >= 0:
+            if ignores_parent_scale and model.parent >= 0:
                 inverse_parent_scale = _inverse_scales(self.local_scale(model.parent))
                 local[:, :3, :3] = inverse_parent_scale[:, :, None] * local[:, :3, :3]
             local[:, :3, 3] = translations
             world = world @ local
         return np.asarray(world)
 
-    def row(self, row: JointRow) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def joint_transforms(
+        self, row: JointRow
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return translations, rotations and scales of a joint, in file units."""
         model = self.models[row.model]
-        translations, rotations, scales = self.local(row.model)
+        translations, rotations, scales = self.local_transforms(row.model)
         if model.parent < 0:
             if not np.array_equal(self.basis, np.eye(3)):
                 translations = translations @ self.basis.T
                 rotations = so3.multiply(self._axes_rotation, rotations)
             return translations, rotations, scales
         if row.kind is RowKind.FULL:
-            if model.inherit == IGNORE:
+            if model.scale_inheritance == IGNORE:
                 scales = self.local_scale(row.model) * _inverse_scales(
                     self.local_scale(model.parent)
                 )
@@ -127,51 +132,53 @@ class NodeTransforms:
 
 
 def _inverse_scales(scales: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / _without_zeros(scales))
+    return np.asarray(1.0 / _replace_zeros(scales))
 
 
-def _without_zeros(scales: FloatArray) -> FloatArray:
+def _replace_zeros(scales: FloatArray) -> FloatArray:
     smallest = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
     return np.asarray(np.where(np.abs(scales) < MIN_SCALE, smallest, scales))
 
 
-class AnimatedParts:
-    """Which joint transforms a take changes."""
+class AnimatedComponents:
+    """Finds which joint transforms a take animates."""
 
     def __init__(self, models: Sequence[Model], take: AnimTake | None) -> None:
-        """Take the nodes of a file and one of its takes."""
+        """Start with the nodes of a file and one of its takes."""
         self.models, self.take = models, take
-        self.animated = [animated_components(model, take) for model in models]
+        self.animated = [find_animated_components(model, take) for model in models]
 
-    def local_scale(self, i: int) -> bool:
+    def has_animated_scale(self, i: int) -> bool:
         """Return whether a node's local scale is animated."""
-        return any(self.animated[node][2] for node in scale_chain(self.models, i))
+        return any(self.animated[node][2] for node in scale_ancestors(self.models, i))
 
-    def row(self, row: JointRow) -> tuple[bool, bool, bool]:
+    def animated_components(self, row: JointRow) -> tuple[bool, bool, bool]:
         """Return whether translation, rotation and scale of a joint change."""
         model = self.models[row.model]
-        translates, rotates, scales = self.animated[row.model]
-        if (rotates or scales) and has_pivots(model, self.take):
-            translates = True
-        has_animated_parent_scale = model.parent >= 0 and self.local_scale(model.parent)
-        if row.kind is RowKind.OUTER:
-            return translates, False, has_animated_parent_scale
-        if row.kind is RowKind.INNER:
-            return False, rotates, self.local_scale(row.model)
-        leaves = model.inherit == IGNORE and (
-            has_animated_parent_scale or self.local_scale(row.model)
+        has_translation, has_rotation, has_scale = self.animated[row.model]
+        if (has_rotation or has_scale) and has_pivots(model, self.take):
+            has_translation = True
+        has_animated_parent_scale = model.parent >= 0 and self.has_animated_scale(
+            model.parent
         )
-        return translates, rotates, scales or leaves
+        if row.kind is RowKind.OUTER:
+            return has_translation, False, has_animated_parent_scale
+        if row.kind is RowKind.INNER:
+            return False, has_rotation, self.has_animated_scale(row.model)
+        has_relative_scale = model.scale_inheritance == IGNORE and (
+            has_animated_parent_scale or self.has_animated_scale(row.model)
+        )
+        return has_translation, has_rotation, has_scale or has_relative_scale
 
 
-def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
-    """Return the joints of nodes, in node order."""
+def build_joint_rows(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
+    """Return the joints that represent nodes, in node order."""
     is_non_uniform: dict[int, bool] = {}
     rows = []
     for i in nodes:
         model = scene.models[i]
         parent = model.parent
-        if parent >= 0 and model.inherit in {IGNORE, COMPONENTWISE}:
+        if parent >= 0 and model.scale_inheritance in {IGNORE, COMPONENTWISE}:
             if parent not in is_non_uniform:
                 is_non_uniform[parent] = _has_non_uniform_scale(scene, parent)
             if is_non_uniform[parent]:
@@ -182,8 +189,8 @@ def rows_of(scene: FbxScene, nodes: Sequence[int]) -> list[JointRow]:
 
 
 def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
-    """Return whether a node's scale ever differs between axes."""
-    chain = scale_chain(scene.models, i)
+    """Return whether a node's scale is non-uniform at any time of any take."""
+    chain = scale_ancestors(scene.models, i)
     keys = [(scene.models[node].object.id, SCALING) for node in chain]
     for take in (None, *scene.takes):
         ticks = _REST_TICKS
@@ -191,55 +198,68 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             tracks = [take.tracks[key] for key in keys if key in take.tracks]
             if not tracks:
                 continue
-            curves = [c for t in tracks for v in t.layers for c in v.curves if c]
-            times = np.unique(np.concatenate([_REST_TICKS, *(c.times for c in curves)]))
-            # Between common keys, curves may differ by tangents, and before and after
-            # them by extrapolation.
+            curves = [
+                curve
+                for track in tracks
+                for layer_values in track.layers
+                for curve in layer_values.curves
+                if curve
+            ]
+            times = np.unique(
+                np.concatenate([_REST_TICKS, *(curve.times for curve in curves)])
+            )
+            # Between equal keys, curves may differ by tangents; outside, by
+            # extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
-            if any({c.pre.mode, c.post.mode} != {"C"} for c in curves):
-                span = int(times[-1] - times[0]) or TICKS_PER_SECOND
-                ticks = np.concatenate([ticks - span, ticks, ticks + span])
+            if any({curve.pre.mode, curve.post.mode} != {"C"} for curve in curves):
+                duration = int(times[-1] - times[0]) or TICKS_PER_SECOND
+                ticks = np.concatenate([ticks - duration, ticks, ticks + duration])
         local_scale = NodeTransforms(scene, take, ticks).local_scale(chain[0])
-        spread = local_scale.max(axis=1) - local_scale.min(axis=1)
-        if (spread > SCALE_TOLERANCE * np.abs(local_scale).max(axis=1)).any():
+        scale_range = local_scale.max(axis=1) - local_scale.min(axis=1)
+        if (scale_range > SCALE_TOLERANCE * np.abs(local_scale).max(axis=1)).any():
             return True
     return False
 
 
-def uniform_scales(
+def find_uniform_scales(
     scene: FbxScene, rows: Sequence[JointRow]
 ) -> tuple[FloatArray, BoolArray]:
     """Return saved scales ``(J, 3)``, and which are uniform and static."""
     rest = NodeTransforms(scene, None, _REST_TICKS)
-    scales = np.array([rest.row(row)[2][0] for row in rows]).reshape(-1, 3)
-    smallest, largest = scales.min(axis=1), scales.max(axis=1)
-    is_uniform = (smallest > 0) & (
-        largest - smallest <= SCALE_TOLERANCE * np.abs(largest)
+    scales = np.array([rest.joint_transforms(row)[2][0] for row in rows]).reshape(-1, 3)
+    min_scales, max_scales = scales.min(axis=1), scales.max(axis=1)
+    is_uniform = (min_scales > 0) & (
+        max_scales - min_scales <= SCALE_TOLERANCE * np.abs(max_scales)
     )
     for take in scene.takes:
-        changes = AnimatedParts(scene.models, take)
-        of_take = NodeTransforms(scene, take, np.array([take.begin], np.int64))
+        animation = AnimatedComponents(scene.models, take)
+        take_transforms = NodeTransforms(
+            scene, take, np.array([take.start_ticks], np.int64)
+        )
         for j, row in enumerate(rows):
-            if not is_uniform[j] or not _is_touched(scene.models, row, take):
+            if not is_uniform[j] or not _has_scale_tracks(scene.models, row, take):
                 continue
-            difference = np.abs(of_take.row(row)[2][0] - scales[j]).max()
+            difference = np.abs(
+                take_transforms.joint_transforms(row)[2][0] - scales[j]
+            ).max()
             is_uniform[j] = (
-                not changes.row(row)[2] and difference <= SCALE_TOLERANCE * largest[j]
+                not animation.animated_components(row)[2]
+                and difference <= SCALE_TOLERANCE * max_scales[j]
             )
     return scales, np.asarray(is_uniform)
 
 
-def _is_touched(models: Sequence[Model], row: JointRow, take: AnimTake) -> bool:
+def _has_scale_tracks(models: Sequence[Model], row: JointRow, take: AnimTake) -> bool:
     """Return whether a take animates a joint's scale."""
-    chain, model = scale_chain(models, row.model), models[row.model]
-    if model.parent >= 0 and model.inherit != INHERIT:
-        chain += scale_chain(models, model.parent)
+    chain, model = scale_ancestors(models, row.model), models[row.model]
+    if model.parent >= 0 and model.scale_inheritance != INHERIT:
+        chain += scale_ancestors(models, model.parent)
     return any((models[i].object.id, SCALING) in take.tracks for i in chain)
 
 
-def scale_chain(models: Sequence[Model], i: int) -> list[int]:
+def scale_ancestors(models: Sequence[Model], i: int) -> list[int]:
     """Return a node and the ancestors whose scale it inherits."""
     chain = [i]
-    while (i := models[i].scale_from) >= 0:
+    while (i := models[i].scale_source) >= 0:
         chain.append(i)
     return chain

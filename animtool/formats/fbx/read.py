@@ -1,4 +1,4 @@
-"""FBX reader: rigs, and takes as streams of motion."""
+"""Reads FBX files: rigs, and takes as streams of motion."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.names import replace_unprintable
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
-from animtool.formats.fbx.clip_keys import clip_of_fbx
+from animtool.formats.fbx.clip_keys import build_clip
 from animtool.formats.fbx.rig import build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
     FbxSampler,
     animates_rig,
-    between_notices,
-    frames_of,
-    outside_notices,
-    take_stream,
+    build_stream,
+    find_frame_range,
+    keys_outside_notice,
+    off_frame_keys_notice,
 )
 from animtool.formats.fbx.scene import FbxScene, open_fbx
 from animtool.formats.fbx.takes import AnimTake
@@ -29,12 +29,12 @@ from animtool.rig.skeleton import Rig
 
 # Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "FBX014", "FBX115"
-MESSAGES = TakeMessages(
+TAKE_MESSAGES = TakeMessages(
     "take",
     "has no animation of the character: it keeps its saved pose",
-    unknown="FBX015",
-    none="FBX116",
-    several="FBX122",
+    unknown_code="FBX015",
+    no_take_code="FBX116",
+    several_code="FBX122",
 )
 
 
@@ -47,10 +47,10 @@ def read_fbx(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a take of an FBX on the character it animates, meshes included.
+    """Open a take of an FBX and its character, including meshes.
 
-    Time 0 is frame 0. The stream is sampled at the file's rate; between frames it
-    follows the file's curves.
+    Time 0 is frame 0. The stream is sampled at the file's rate; at times between
+    frames, the file's curves are evaluated.
 
     Args:
         path: A .fbx file, binary or ASCII.
@@ -68,33 +68,40 @@ def read_fbx(
     fbx_rig = build_rig(
         scene, character, path.stem, None if unit is None else unit.meters
     )
-    names = take_names_of(scene)
+    names = scene_take_names(scene)
     candidates = [
         i
         for i, candidate in enumerate(scene.takes)
         if animates_rig(fbx_rig, candidate, scene)
     ]
-    default = scene.default
-    index, notes = choose_take(MESSAGES, str(path), names, take, candidates, default)
+    default_take = scene.default_take
+    index, take_notes = choose_take(
+        TAKE_MESSAGES, str(path), names, take, candidates, default_take
+    )
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)
-    frames = frames_of(scene, anim_take, rate, sampler.numbers)
-    stream = take_stream(fbx_rig, sampler, frames)
-    stream.notices[:] = [*scene.file.notes.notices, *notices, *fbx_rig.notices, *notes]
-    stream.notices += between_notices(scene, fbx_rig, sampler, frames)
-    stream.notices += outside_notices(scene, anim_take, frames)
-    stream.notices += _unread_notice(scene, anim_take)
+    frames = find_frame_range(scene, anim_take, rate, sampler.values_per_frame)
+    stream = build_stream(fbx_rig, sampler, frames)
+    stream.notices[:] = [
+        *scene.file.notes.notices,
+        *notices,
+        *fbx_rig.notices,
+        *take_notes,
+    ]
+    stream.notices += off_frame_keys_notice(scene, fbx_rig, sampler, frames)
+    stream.notices += keys_outside_notice(scene, anim_take, frames)
+    stream.notices += _ignored_contents_notice(scene, anim_take)
     return finish_stream(
         stream,
         "FBX",
         names,
         index,
-        lambda name: clip_of_fbx(name, fbx_rig, sampler, frames),
+        lambda name: build_clip(name, fbx_rig, sampler, frames),
     )
 
 
 def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
-    """Return the rig of an FBX with meshes and shapes, as saved.
+    """Return the rig of an FBX with meshes and shapes, in its saved pose.
 
     Args:
         path: A .fbx file.
@@ -110,21 +117,21 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 def take_names(path: Path) -> list[str]:
     """Return the names of an FBX's takes, in file order."""
-    return take_names_of(open_fbx(path))
+    return scene_take_names(open_fbx(path))
 
 
-def take_names_of(scene: FbxScene) -> list[str]:
-    """Return distinct names of all takes."""
+def scene_take_names(scene: FbxScene) -> list[str]:
+    """Return unique names of all takes of a scene."""
     printable_names = [replace_unprintable(take.name) for take in scene.takes]
     return numbered_names(
         name or f"take_{i + 1}" for i, name in enumerate(printable_names)
     )
 
 
-def _unread_notice(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
-    """Return one notice about file contents that takes cannot store."""
-    names = list(scene.left_out)
-    if take is not None and take.visible:
+def _ignored_contents_notice(scene: FbxScene, take: AnimTake | None) -> list[Fault]:
+    """Return a notice about file contents that are ignored."""
+    names = list(scene.ignored_contents)
+    if take is not None and take.has_animated_visibility:
         names.append("animated visibility")
     if not names:
         return []

@@ -1,4 +1,4 @@
-"""An FBX character as a rig: joints, bind pose, meshes and shapes."""
+"""Builds the rig of an FBX character: joints, bind pose, meshes and shapes."""
 
 from __future__ import annotations
 
@@ -20,25 +20,24 @@ from animtool.formats.characters.names import (
     replace_unprintable,
     shape_names,
 )
-from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, skin_table
+from animtool.formats.fbx.geometry import FbxGeometry, ShapeChannel, build_skin_table
 from animtool.formats.fbx.layers import ROTATION, SCALING, TRANSLATION
 from animtool.formats.fbx.poses import (
     JointRow,
     NodeTransforms,
     RowKind,
-    rows_of,
-    uniform_scales,
+    build_joint_rows,
+    find_uniform_scales,
 )
 from animtool.formats.fbx.scene import FbxScene
 from animtool.rig.parts import Inbetween, LoadedArray, Mesh, Shape, Skin, Subdivision
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_LISTED_MESHES = 6
-# Tolerance for a mesh that moved since binding, relative to its size: rounding of files
-# [1].
-MOVED_TOLERANCE = 1e-4
-# Shape weights closer to 0 or to each other are equal [1].
-SAME_WEIGHT = 1e-5
+# Tolerance for a mesh that moved after binding, relative to its size [1].
+BIND_TOLERANCE = 1e-4
+# Tolerance of equal shape weights [1].
+WEIGHT_TOLERANCE = 1e-5
 
 
 @dataclass(slots=True, eq=False)
@@ -47,27 +46,27 @@ class FbxRig:
 
     Attributes:
         rig: J joints.
-        rows: Node of each joint; trailing joints that only carry a mesh are omitted.
-        joints: Joint of each node; -1 for nodes that are not joints.
+        joint_rows: Node of each joint; trailing helper joints of meshes are omitted.
+        joint_of_node: Joint of each node; -1 for nodes that are not joints.
         folded_scales: By node, the uniform scale that is folded into lengths below it
             [1].
-        factors: Factor of each joint's translations [m].
+        translation_factors: Factor of each joint's translations [m].
         is_folded: Whether each joint's scale is folded into lengths ``(J,)``.
-        scales: Remaining scales as saved ``(J, 3)`` [1].
-        shapes: Channel of each shape, and its percentage at weight 1 [%].
-        meshes: Name of the mesh that each node shows.
+        remaining_scales: Saved scales that are not folded ``(J, 3)`` [1].
+        shape_channels: Channel of each shape, and its percentage at weight 1 [%].
+        mesh_names: Name of the mesh that each node shows.
         notices: Warnings about data that rigs cannot store.
     """
 
     rig: Rig
-    rows: list[JointRow]
-    joints: IntArray
+    joint_rows: list[JointRow]
+    joint_of_node: IntArray
     folded_scales: FloatArray
-    factors: FloatArray
+    translation_factors: FloatArray
     is_folded: BoolArray
-    scales: FloatArray
-    shapes: list[tuple[ShapeChannel, float]]
-    meshes: dict[int, str]
+    remaining_scales: FloatArray
+    shape_channels: list[tuple[ShapeChannel, float]]
+    mesh_names: dict[int, str]
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -77,7 +76,7 @@ def build_rig(
     name: str,
     meters: float | None = None,
     *,
-    surfaces: bool = True,
+    read_surfaces: bool = True,
 ) -> FbxRig:
     """Return the rig of a character; the rest pose is the saved scene.
 
@@ -90,59 +89,61 @@ def build_rig(
         character: Nodes of the character.
         name: Name of the rig.
         meters: Size of the file's unit [m]; None is the stated unit.
-        surfaces: Whether to read meshes and shapes.
+        read_surfaces: Whether to read meshes and shapes.
     """
     unit = scene.settings.meters if meters is None else meters
     joint_nodes = [
-        node for node in character.nodes if not _only_carries_skin(scene, node)
+        node for node in character.nodes if not _is_skinned_mesh_only(scene, node)
     ]
     joint_nodes = joint_nodes or list(character.nodes)
-    rows = rows_of(scene, joint_nodes)
-    scales, is_folded = uniform_scales(scene, rows)
+    rows = build_joint_rows(scene, joint_nodes)
+    scales, is_folded = find_uniform_scales(scene, rows)
     joints = np.full(len(scene.models), -1, np.int64)
     folded_scales = np.ones(len(scene.models))
     parents, factors = [], np.ones(len(rows))
     for j, row in enumerate(rows):
         parent = scene.models[row.model].parent
-        length = 1.0 if parent < 0 else float(folded_scales[parent])
-        factors[j] = length * unit
+        scale_above = 1.0 if parent < 0 else float(folded_scales[parent])
+        factors[j] = scale_above * unit
         is_inner = row.kind is RowKind.INNER
         parents.append(j - 1 if is_inner else -1 if parent < 0 else int(joints[parent]))
         if row.kind is not RowKind.OUTER:
             joints[row.model] = j
-            folded_scales[row.model] = length * (
+            folded_scales[row.model] = scale_above * (
                 float(scales[j].mean()) if is_folded[j] else 1.0
             )
     names, notices = _joint_names(scene, rows)
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
-    joint_list = []
+    rig_joints = []
     for j, row in enumerate(rows):
-        translations, rotations, _ = rest.row(row)
+        translations, rotations, _ = rest.joint_transforms(row)
         x, y, z = (translations[0] * factors[j]).tolist()
         a, b, c, w = rotations[0].tolist()
         original = scene.models[row.model].name
-        source = "" if original == names[j] or row.kind is RowKind.OUTER else original
-        joint_list.append(
+        source_name = (
+            "" if original == names[j] or row.kind is RowKind.OUTER else original
+        )
+        rig_joints.append(
             Joint(
                 names[j],
                 parents[j],
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
-                source_name=source,
+                source_name=source_name,
             )
         )
     scales = np.where(is_folded[:, None], 1.0, scales)
-    rig = Rig(name, tuple(joint_list), unit, scene.settings.up)
+    rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
     fbx_rig = FbxRig(
         rig, rows, joints, folded_scales, factors, is_folded, scales, [], {}, notices
     )
-    _add_shapes_and_meshes(scene, character, fbx_rig, surfaces=surfaces)
-    fbx_rig.notices += _moved_meshes(scene, character)
+    _add_shapes_and_meshes(scene, character, fbx_rig, read_surfaces=read_surfaces)
+    fbx_rig.notices += _moved_meshes_notice(scene, character)
     return fbx_rig
 
 
-def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
-    """Return a note of skinned meshes whose node moved since binding."""
+def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
+    """Return a note about skinned meshes whose node moved after binding."""
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     names = []
     for node in character.nodes:
@@ -150,19 +151,20 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
         if index < 0:
             continue
         object_id = scene.models[node].object.id
-        is_moved = any(
+        is_animated = any(
             track.object_id == object_id
-            and track.constant(scene.models[node].base[k]) is None
+            and track.constant_value(scene.models[node].base_values[k]) is None
             for take in scene.takes
             for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
             for track in (take.tracks.get((object_id, name)),)
             if track is not None
         )
-        bind = scene.bind[index]
-        size = float(np.abs(bind[:3]).max())
+        bind = scene.mesh_bind_worlds[index]
+        magnitude = float(np.abs(bind[:3]).max())
         if (
-            is_moved
-            or np.abs(rest.world(node)[0] - bind).max() > MOVED_TOLERANCE * size
+            is_animated
+            or np.abs(rest.world_matrices(node)[0] - bind).max()
+            > BIND_TOLERANCE * magnitude
         ):
             names.append(repr(scene.models[node].name))
     if not names:
@@ -174,8 +176,8 @@ def _moved_meshes(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
 
 
-def _only_carries_skin(scene: FbxScene, node: int) -> bool:
-    """Return whether a node only carries a skinned mesh."""
+def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
+    """Return whether a node only has a skinned mesh, and is no joint of a skin."""
     entry = scene.nodes[node]
     if entry.skin < 0 or entry.children:
         return False
@@ -186,36 +188,40 @@ def _joint_names(
     scene: FbxScene, rows: Sequence[JointRow]
 ) -> tuple[list[str], list[Fault]]:
     inner_nodes = [row.model for row in rows if row.kind is not RowKind.OUTER]
-    inner_names, renamed = joint_names(
+    inner_names, renamed_joints = joint_names(
         [scene.nodes[node] for node in inner_nodes], inner_nodes
     )
-    of_model = dict(zip(inner_nodes, inner_names, strict=True))
+    names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{of_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
+        f"{names_by_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
         for row in rows
     ]
-    unique = numbered_names([*inner_names, *(name for name in outer_names if name)])
-    helpers = iter(unique[len(inner_names) :])
+    unique_names = numbered_names(
+        [*inner_names, *(name for name in outer_names if name)]
+    )
+    helper_names = iter(unique_names[len(inner_names) :])
     names = [
-        next(helpers) if name else of_model[row.model]
+        next(helper_names) if name else names_by_model[row.model]
         for name, row in zip(outer_names, rows, strict=True)
     ]
     path = str(scene.path)
-    notices = renamed_joints_notice("FBX113", renamed, path)
-    added = unique[len(inner_names) :]
-    if added:
+    notices = renamed_joints_notice("FBX113", renamed_joints, path)
+    added_names = unique_names[len(inner_names) :]
+    if added_names:
         message = (
-            f"{counted(len(added), 'joint')} added above joints that do not inherit "
+            f"{counted(len(added_names), 'joint')} added above joints that do not "
+            "inherit "
         )
         message += (
-            f"the non-uniform scale of their parent: {listed(added, MAX_LISTED_MESHES)}"
+            "the non-uniform scale of their parent: "
+            f"{listed(added_names, MAX_LISTED_MESHES)}"
         )
         notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
     return names, notices
 
 
 def _add_shapes_and_meshes(
-    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, surfaces: bool
+    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, read_surfaces: bool
 ) -> None:
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
@@ -226,42 +232,54 @@ def _add_shapes_and_meshes(
         name or f"mesh_{node}"
         for node, name in zip(mesh_nodes, printable_names, strict=True)
     )
-    fbx_rig.meshes = dict(zip(mesh_nodes, mesh_names, strict=True))
-    channels = [(n, channel) for n in mesh_nodes for channel in scene.meshes[n].shapes]
+    fbx_rig.mesh_names = dict(zip(mesh_nodes, mesh_names, strict=True))
+    channels = [
+        (node, channel) for node in mesh_nodes for channel in scene.meshes[node].shapes
+    ]
     names = shape_names(
-        (channel.name, f"{fbx_rig.meshes[node]}_shape", fbx_rig.meshes[node])
+        (channel.name, f"{fbx_rig.mesh_names[node]}_shape", fbx_rig.mesh_names[node])
         for node, channel in channels
     )
-    fbx_rig.shapes += [(channel, _full_percent(channel)) for _, channel in channels]
-    if not surfaces:
+    fbx_rig.shape_channels += [
+        (channel, _full_percent(channel)) for _, channel in channels
+    ]
+    if not read_surfaces:
         shapes = tuple(map(Shape, names))
         fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
         return
     shapes = tuple(
-        _build_shape(name, fbx_rig.meshes[node], channel, scene.models[node].geometric)
+        _build_shape(
+            name,
+            fbx_rig.mesh_names[node],
+            channel,
+            scene.models[node].geometric_transform,
+        )
         for name, (node, channel) in zip(names, channels, strict=True)
     )
     binder = SkinBinder(
         scene,
         fbx_rig.rig,
-        fbx_rig.joints,
+        fbx_rig.joint_of_node,
         fbx_rig.folded_scales,
-        fbx_rig.scales,
+        fbx_rig.remaining_scales,
         scene.bind_worlds(),
     )
     meshes = tuple(
-        _build_mesh(scene, node, fbx_rig.meshes[node], binder) for node in mesh_nodes
+        _build_mesh(scene, node, fbx_rig.mesh_names[node], binder)
+        for node in mesh_nodes
     )
     fbx_rig.rig = binder.build_rig(meshes, shapes)
     fbx_rig.notices += binder.notices
-    helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.scales)
-    fbx_rig.scales = np.concatenate([fbx_rig.scales, np.ones((helper_count, 3))])
+    helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.remaining_scales)
+    fbx_rig.remaining_scales = np.concatenate(
+        [fbx_rig.remaining_scales, np.ones((helper_count, 3))]
+    )
 
 
 def _full_percent(channel: ShapeChannel) -> float:
-    """Return the percentage at which a channel's last target is full."""
+    """Return the percentage at which a channel's last target has full effect."""
     percent = channel.targets[-1][0]
-    return percent if abs(percent) > 100 * SAME_WEIGHT else 100.0
+    return percent if abs(percent) > 100 * WEIGHT_TOLERANCE else 100.0
 
 
 def _build_shape(
@@ -269,16 +287,16 @@ def _build_shape(
 ) -> Shape:
     rotation, full_percent = geometric[:3, :3].T, _full_percent(channel)
     inbetweens = [
-        Inbetween(at / full_percent, LoadedArray(offsets @ rotation))
-        for at, offsets in channel.targets[:-1]
+        Inbetween(weight_percent / full_percent, LoadedArray(offsets @ rotation))
+        for weight_percent, offsets in channel.targets[:-1]
     ]
-    inbetweens.sort(key=lambda inbetween_: inbetween_.at)
+    inbetweens.sort(key=lambda entry: entry.at)
     full_offsets = LoadedArray(channel.targets[-1][1] @ rotation)
     return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 
 
 def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Mesh:
-    mesh, geometric = scene.meshes[node], scene.models[node].geometric
+    mesh, geometric = scene.meshes[node], scene.models[node].geometric_transform
     points = mesh.points @ geometric[:3, :3].T + geometric[:3, 3]
     skin, geometry = _build_skin(scene, node, mesh, binder)
     bind = tuple(geometry.ravel().tolist())
@@ -296,16 +314,19 @@ def _build_mesh(scene: FbxScene, node: int, name: str, binder: SkinBinder) -> Me
 def _build_skin(
     scene: FbxScene, node: int, mesh: FbxGeometry, binder: SkinBinder
 ) -> tuple[Skin, FloatArray]:
-    """Return the skin of a mesh: its bones, or the node that shows it."""
+    """Return the skin of a mesh, bound to its bones or to its node."""
     index = scene.nodes[node].skin
     if index >= 0:
         geometry, joints = binder.bind_skin(index)
-        indices, weights = skin_table(mesh)
+        indices, weights = build_skin_table(mesh)
     else:
         geometry, joint = binder.bind_node(node)
         joints = [joint]
-        count = len(mesh.points)
-        indices, weights = np.zeros((count, 1), np.int64), np.ones((count, 1))
+        point_count = len(mesh.points)
+        indices, weights = (
+            np.zeros((point_count, 1), np.int64),
+            np.ones((point_count, 1)),
+        )
     names = binder.joint_names()
     skin = Skin(
         mesh.method if index >= 0 else "linear",
@@ -317,9 +338,9 @@ def _build_skin(
 
 
 def scale_notice(fbx_rig: FbxRig, where: str) -> list[Fault]:
-    """Return a notice of joint scales that a rig cannot store."""
+    """Return a notice about joint scales that a rig cannot store."""
     rig = fbx_rig.rig
-    has_scale = np.abs(fbx_rig.scales - 1.0).max(axis=1) > 1e-4
+    has_scale = np.abs(fbx_rig.remaining_scales - 1.0).max(axis=1) > 1e-4
     names = Counter(rig.names[j] for j in np.flatnonzero(has_scale).tolist())
     names.update(
         name

@@ -1,4 +1,4 @@
-"""FBX takes sampled as rig motion at any times."""
+"""Samples FBX takes as rig motion at any times."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.fbx.layers import DEFORM_PERCENT, PropertyTrack
-from animtool.formats.fbx.poses import AnimatedParts, NodeTransforms
+from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
@@ -24,14 +24,14 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward_kinematics
 
-# Frames per block: 60 joints take 2 MB.
+# Frames per block; with 60 joints a block has 2 MB.
 BLOCK_FRAMES = 1024
 # Limit of a take's animated numbers over all frames.
-MAX_VALUES = 60_000_000
-# Minimum numbers counted per frame: each frame takes time, however few numbers change.
-MIN_VALUES = 40
+MAX_TAKE_VALUES = 60_000_000
+# Minimum values counted per frame, as each frame takes time even with few values.
+MIN_VALUES_PER_FRAME = 40
 MAX_TICKS = 2.0**61
-# Keys closer to a frame than this are on it [frame].
+# Tolerance of keys on a frame [frame].
 FRAME_TOLERANCE = 1e-3
 # Maximum keys between frames at which joint errors are measured.
 MAX_MEASURED_KEYS = 256
@@ -47,7 +47,7 @@ class FbxFrames:
 
     def ticks(self, codes: FloatArray) -> IntArray:
         """Return times of frame numbers [ticks]."""
-        # A single product of two floats: frames are as exact as their ticks.
+        # One product of two floats keeps frames as exact as their ticks.
         per_frame = float(Fraction(TICKS_PER_SECOND) / self.fps)
         return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
             np.int64
@@ -55,131 +55,152 @@ class FbxFrames:
 
 
 class FbxSampler:
-    """Sampler of a take's rig motion at any times."""
+    """Samples a take's motion on a rig at any times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
         """Sample a rig by a take; None keeps the saved pose."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
-        changes = AnimatedParts(scene.models, take)
-        flags = np.array([changes.row(row) for row in fbx_rig.rows]).reshape(-1, 3)
+        animation = AnimatedComponents(scene.models, take)
+        flags = np.array(
+            [animation.animated_components(row) for row in fbx_rig.joint_rows]
+        ).reshape(-1, 3)
         flags[:, 2] &= ~fbx_rig.is_folded
-        self.animated = [np.flatnonzero(flags[:, k]) for k in range(3)]
-        rows = range(len(fbx_rig.shapes))
-        self.shapes = np.array(
+        self.animated_joints = [np.flatnonzero(flags[:, k]) for k in range(3)]
+        rows = range(len(fbx_rig.shape_channels))
+        self.animated_shapes = np.array(
             [row for row in rows if self._is_animated(row)], np.int64
         )
-        begin = 0 if take is None else take.begin
-        self.rest = self._static_values(np.array([begin], np.int64))
-        self.is_scaled = bool(len(self.animated[2]) or (self.rest[2] != 1.0).any())
+        begin = 0 if take is None else take.start_ticks
+        self.rest_values = self._static_values(np.array([begin], np.int64))
+        self.is_scaled = bool(
+            len(self.animated_joints[2]) or (self.rest_values[2] != 1.0).any()
+        )
 
     @property
-    def numbers(self) -> int:
-        """Count of animated numbers per frame."""
-        translations, rotations, scales = (len(joints) for joints in self.animated)
-        return 3 * translations + 4 * rotations + 3 * scales + len(self.shapes)
+    def values_per_frame(self) -> int:
+        """Number of animated values per frame."""
+        translations, rotations, scales = (
+            len(joints) for joints in self.animated_joints
+        )
+        return 3 * translations + 4 * rotations + 3 * scales + len(self.animated_shapes)
 
-    def track(self, row: int) -> PropertyTrack | None:
+    def weight_track(self, row: int) -> PropertyTrack | None:
         """Return the track of a shape's weight; None if not animated."""
-        channel = self.fbx_rig.shapes[row][0]
+        channel = self.fbx_rig.shape_channels[row][0]
         take = self.take
         return None if take is None else take.tracks.get((channel.id, DEFORM_PERCENT))
 
     def _is_animated(self, row: int) -> bool:
-        track = self.track(row)
-        base = np.array([self.fbx_rig.shapes[row][0].percent])
-        return track is not None and track.constant(base) is None
+        track = self.weight_track(row)
+        base = np.array([self.fbx_rig.shape_channels[row][0].percent])
+        return track is not None and track.constant_value(base) is None
 
     def weight(self, row: int, ticks: IntArray) -> FloatArray:
         """Return the weight of a shape at times ``(F,)`` [1]."""
-        channel, full_percent = self.fbx_rig.shapes[row]
-        base, track = np.array([channel.percent]), self.track(row)
+        channel, full_percent = self.fbx_rig.shape_channels[row]
+        base, track = np.array([channel.percent]), self.weight_track(row)
         if track is None:
             return np.full(len(ticks), channel.percent / full_percent)
-        return np.asarray(track.at(base, ticks)[:, 0] / full_percent)
+        return np.asarray(track.evaluate(base, ticks)[:, 0] / full_percent)
 
     def _static_values(self, ticks: IntArray) -> list[FloatArray]:
         """Return translations, rotations, scales and weights at the first tick."""
-        fbx_rig, count = self.fbx_rig, len(self.fbx_rig.rig.joints)
-        state = NodeTransforms(self.scene, self.take, ticks)
+        fbx_rig, joint_count = self.fbx_rig, len(self.fbx_rig.rig.joints)
+        transforms = NodeTransforms(self.scene, self.take, ticks)
         translations, rotations = (
-            np.zeros((count, 3)),
-            np.tile([0.0, 0.0, 0.0, 1.0], (count, 1)),
+            np.zeros((joint_count, 3)),
+            np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1)),
         )
-        scales = np.ones((count, 3))
-        for j, row in enumerate(fbx_rig.rows):
-            local = state.row(row)
+        scales = np.ones((joint_count, 3))
+        for j, row in enumerate(fbx_rig.joint_rows):
+            local = transforms.joint_transforms(row)
             translations[j], rotations[j] = (
-                local[0][0] * fbx_rig.factors[j],
+                local[0][0] * fbx_rig.translation_factors[j],
                 local[1][0],
             )
             scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
-        weights = [self.weight(row, ticks)[0] for row in range(len(fbx_rig.shapes))]
+        weights = [
+            self.weight(row, ticks)[0] for row in range(len(fbx_rig.shape_channels))
+        ]
         return [translations, rotations, scales, np.array(weights).reshape(-1, 1)]
 
-    def at(self, ticks: IntArray) -> Motion:
+    def sample(self, ticks: IntArray) -> Motion:
         """Return the motion at times ``(F,)`` [ticks]."""
         fbx_rig = self.fbx_rig
-        state = NodeTransforms(self.scene, self.take, ticks)
+        transforms = NodeTransforms(self.scene, self.take, ticks)
         values = [
-            np.zeros((len(ticks), len(joints), w))
-            for joints, w in zip(self.animated, (3, 4, 3), strict=True)
+            np.zeros((len(ticks), len(joints), component_width))
+            for joints, component_width in zip(
+                self.animated_joints, (3, 4, 3), strict=True
+            )
         ]
-        for component, joints in enumerate(self.animated):
+        for component, joints in enumerate(self.animated_joints):
             for k, j in enumerate(joints.tolist()):
-                samples = state.row(fbx_rig.rows[j])[component]
+                samples = transforms.joint_transforms(fbx_rig.joint_rows[j])[component]
                 if component == 0:
-                    samples = samples * fbx_rig.factors[j]
+                    samples = samples * fbx_rig.translation_factors[j]
                 elif component == 1:
                     samples = so3.align_signs(samples)
                 values[component][:, k] = samples
         channels = [
-            Channel(self.rest[component], joints, values[component])
-            for component, joints in enumerate(self.animated)
+            Channel(self.rest_values[component], joints, values[component])
+            for component, joints in enumerate(self.animated_joints)
         ]
         weights = None
-        if fbx_rig.shapes:
-            rows = [self.weight(row, ticks) for row in self.shapes.tolist()]
+        if fbx_rig.shape_channels:
+            rows = [self.weight(row, ticks) for row in self.animated_shapes.tolist()]
             shape_weights = (
                 np.stack(rows, axis=1) if rows else np.zeros((len(ticks), 0))
             )
-            weights = Channel(self.rest[3], self.shapes, shape_weights[:, :, None])
+            weights = Channel(
+                self.rest_values[3], self.animated_shapes, shape_weights[:, :, None]
+            )
         scales = channels[2] if self.is_scaled else None
         return Motion(channels[0], channels[1], scales, weights)
 
 
-def frames_of(
-    scene: FbxScene, take: AnimTake | None, fps: Fraction | None, width: int
+def find_frame_range(
+    scene: FbxScene,
+    take: AnimTake | None,
+    requested_fps: Fraction | None,
+    values_per_frame: int,
 ) -> FbxFrames:
-    """Return the frame range of a take: its span, or the range of its keys.
+    """Return the frame range of a take: the stated one, else that of its keys.
 
     Args:
         scene: The file.
         take: The take; None is one frame.
-        fps: Requested frame rate; None is the file's.
-        width: Animated numbers per frame.
+        requested_fps: Requested frame rate; None is the file's.
+        values_per_frame: Animated numbers per frame.
     """
-    rate = fps or scene.settings.fps
+    rate = requested_fps or scene.settings.fps
     if take is None:
         return FbxFrames(rate, 0, 1)
     keys = take.key_times()
-    begin, end = take.begin, take.end
+    begin, end = take.start_ticks, take.end_ticks
     if end <= begin and len(keys):
         begin, end = int(keys[0]), int(keys[-1])
-    # Covers the span: from the frame at or before its start to the frame at or after
-    # its end.
-    first_frame = _nearest_frames(begin, rate)
+    # Frames contain the range: from the frame at or before its start to the frame at or
+    # after its end.
+    first_frame = _nearest_frame(begin, rate)
     first_frame -= (
         _is_off_frame(begin, rate) and first_frame * TICKS_PER_SECOND > begin * rate
     )
-    last_frame = _nearest_frames(end, rate)
+    last_frame = _nearest_frame(end, rate)
     last_frame += (
         _is_off_frame(end, rate) and last_frame * TICKS_PER_SECOND < end * rate
     )
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
-    if count > MAX_FRAMES or count * max(width, MIN_VALUES) > MAX_VALUES:
+    if (
+        count > MAX_FRAMES
+        or count * max(values_per_frame, MIN_VALUES_PER_FRAME) > MAX_TAKE_VALUES
+    ):
         message = f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
-        message += f"{rate_label(rate)} are {count} frames of {width} numbers, above "
+        message += (
+            f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
+            "above "
+        )
         message += "the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
@@ -188,22 +209,24 @@ def frames_of(
     return FbxFrames(rate, first_frame, count)
 
 
-def between_notices(
+def off_frame_keys_notice(
     scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> list[Fault]:
-    """Return a notice of joint errors where keys are between frames."""
+    """Return a notice about joint errors at keys between frames."""
     take = sampler.take
     keys = np.zeros(0, np.int64) if take is None else take.key_times()
     if take is None or not len(keys):
         return []
     codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
-    off_frame = np.flatnonzero(np.abs(codes - np.round(codes)) > FRAME_TOLERANCE)
-    if not len(off_frame):
+    off_frame_keys = np.flatnonzero(np.abs(codes - np.round(codes)) > FRAME_TOLERANCE)
+    if not len(off_frame_keys):
         return []
-    measured_frames = off_frame[:: max(1, len(off_frame) // MAX_MEASURED_KEYS)]
+    measured_frames = off_frame_keys[
+        :: max(1, len(off_frame_keys) // MAX_MEASURED_KEYS)
+    ]
     frame_before = np.floor(codes[measured_frames])
     positions = [
-        forward_kinematics(fbx_rig.rig, *sampler.at(ticks).dense()).positions
+        forward_kinematics(fbx_rig.rig, *sampler.sample(ticks).dense()).positions
         for ticks in (
             frames.ticks(frame_before),
             frames.ticks(frame_before + 1.0),
@@ -211,47 +234,54 @@ def between_notices(
         )
     ]
     fraction = (codes[measured_frames] - frame_before)[:, None, None]
-    straight = positions[0] + fraction * (positions[1] - positions[0])
-    distances = np.linalg.norm(positions[2] - straight, axis=2)
-    worst = int(distances.max(axis=0).argmax())
-    message = f"{len(off_frame)} of {len(keys)} key times fall between the frames at "
+    interpolated = positions[0] + fraction * (positions[1] - positions[0])
+    distances = np.linalg.norm(positions[2] - interpolated, axis=2)
+    worst_joint = int(distances.max(axis=0).argmax())
+    message = (
+        f"{len(off_frame_keys)} of {len(keys)} key times fall between the frames at "
+    )
     message += (
         f"{rate_label(frames.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
     )
-    message += f"off there (joint {fbx_rig.rig.names[worst]!r})"
+    message += f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)
     return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
 
 
-def outside_notices(
+def keys_outside_notice(
     scene: FbxScene, take: AnimTake | None, frames: FbxFrames
 ) -> list[Fault]:
-    """Return a notice of keys outside the span of a take; a warning if all are."""
-    moving = [] if take is None else [c for c in take.curves() if not c.is_static()]
-    if take is None or not moving:
+    """Return a notice about keys outside the range of a take; a warning if all are."""
+    animated_curves = (
+        []
+        if take is None
+        else [curve for curve in take.curves() if not curve.is_static()]
+    )
+    if take is None or not animated_curves:
         return []
-    keys = np.unique(np.concatenate([curve.times for curve in moving]))
+    keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))
     codes = keys / float(Fraction(TICKS_PER_SECOND) / frames.fps)
     last = frames.first + frames.count - 1
     is_outside = (codes < frames.first - FRAME_TOLERANCE) | (
         codes > last + FRAME_TOLERANCE
     )
-    count = int(is_outside.sum())
-    if not count:
+    outside_count = int(is_outside.sum())
+    if not outside_count:
         return []
     message = (
-        f"{count} of {len(keys)} key times of take {take.name!r}, {codes[0]:.6g} to "
+        f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
+        f"{codes[0]:.6g} to "
         f"{codes[-1]:.6g}, lie outside its frames {frames.first} to {last}, which are "
         "read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
-    severity = Severity.WARNING if count == len(keys) else Severity.NOTE
+    severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE
     path = str(scene.path)
     return [Fault("FBX123", message, path, (), hint, severity, where=take.where)]
 
 
-def _nearest_frames(ticks: int, rate: Fraction) -> int:
+def _nearest_frame(ticks: int, rate: Fraction) -> int:
     return round(ticks * rate / TICKS_PER_SECOND)
 
 
@@ -260,18 +290,18 @@ def _is_off_frame(ticks: int, rate: Fraction) -> bool:
     return abs(frames - round(frames)) > Fraction(1, 1000)
 
 
-def take_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> TakeStream:
+def build_stream(fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> TakeStream:
     """Return a take as a stream, sampled block by block."""
     clock = Clock(frames.fps, Fraction(frames.first), Fraction(1), frames.count)
 
     def sample(codes: FloatArray) -> Motion:
-        return sampler.at(frames.ticks(codes))
+        return sampler.sample(frames.ticks(codes))
 
     return sampled_stream(fbx_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
-    """Return whether a take animates the rig."""
-    ids = {scene.models[row.model].object.id for row in fbx_rig.rows}
-    ids |= {channel.id for channel, _ in fbx_rig.shapes}
+    """Return whether a take has tracks of the rig's nodes or shapes."""
+    ids = {scene.models[row.model].object.id for row in fbx_rig.joint_rows}
+    ids |= {channel.id for channel, _ in fbx_rig.shape_channels}
     return any(object_id in ids for object_id, _ in take.tracks)

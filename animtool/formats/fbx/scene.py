@@ -1,4 +1,4 @@
-"""An FBX in memory: nodes, meshes, takes and skins."""
+"""Opens an FBX scene: nodes, meshes, takes and skins."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from animtool.core.errors import listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.characters.nodes import Node, SkinEntry
-from animtool.formats.fbx.geometry import FbxGeometry, has_free_points, read_geometry
+from animtool.formats.fbx.geometry import (
+    FbxGeometry,
+    has_unweighted_points,
+    read_geometry,
+)
 from animtool.formats.fbx.models import Model, read_models
 from animtool.formats.fbx.objects import FbxFile, ObjectId, open_objects
 from animtool.formats.fbx.settings import FbxSettings, read_settings
-from animtool.formats.fbx.takes import AnimTake, default_take, read_takes
+from animtool.formats.fbx.takes import AnimTake, find_default_take, read_takes
 
 MAX_LISTED_OBJECTS = 6
 
@@ -30,11 +34,11 @@ class FbxScene:
         models: Nodes, parents first.
         meshes: Meshes by index of the node that shows them.
         takes: Takes in file order.
-        left_out: Labels of contents that are not read.
-        default: Index of the take read by default; -1 for none.
+        ignored_contents: Labels of contents that are not read.
+        default_take: Index of the take read by default; -1 for none.
         nodes: The node tree, one node per model.
         skins: One per skinned mesh that a node shows.
-        bind: World transform of each skin's mesh at bind time.
+        mesh_bind_worlds: World transform of each skin's mesh at bind time.
     """
 
     file: FbxFile
@@ -42,19 +46,19 @@ class FbxScene:
     models: list[Model]
     meshes: dict[int, FbxGeometry]
     takes: list[AnimTake]
-    default: int
+    default_take: int
     nodes: tuple[Node, ...]
     skins: tuple[SkinEntry, ...]
-    bind: list[FloatArray]
+    mesh_bind_worlds: list[FloatArray]
     scenes: list[list[int]]
-    left_out: tuple[str, ...] = ()
+    ignored_contents: tuple[str, ...] = ()
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:
-        """Return each skin's mesh transform at bind time, in rig axes."""
+        """Return the world transform of each skin's mesh at bind time, in rig axes."""
         axes = np.eye(4)
         axes[:3, :3] = self.settings.basis
-        return [axes @ world for world in self.bind]
+        return [axes @ world for world in self.mesh_bind_worlds]
 
     @property
     def path(self) -> Path:
@@ -63,56 +67,66 @@ class FbxScene:
 
 
 def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
-    """Open an FBX; every number that affects motion is checked.
+    """Open an FBX file, and validate all numbers that affect motion.
 
     ``up`` is the up axis of the file; None is the stated axis.
     """
     file = open_objects(path)
     settings = read_settings(file, up)
     models = read_models(file)
-    index = {model.object.id: i for i, model in enumerate(models)}
+    node_indices = {model.object.id: i for i, model in enumerate(models)}
     geometry = read_geometry(file)
-    meshes = {index[of]: mesh for of, mesh in geometry.items() if of in index}
+    meshes = {
+        node_indices[object_id]: mesh
+        for object_id, mesh in geometry.items()
+        if object_id in node_indices
+    }
     takes = read_takes(file)
-    skins, bind = _skin_entries(meshes, index)
-    of_node = dict(zip((i for i in meshes if meshes[i].clusters), skins, strict=True))
-    nodes = _build_nodes(models, meshes, {i: n for n, i in enumerate(of_node)})
-    _note_drivers(file)
-    default = default_take(file, takes)
+    skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
+    skins_by_node = dict(
+        zip((i for i in meshes if meshes[i].clusters), skins, strict=True)
+    )
+    nodes = _build_nodes(
+        models, meshes, {i: skin_index for skin_index, i in enumerate(skins_by_node)}
+    )
+    _add_driver_notice(file)
+    default_index = find_default_take(file, takes)
     return FbxScene(
         file,
         settings,
         models,
         meshes,
         takes,
-        default,
+        default_index,
         nodes,
         tuple(skins),
-        bind,
+        mesh_bind_worlds,
         [],
-        _left_out_labels(file),
+        _ignored_labels(file),
     )
 
 
 def _skin_entries(
-    meshes: dict[int, FbxGeometry], index: dict[ObjectId, int]
+    meshes: dict[int, FbxGeometry], node_indices: dict[ObjectId, int]
 ) -> tuple[list[SkinEntry], list[FloatArray]]:
-    """Return the skins; a mesh's node is the last joint if it has weights."""
-    skins, bind = [], []
+    """Return skins, and the world transforms of their meshes at bind time."""
+    skins, mesh_bind_worlds = [], []
     for node, mesh in meshes.items():
         if not mesh.clusters:
             continue
-        joints = [index[cluster.bone] for cluster in mesh.clusters]
-        matrices = [cluster.from_mesh for cluster in mesh.clusters]
-        if has_free_points(mesh):
+        joints = [node_indices[cluster.bone] for cluster in mesh.clusters]
+        matrices = [cluster.bone_from_mesh for cluster in mesh.clusters]
+        if has_unweighted_points(mesh):
             joints.append(node)
             matrices.append(np.eye(4))
         first_cluster = mesh.clusters[0]
         skins.append(
             SkinEntry(None, tuple(joints), -1, np.stack(matrices), first_cluster.where)
         )
-        bind.append(first_cluster.world @ first_cluster.from_mesh)
-    return skins, bind
+        mesh_bind_worlds.append(
+            first_cluster.world_from_bone @ first_cluster.bone_from_mesh
+        )
+    return skins, mesh_bind_worlds
 
 
 def _build_nodes(
@@ -139,7 +153,7 @@ def _build_nodes(
 
 
 # Labels of object kinds for appearance or unsupported surfaces.
-_LEFT_OUT_LABELS = {
+_IGNORED_LABELS = {
     "Material": "materials",
     "Texture": "textures",
     "Video": "images",
@@ -154,19 +168,19 @@ _LEFT_OUT_LABELS = {
 }
 
 
-def _left_out_labels(file: FbxFile) -> tuple[str, ...]:
+def _ignored_labels(file: FbxFile) -> tuple[str, ...]:
     """Return labels of contents that neither rigs nor takes can store."""
     element_kinds = ("Material", "Texture", "Video")
     labels = {
-        _LEFT_OUT_LABELS[key]: None
+        _IGNORED_LABELS[key]: None
         for item in file.objects.values()
         for key in (item.kind if item.kind in element_kinds else item.subtype,)
-        if key in _LEFT_OUT_LABELS
+        if key in _IGNORED_LABELS
     }
     return tuple(sorted(labels))
 
 
-def _note_drivers(file: FbxFile) -> None:
+def _add_driver_notice(file: FbxFile) -> None:
     """Add a note about constraints and drivers, which are not evaluated."""
     drivers = file.of_kind("Constraint")
     if drivers:

@@ -1,4 +1,4 @@
-"""FBX global settings: axes, unit and frame rate."""
+"""Reads FBX global settings: axes, unit and frame rate."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from animtool.core.rates import parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.fbx.elements import Element
-from animtool.formats.fbx.objects import FbxFile, scalar
+from animtool.formats.fbx.objects import FbxFile, read_scalar
 
-# Ticks per second. Times of files that count others are converted, see `in_ticks`.
+# Ticks per second; files with another tick are converted by `convert_new_ticks`.
 TICKS_PER_SECOND = 46_186_158_000
 # Ticks per second of files whose TCDefinition is 0, which FBX 2019.5 introduced.
-_NEW_TICKS = 141_120_000
+_NEW_TICKS_PER_SECOND = 141_120_000
 # Values of TCDefinition: 127 is `TICKS_PER_SECOND`.
-_NEW, _OLD = 0, 127
+_NEW_DEFINITION, _OLD_DEFINITION = 0, 127
 # Frame rate by TimeMode, as numbered in `FbxTime::EMode`.
 _RATES = {
     0: Fraction(30),
@@ -67,45 +67,49 @@ def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
     ``up`` is the up axis of the file; None is the stated axis.
     """
     notes, settings = file.notes, file.settings
-    factor = scalar(settings, "UnitScaleFactor", 1.0, notes)
+    factor = read_scalar(settings, "UnitScaleFactor", 1.0, notes)
     if not 1e-9 <= factor <= 1e12:
         message = f"UnitScaleFactor is {factor:g}, and must be positive"
         notes.fail("FBX005", settings.element.where, message)
-    up_and_basis = (up, np.eye(3)) if up is not None else _up_and_basis(file)
-    return FbxSettings(factor / 100.0, *up_and_basis, _stated_rate(file))
+    up_and_basis = (up, np.eye(3)) if up is not None else _read_axes(file)
+    return FbxSettings(factor / 100.0, *up_and_basis, _read_rate(file))
 
 
-def counts_new_ticks(file: FbxFile) -> bool:
+def has_new_ticks(file: FbxFile) -> bool:
     """Return whether a file counts 141,120,000 ticks per second."""
     header = file.root.find("FBXHeaderExtension")
     flags = None if header is None else header.find("OtherFlags")
     element = None if flags is None else flags.find("TCDefinition")
     if element is None or not element.values:
         return False
-    definition = element.values[0]
-    if definition not in {_NEW, _OLD}:
-        message = f"unknown TCDefinition {excerpt(str(definition))}: using {_OLD}"
+    tick_definition = element.values[0]
+    if tick_definition not in {_NEW_DEFINITION, _OLD_DEFINITION}:
+        message = (
+            f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
+            f"{_OLD_DEFINITION}"
+        )
         file.notes.warn("FBX106", element.where, message)
-    return bool(definition == _NEW)
+    return bool(tick_definition == _NEW_DEFINITION)
 
 
-def in_ticks(times: IntArray) -> IntArray:
-    """Return times in units of 141,120,000 per second as ticks, rounded.
+def convert_new_ticks(times: IntArray) -> IntArray:
+    """Convert times with 141,120,000 ticks per second to `TICKS_PER_SECOND`, rounded.
 
-    Times beyond any take are clamped, so that they stay out of range.
+    Extreme times are clamped, so that they stay out of the valid range.
 
-    >>> (in_ticks(np.array([-141_120_000, 5_880_000])) / TICKS_PER_SECOND).tolist()
+    >>> ticks = convert_new_ticks(np.array([-141_120_000, 5_880_000]))
+    >>> (ticks / TICKS_PER_SECOND).tolist()
     [-1.0, 0.041666666666666664]
     """
-    ratio = Fraction(TICKS_PER_SECOND, _NEW_TICKS)
+    ratio = Fraction(TICKS_PER_SECOND, _NEW_TICKS_PER_SECOND)
     limit = 2**62 // (ratio.numerator // ratio.denominator + 1)
     quotient, remainder = np.divmod(np.clip(times, -limit, limit), ratio.denominator)
-    half = ratio.denominator // 2
-    parts = (remainder * ratio.numerator + half) // ratio.denominator
-    return np.asarray(quotient * ratio.numerator + parts, np.int64)
+    rounding = ratio.denominator // 2
+    fraction_ticks = (remainder * ratio.numerator + rounding) // ratio.denominator
+    return np.asarray(quotient * ratio.numerator + fraction_ticks, np.int64)
 
 
-def _up_and_basis(file: FbxFile) -> tuple[UpAxis, FloatArray]:
+def _read_axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """Return the up axis, and the rotation from file axes to it.
 
     Files with Y or Z up keep their axes if they face the common direction; others are
@@ -113,8 +117,8 @@ def _up_and_basis(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """
     rows = []
     for name, axis in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):
-        index = int(scalar(file.settings, name, axis, file.notes))
-        sign = scalar(file.settings, f"{name}Sign", 1.0, file.notes)
+        index = int(read_scalar(file.settings, name, axis, file.notes))
+        sign = read_scalar(file.settings, f"{name}Sign", 1.0, file.notes)
         if index not in {0, 1, 2}:
             message = f"{name} is {index}, and must be 0, 1 or 2"
             file.notes.fail("FBX007", file.settings.element.where, message)
@@ -128,23 +132,23 @@ def _up_and_basis(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     return UpAxis.Y, basis
 
 
-def _stated_rate(file: FbxFile) -> Fraction:
-    mode = int(scalar(file.settings, "TimeMode", 0.0, file.notes))
+def _read_rate(file: FbxFile) -> Fraction:
+    mode = int(read_scalar(file.settings, "TimeMode", 0.0, file.notes))
     if mode == CUSTOM_TIME_MODE:
-        rate = scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
+        rate = read_scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
         if not 0.01 <= rate <= 100_000:
             message = f"CustomFrameRate is {rate:g}, and must be positive"
             file.notes.fail("FBX005", file.settings.element.where, message)
         return parse_rate(f"{rate:.9g}")
     if "TimeMode" not in file.settings.properties:
-        return _old_rate(file)
+        return _read_old_rate(file)
     if mode not in _RATES:
         message = f"unknown time mode {mode}: using {_RATES[0]} frames per second"
         file.notes.warn("FBX106", file.settings.element.where, message)
     return _RATES.get(mode, _RATES[0])
 
 
-def _old_rate(file: FbxFile) -> Fraction:
+def _read_old_rate(file: FbxFile) -> Fraction:
     """Return the rate stated by files before 7000."""
     element: Element | None = file.root
     for name in ("Version5", "Settings", "FrameRate"):

@@ -1,4 +1,4 @@
-"""Slopes of automatic and TCB tangents.
+"""Computes the slopes of automatic and TCB tangents.
 
 References: Autodesk, *FBX SDK documentation*, `FbxAnimCurveDef` (tangent modes);
 Kochanek and Bartels, *Interpolating splines with local tension, continuity, and bias
@@ -15,20 +15,20 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 STEPPED, STRAIGHT, CURVED = 0x2, 0x4, 0x8
 AUTO, TCB, USER, NEXT_VALUE = 0x100, 0x200, 0x400, 0x100
 CLAMPED, TIME_INDEPENDENT, PROGRESSIVE = 0x1000, 0x2000, 0x4000
-# Slopes into and out of a key closer than this are equal [1/s].
+# Tolerance of equal slopes before and after a key [1/s].
 SLOPE_TOLERANCE = 1e-4
-# Automatic tangents with a larger bias get steeper by the square of the excess.
-FULL_BIAS, BIAS_GAIN = 5.0, 40.0
+# With a larger bias, automatic tangents get steeper by the square of the excess.
+MAX_LINEAR_BIAS, BIAS_GAIN = 5.0, 40.0
 
 
-def key_slopes(
+def compute_key_slopes(
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
     key_data: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return slopes leaving and entering keys ``(K,)`` [1/s].
+    """Return the slopes after each key and before the next ``(K,)`` [1/s].
 
     Args:
         seconds: Times of the keys, ascending ``(K,)``.
@@ -38,24 +38,31 @@ def key_slopes(
             the next and, for TCB tangents, tension, continuity and bias.
         weights: Weights of the handles out of each key and into the next ``(K, 2)``.
     """
-    cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
-    tcb = cubic & (flags & TCB != 0)
-    auto = cubic & ~tcb & (flags & USER == 0)
+    is_cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
+    is_tcb = is_cubic & (flags & TCB != 0)
+    is_auto = is_cubic & ~is_tcb & (flags & USER == 0)
     chords = _chord_slopes(seconds, values)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
-    straight = (flags & (STEPPED | CURVED)) == 0
-    out_slopes[straight] = in_slopes[straight] = np.append(chords, 0.0)[straight]
+    is_straight = (flags & (STEPPED | CURVED)) == 0
+    out_slopes[is_straight] = in_slopes[is_straight] = np.append(chords, 0.0)[
+        is_straight
+    ]
     out_slopes[flags & STEPPED != 0] = in_slopes[flags & STEPPED != 0] = 0.0
-    in_slopes[tcb] = 0.0
-    into = np.concatenate([[0.0], in_slopes[:-1]])
-    if auto.any():
+    in_slopes[is_tcb] = 0.0
+    slopes_before = np.concatenate([[0.0], in_slopes[:-1]])
+    if is_auto.any():
         _set_auto_slopes(
-            seconds, values, flags, weights, chords, (auto, into, out_slopes)
+            seconds,
+            values,
+            flags,
+            weights,
+            chords,
+            (is_auto, slopes_before, out_slopes),
         )
-    if tcb.any():
-        _set_tcb_slopes(chords, key_data, (tcb, into, out_slopes))
+    if is_tcb.any():
+        _set_tcb_slopes(chords, key_data, (is_tcb, slopes_before, out_slopes))
     # The last key has no segment after it.
-    return out_slopes, np.append(into[1:], in_slopes[-1:])
+    return out_slopes, np.append(slopes_before[1:], in_slopes[-1:])
 
 
 def _chord_slopes(seconds: FloatArray, values: FloatArray) -> FloatArray:
@@ -74,33 +81,37 @@ def _set_auto_slopes(
 ) -> None:
     """Set the slopes of automatic keys.
 
-    For such a key the file states a bias towards a neighbour, not a slope.
+    The file states a bias towards a neighbour instead of a slope for these keys.
     """
-    is_auto, into, out_slopes = slopes
+    is_auto, slopes_before, out_slopes = slopes
     if len(seconds) < 2:
-        into[is_auto] = out_slopes[is_auto] = 0.0
+        slopes_before[is_auto] = out_slopes[is_auto] = 0.0
         return
     for k, chord in ((0, chords[0]), (-1, chords[-1])):
         if is_auto[k]:
-            bias = float(out_slopes[k] if k == 0 else -into[k])
-            into[k] = out_slopes[k] = _end_slope(int(flags[k]), float(chord), bias)
+            bias = float(out_slopes[k] if k == 0 else -slopes_before[k])
+            slopes_before[k] = out_slopes[k] = _end_slope(
+                int(flags[k]), float(chord), bias
+            )
     inner_keys = np.flatnonzero(is_auto[1:-1]) + 1
     if not len(inner_keys):
         return
-    is_broken = np.abs(into[inner_keys] + out_slopes[inner_keys]) > SLOPE_TOLERANCE
+    is_broken = (
+        np.abs(slopes_before[inner_keys] + out_slopes[inner_keys]) > SLOPE_TOLERANCE
+    )
     bias_out = out_slopes[inner_keys].copy()
-    bias_in = np.where(is_broken, -into[inner_keys], bias_out)
-    in_and_out = [
+    bias_in = np.where(is_broken, -slopes_before[inner_keys], bias_out)
+    inner_slopes = [
         _inner_slopes(inner_keys, seconds, values, flags, weights, chords, bias)
         for bias in (bias_in, bias_out)
     ]
-    into[inner_keys], out_slopes[inner_keys] = in_and_out
+    slopes_before[inner_keys], out_slopes[inner_keys] = inner_slopes
 
 
 def _end_slope(flags: int, chord: float, bias: float) -> float:
     if flags & PROGRESSIVE or (flags & CLAMPED and chord == 0.0):
         return 0.0
-    excess = abs(bias) / 100.0 - FULL_BIAS
+    excess = abs(bias) / 100.0 - MAX_LINEAR_BIAS
     if not flags & TIME_INDEPENDENT and excess > 0.0:
         chord += excess * excess * BIAS_GAIN * (1.0 if bias > 0 else -1.0)
     return chord
@@ -115,20 +126,24 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return slopes of automatic keys that have both neighbours."""
+    """Return slopes of automatic keys between two others."""
     key_flags, chord_before, chord_after = flags[k], chords[k - 1], chords[k]
     time_before, time_after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
-    span = np.where(time_before + time_after > 0, time_before + time_after, np.inf)
-    slope = (values[k + 1] - values[k - 1]) / span
-    fraction = time_before / span
-    blend = 0.5 * slope + 0.5 * (
+    duration = np.where(time_before + time_after > 0, time_before + time_after, np.inf)
+    slope = (values[k + 1] - values[k - 1]) / duration
+    fraction = time_before / duration
+    smooth_slope = 0.5 * slope + 0.5 * (
         chord_before * (1.0 - fraction) + chord_after * fraction
     )
-    amount = np.abs(bias) / 100.0
-    target = np.where(bias > 0, chord_after, chord_before)
-    offset = target - blend
-    slopes = np.where(amount > 1e-4, blend * (1.0 - amount) + target * amount, blend)
-    excess = np.maximum(amount - FULL_BIAS, 0.0)
+    bias_amount = np.abs(bias) / 100.0
+    biased_slope = np.where(bias > 0, chord_after, chord_before)
+    offset = biased_slope - smooth_slope
+    slopes = np.where(
+        bias_amount > 1e-4,
+        smooth_slope * (1.0 - bias_amount) + biased_slope * bias_amount,
+        smooth_slope,
+    )
+    excess = np.maximum(bias_amount - MAX_LINEAR_BIAS, 0.0)
     sign = np.where(np.where(np.abs(offset) > 1e-5, offset, bias) > 0, 1.0, -1.0)
     slopes = slopes + excess * excess * BIAS_GAIN * sign
     slope = np.where(key_flags & TIME_INDEPENDENT != 0, slope, slopes)
@@ -153,15 +168,15 @@ def _set_tcb_slopes(
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
     """Set the slopes of keys from tension, continuity and bias."""
-    is_tcb, into, out_slopes = slopes
+    is_tcb, slopes_before, out_slopes = slopes
     tension, continuity, bias = key_data[is_tcb].T
     chord_before = np.concatenate([[0.0], chords])[is_tcb]
     chord_after = np.concatenate([chords, [0.0]])[is_tcb]
-    at = np.flatnonzero(is_tcb)
-    is_end = (at == 0) | (at == len(is_tcb) - 1)
+    key_indices = np.flatnonzero(is_tcb)
+    is_end = (key_indices == 0) | (key_indices == len(is_tcb) - 1)
     gain = np.where(is_end, 1.0, 0.5) * (1.0 - tension)
     plus_bias, minus_bias = 1.0 + bias, 1.0 - bias
-    into[is_tcb] = gain * (
+    slopes_before[is_tcb] = gain * (
         plus_bias * (1 - continuity) * chord_before
         + minus_bias * (1 + continuity) * chord_after
     )

@@ -1,4 +1,4 @@
-"""Text FBX parser: ``Name: values { children }``."""
+"""Parses text FBX: ``Name: values { children }``."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _TOKEN = re.compile(
     |(?P<mark>[{},])""",
     re.VERBOSE,
 )
-# Longest number [byte]. A full float64 has 24 characters; with trailing zeros rarely
-# more than 40.
-MAX_DIGITS = 100
-# Lists of at least this many numbers are parsed at once.
+# Maximum length of a number [byte]; a float64 has 24 characters, with trailing zeros
+# rarely more than 40.
+MAX_NUMBER_BYTES = 100
+# Minimum number of numbers that are parsed as one array.
 MIN_BATCH_NUMBERS = 8
 _VERSION = re.compile(rb"FBXVersion:\s*(\d{1,9})")
 _COMMENT = re.compile(rb"\A\s*;\s*FBX\s+(\d)\.(\d)\.(\d)")
@@ -44,120 +44,125 @@ def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
         comment = _COMMENT.match(content)
         digits = comment.groups() if comment else (b"0",)
         version = int(b"".join(digits)) * 10
-    return version, _TextParser(content, notes).root()
+    return version, _TextParser(content, notes).parse()
 
 
 class _TextParser:
-    """One-pass parser of elements."""
+    """Parses elements in one pass."""
 
     def __init__(self, content: bytes, notes: FileNotices) -> None:
         self.content, self.notes = content, notes
-        self.count = 0
-        self._at, self._line = 0, 1
+        self.element_count = 0
+        self._line_offset, self._line = 0, 1
         self.stack = [Element("", [], "line 1")]
         self.current: Element | None = None
         # Elements whose values are in a child element, by id; they are kept alive so
         # that ids stay unique.
-        self.arrays: dict[int, Element] = {}
+        self.array_elements: dict[int, Element] = {}
 
-    def line(self, at: int) -> str:
-        self._line += self.content.count(b"\n", self._at, at)
-        self._at = at
+    def line_label(self, offset: int) -> str:
+        self._line += self.content.count(b"\n", self._line_offset, offset)
+        self._line_offset = offset
         return f"line {self._line}"
 
-    def fail(self, at: int, message: str) -> NoReturn:
-        line = self.content.count(b"\n", 0, at) + 1
+    def fail(self, offset: int, message: str) -> NoReturn:
+        line = self.content.count(b"\n", 0, offset) + 1
         self.notes.fail("FBX001", f"line {line}", message, "export the file again")
 
-    def root(self) -> Element:
+    def parse(self) -> Element:
         root = self.stack[0]
-        at, size = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0, len(self.content)
-        while at < size:
-            token = _TOKEN.match(self.content, at)
+        offset, size = (
+            3 if self.content[:3] == b"\xef\xbb\xbf" else 0,
+            len(self.content),
+        )
+        while offset < size:
+            token = _TOKEN.match(self.content, offset)
             if token is None:
-                excerpt_text = self.content[at : at + 12].decode("utf-8", "replace")
-                self.fail(at, f"unexpected {excerpt(repr(excerpt_text))}")
-            self._token(token, at)
-            at = token.end()
+                excerpt_text = self.content[offset : offset + 12].decode(
+                    "utf-8", "replace"
+                )
+                self.fail(offset, f"unexpected {excerpt(repr(excerpt_text))}")
+            self._handle_token(token, offset)
+            offset = token.end()
         if len(self.stack) > 1:
             self.fail(size, f"the braces of {self.stack[-1].name} are not closed")
-        for element in _elements_in_pieces(root):
-            _join_pieces(element)
+        for element in _elements_with_arrays(root):
+            _join_arrays(element)
         return root
 
-    def _token(self, token: re.Match[bytes], at: int) -> None:
+    def _handle_token(self, token: re.Match[bytes], offset: int) -> None:
         kind = token.lastgroup
         if kind == "space":
             return
         if kind == "name":
-            self._open_element(token, at)
+            self._open_element(token, offset)
         elif kind == "mark":
-            self._punctuation(token[0], at)
+            self._handle_brace(token[0], offset)
         elif self.current is None:
-            self.fail(at, "a value without a name before it")
+            self.fail(offset, "a value without a name before it")
         elif kind == "count":
-            self.arrays[id(self.current)] = self.current
+            self.array_elements[id(self.current)] = self.current
         elif kind == "numbers":
-            self._numbers(self.current, token["numbers"], at)
+            self._add_number_list(self.current, token["numbers"], offset)
         elif kind == "text":
-            raw = token["text"].decode("utf-8", "replace")
-            self.current.values.append(raw.replace("&quot;", '"'))
+            text = token["text"].decode("utf-8", "replace")
+            self.current.values.append(text.replace("&quot;", '"'))
         else:
-            self.current.values.append(_word_value(token["word"]))
+            self.current.values.append(_parse_word(token["word"]))
 
-    def _punctuation(self, character: bytes, at: int) -> None:
+    def _handle_brace(self, character: bytes, offset: int) -> None:
         if character == b"{":
             if self.current is None:
-                self.fail(at, "a brace without a name before it")
+                self.fail(offset, "a brace without a name before it")
             self.stack.append(self.current)
             if len(self.stack) > MAX_DEPTH:
                 self.notes.fail(
-                    "FBX013", self.line(at), f"more than {MAX_DEPTH} levels"
+                    "FBX013", self.line_label(offset), f"more than {MAX_DEPTH} levels"
                 )
             self.current = None
         elif character == b"}":
             if len(self.stack) == 1:
-                self.fail(at, "a closing brace without an opening one")
+                self.fail(offset, "a closing brace without an opening one")
             element = self.stack.pop()
-            if id(element) in self.arrays:
+            if id(element) in self.array_elements:
                 values_element = element.find("a")
                 element.values = [] if values_element is None else values_element.values
                 element.children = []
             self.current = None
 
-    def _open_element(self, token: re.Match[bytes], at: int) -> None:
-        self.count += 1
-        if self.count > MAX_ELEMENTS:
+    def _open_element(self, token: re.Match[bytes], offset: int) -> None:
+        self.element_count += 1
+        if self.element_count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS} elements"
-            self.notes.fail("FBX013", self.line(at), message)
+            self.notes.fail("FBX013", self.line_label(offset), message)
         name = token["name"].decode("utf-8", "replace")
-        self.current = Element(name, [], self.line(at))
+        self.current = Element(name, [], self.line_label(offset))
         self.stack[-1].children.append(self.current)
 
-    def _numbers(self, element: Element, text: bytes, at: int) -> None:
-        """Parse comma-separated numbers; long lists become one array."""
-        texts = [text_.strip() for text_ in text.split(b",")]
+    def _add_number_list(self, element: Element, text: bytes, offset: int) -> None:
+        """Parse comma-separated numbers, long lists as an array, and add them."""
+        texts = [number_text.strip() for number_text in text.split(b",")]
         try:
-            if max(map(len, texts)) <= MAX_DIGITS:
+            if max(map(len, texts)) <= MAX_NUMBER_BYTES:
                 _add_numbers(element, text, texts)
                 return
         except (ValueError, OverflowError):
             pass
         excerpt_text = text[:40].decode("utf-8", "replace")
-        self.fail(at, f"{excerpt(repr(excerpt_text))} is not a list of numbers")
+        self.fail(offset, f"{excerpt(repr(excerpt_text))} is not a list of numbers")
 
 
-def _add_numbers(element: Element, text: bytes, parts: list[bytes]) -> None:
-    if len(parts) < MIN_BATCH_NUMBERS:
-        element.values += [_parse_number(text_) for text_ in parts]
+def _add_numbers(element: Element, text: bytes, texts: list[bytes]) -> None:
+    if len(texts) < MIN_BATCH_NUMBERS:
+        element.values += [_parse_number(number_text) for number_text in texts]
         return
     is_real = b"." in text or b"e" in text or b"E" in text
-    kind: Any = np.float64 if is_real else np.int64
-    element.values.append(np.array(parts, "S").astype(kind))
+    dtype: Any = np.float64 if is_real else np.int64
+    element.values.append(np.array(texts, "S").astype(dtype))
 
 
-def _elements_in_pieces(root: Element) -> list[Element]:
-    """Return elements whose numbers come in several pieces."""
+def _elements_with_arrays(root: Element) -> list[Element]:
+    """Return the elements that have arrays among their values."""
     elements, stack = [], [root]
     while stack:
         element = stack.pop()
@@ -167,11 +172,11 @@ def _elements_in_pieces(root: Element) -> list[Element]:
     return elements
 
 
-def _join_pieces(element: Element) -> None:
-    """Join pieces to one array; mixed values remain separate."""
+def _join_arrays(element: Element) -> None:
+    """Join arrays and numbers to one array; mixed values become a list."""
     values = element.values
-    numeric = (np.ndarray, int, float)
-    if all(isinstance(value, numeric) for value in values):
+    number_types = (np.ndarray, int, float)
+    if all(isinstance(value, number_types) for value in values):
         try:
             arrays = [np.atleast_1d(np.asarray(value)) for value in values]
             array = np.concatenate(arrays)
@@ -180,10 +185,10 @@ def _join_pieces(element: Element) -> None:
         if array.dtype.kind in "if":
             element.values = [array]
             return
-    values_: list[Any] = []
+    flat_values: list[Any] = []
     for value in values:
-        values_ += value.tolist() if isinstance(value, np.ndarray) else [value]
-    element.values = values_
+        flat_values += value.tolist() if isinstance(value, np.ndarray) else [value]
+    element.values = flat_values
 
 
 def _parse_number(text: bytes) -> int | float:
@@ -193,13 +198,13 @@ def _parse_number(text: bytes) -> int | float:
     return float(text)
 
 
-# Spelled as by C's printf.
-_NOT_FINITE = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
+# Words that C's printf writes for non-finite numbers.
+_NON_FINITE_WORDS = {"nan": np.nan, "-nan": np.nan, "inf": np.inf, "-inf": -np.inf}
 
 
-def _word_value(raw: bytes) -> Any:
+def _parse_word(raw: bytes) -> Any:
     word = raw.decode("utf-8", "replace")
     lower = word.lower().split("(")[0]
-    if lower in _NOT_FINITE or "#" in lower:
-        return float(_NOT_FINITE.get(lower, np.nan))
+    if lower in _NON_FINITE_WORDS or "#" in lower:
+        return float(_NON_FINITE_WORDS.get(lower, np.nan))
     return word

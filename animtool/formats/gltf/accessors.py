@@ -1,4 +1,4 @@
-"""glTF buffers, views and accessors; every length is checked before reading."""
+"""Reads glTF views and accessors; checks every length before it reads."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.formats.gltf.buffers import Buffers
 from animtool.formats.gltf.container import Container
 from animtool.formats.gltf.json_items import JsonItem
 
-COMPONENTS: dict[int, np.dtype[Any]] = {
+COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
     5121: np.dtype("u1"),
     5122: np.dtype("<i2"),
@@ -23,8 +23,8 @@ COMPONENTS: dict[int, np.dtype[Any]] = {
     5125: np.dtype("<u4"),
     5126: np.dtype("<f4"),
 }
-FLOAT = 5126
-WIDTHS = {
+FLOAT_COMPONENT = 5126
+ELEMENT_WIDTHS = {
     "SCALAR": 1,
     "VEC2": 2,
     "VEC3": 3,
@@ -33,8 +33,8 @@ WIDTHS = {
     "MAT3": 9,
     "MAT4": 16,
 }
-# Limit of the numbers of all accessors: a constant, plus some per byte of the file, as
-# accessors may share bytes. Zeros without stored bytes have their own limit.
+# Limit of the numbers of all accessors: a constant plus a multiple of the file's bytes,
+# as accessors may share bytes. Zeros without stored bytes have a separate limit.
 MAX_NUMBERS, NUMBERS_PER_BYTE = 8_000_000, 4
 MAX_ZERO_NUMBERS = 8_000_000
 
@@ -69,8 +69,8 @@ class Accessor:
     """Type, count and position of numbers in a view."""
 
     item: JsonItem
-    component: int
-    kind: str  # such as ``VEC3``
+    component_type: int
+    element_type: str  # such as ``VEC3``
     count: int
     view: int  # index; -1 for zeros
     offset: int
@@ -80,16 +80,16 @@ class Accessor:
     @property
     def width(self) -> int:
         """Count of numbers per element."""
-        return WIDTHS[self.kind]
+        return ELEMENT_WIDTHS[self.element_type]
 
     @property
     def where(self) -> str:
         """JSON pointer."""
         return self.item.pointer
 
-    def is_of(self, kind: str, *components: int) -> bool:
-        """Return whether it has a type, and one of several component types."""
-        return self.kind == kind and self.component in components
+    def has_type(self, kind: str, *components: int) -> bool:
+        """Return whether it has an element type and one of several component types."""
+        return self.element_type == kind and self.component_type in components
 
 
 @dataclass(slots=True)
@@ -99,42 +99,44 @@ class Accessors:
     container: Container
     folder: Path
     notes: FileNotices
-    skipped: frozenset[int]  # accessors that are never read
-    skipped_views: frozenset[int]
-    skipped_buffers: frozenset[int]
+    ignored_accessors: frozenset[int]  # accessors that are never read
+    ignored_views: frozenset[int]
+    ignored_buffers: frozenset[int]
     buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
     _arrays: dict[int, AnyArray] = field(default_factory=dict)
-    _numbers: int = 0
-    _zeros: int = 0
+    _number_count: int = 0
+    _zero_count: int = 0
 
     def __post_init__(self) -> None:
         """Check all lengths; no buffer is opened."""
         root = self.container.root
         self.buffers = Buffers(self.container, self.folder, self.notes)
         for i in range(len(self.buffers)):
-            if i not in self.skipped_buffers:
+            if i not in self.ignored_buffers:
                 self.buffers.check(i)
         for i, item in enumerate(root.children("bufferViews")):
-            self.views.append(self._view(item, i in self.skipped_views))
+            self.views.append(self._read_view(item, i in self.ignored_views))
         for i, item in enumerate(root.children("accessors")):
-            self.entries.append(None if i in self.skipped else self._accessor(item))
+            self.entries.append(
+                None if i in self.ignored_accessors else self._read_accessor(item)
+            )
 
     def get(self, index: int) -> Accessor:
-        """Return an accessor that is in use."""
+        """Return an accessor that is not ignored."""
         accessor = self.entries[index]
         assert accessor is not None
         return accessor
 
-    def declares(self, name: str) -> bool:
+    def declares_extension(self, name: str) -> bool:
         """Return whether the file lists an extension as used."""
         return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
         """Return whether an accessor has bytes for any of its elements.
 
-        Accessors without a bufferView have none, nor do those of buffers that an
+        Accessors without a bufferView have none, nor do accessors in buffers that an
         extension or another program fills.
         """
         accessor = self.get(index)
@@ -156,7 +158,7 @@ class Accessors:
         values = self._dense_values(accessor)
         if accessor.sparse is not None:
             values = self._replace_sparse(accessor, accessor.sparse, values)
-        if finite and accessor.component == FLOAT:
+        if finite and accessor.component_type == FLOAT_COMPONENT:
             check_finite(values, accessor)
         self._arrays[index] = values
         return values
@@ -165,46 +167,46 @@ class Accessors:
         """Return an accessor's numbers as floats, normalised if stated."""
         accessor = self.get(index)
         values = self.numbers(index).astype(np.float64)
-        if accessor.normalized and accessor.component != FLOAT:
-            kind = COMPONENTS[accessor.component]
-            values /= np.iinfo(kind).max
-            if kind.kind == "i":
+        if accessor.normalized and accessor.component_type != FLOAT_COMPONENT:
+            dtype = COMPONENT_TYPES[accessor.component_type]
+            values /= np.iinfo(dtype).max
+            if dtype.kind == "i":
                 np.maximum(values, -1.0, out=values)
         return values
 
     def _check_budget(self, accessor: Accessor) -> None:
         count = accessor.count * accessor.width
-        self._numbers += count
-        self._zeros += count if accessor.view < 0 else 0
+        self._number_count += count
+        self._zero_count += count if accessor.view < 0 else 0
         opened_bytes = self.container.bytes + self.buffers.opened_bytes
         limit = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
-        if self._numbers > limit or self._zeros > MAX_ZERO_NUMBERS:
+        if self._number_count > limit or self._zero_count > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
             self.notes.fail("GLT013", accessor.where, message)
 
     def _dense_values(self, accessor: Accessor) -> AnyArray:
-        kind = COMPONENTS[accessor.component]
+        dtype = COMPONENT_TYPES[accessor.component_type]
         shape = (accessor.count, accessor.width)
         if accessor.view < 0:
-            return np.zeros(shape, kind)
-        view = self._used_view(accessor.view, accessor.where)
+            return np.zeros(shape, dtype)
+        view = self._require_view(accessor.view, accessor.where)
         start = view.offset + accessor.offset
-        content = self.buffers.bytes_of(view.buffer)
-        step = view.stride or accessor.width * kind.itemsize
+        content = self.buffers.read_bytes(view.buffer)
+        stride = view.stride or accessor.width * dtype.itemsize
         return _strided_elements(
-            content, start, accessor.count, accessor.width, step, kind
+            content, start, accessor.count, accessor.width, stride, dtype
         )
 
     def _replace_sparse(
         self, accessor: Accessor, sparse: SparseValues, base: AnyArray
     ) -> AnyArray:
         where = f"{accessor.where}/sparse"
-        at = self._used_view(sparse.index_view, f"{where}/indices")
-        value_view = self._used_view(sparse.value_view, f"{where}/values")
-        kind = COMPONENTS[accessor.component]
+        index_view = self._require_view(sparse.index_view, f"{where}/indices")
+        value_view = self._require_view(sparse.value_view, f"{where}/values")
+        dtype = COMPONENT_TYPES[accessor.component_type]
         indices = _strided_elements(
-            self.buffers.bytes_of(at.buffer),
-            at.offset + sparse.index_offset,
+            self.buffers.read_bytes(index_view.buffer),
+            index_view.offset + sparse.index_offset,
             sparse.count,
             1,
             sparse.index_type.itemsize,
@@ -215,27 +217,27 @@ class Accessors:
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided_elements(
-            self.buffers.bytes_of(value_view.buffer),
+            self.buffers.read_bytes(value_view.buffer),
             value_view.offset + sparse.value_offset,
             sparse.count,
             accessor.width,
-            accessor.width * kind.itemsize,
-            kind,
+            accessor.width * dtype.itemsize,
+            dtype,
         )
         return values
 
-    def _used_view(self, index: int, where: str) -> BufferView:
+    def _require_view(self, index: int, where: str) -> BufferView:
         view = self.views[index]
         if view is None:
             self.notes.fail("GLT008", where, f"bufferView {index} holds an image")
         return view
 
-    def _view(self, item: JsonItem, skipped: bool) -> BufferView | None:
-        if skipped:
+    def _read_view(self, item: JsonItem, is_ignored: bool) -> BufferView | None:
+        if is_ignored:
             return None
         buffer = item.index("buffer", len(self.buffers), "buffer")
         if buffer < 0:
-            item.missing("buffer")
+            item.fail_missing("buffer")
         length = item.size("byteLength", minimum=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
@@ -245,44 +247,47 @@ class Accessors:
             self.notes.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
-            self.notes.warn("GLT105", item.at("byteStride"), message)
+            self.notes.warn("GLT105", item.pointer_to("byteStride"), message)
         return BufferView(item, buffer, offset, length, stride)
 
-    def _accessor(self, item: JsonItem) -> Accessor | None:
-        component = item.number("componentType")
-        if component is None:
-            item.missing("componentType")
-        count, kind = item.size("count", minimum=1), item.text("type")
-        if kind is None:
-            item.missing("type")
-        is_valid = {"componentType": component in COMPONENTS, "type": kind in WIDTHS}
+    def _read_accessor(self, item: JsonItem) -> Accessor | None:
+        component_type = item.number("componentType")
+        if component_type is None:
+            item.fail_missing("componentType")
+        count, element_type = item.size("count", minimum=1), item.text("type")
+        if element_type is None:
+            item.fail_missing("type")
+        is_valid = {
+            "componentType": component_type in COMPONENT_TYPES,
+            "type": element_type in ELEMENT_WIDTHS,
+        }
         for key, is_known in is_valid.items():
             if not is_known:
                 message = f"unknown {key} {item.values[key]!r}: ignored"
-                self.notes.warn("GLT106", item.at(key), message)
+                self.notes.warn("GLT106", item.pointer_to(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
             self.notes.warn(
-                "GLT106", item.at("byteOffset"), "the bufferView is missing"
+                "GLT106", item.pointer_to("byteOffset"), "the bufferView is missing"
             )
         accessor = Accessor(
             item,
-            component,
-            kind,
+            component_type,
+            element_type,
             count,
             view,
             offset,
             item.flag("normalized"),
-            self._sparse(item, count),
+            self._read_sparse(item, count),
         )
-        _check_bounds_form(accessor)
+        _warn_about_invalid_bounds(accessor)
         self._check_inside(accessor)
         return accessor
 
-    def check_packed(self, index: int, where: str) -> None:
-        """Warn about a stride in a view that is not for vertices; it still applies."""
+    def warn_about_stride(self, index: int, where: str) -> None:
+        """Warn about a byteStride in a view that is not for vertices."""
         accessor = self.entries[index]
         if accessor is None or accessor.view < 0:
             return
@@ -295,41 +300,45 @@ class Accessors:
 
     def _check_inside(self, accessor: Accessor) -> None:
         """Raise for an accessor that exceeds its view."""
-        kind = COMPONENTS[accessor.component]
+        dtype = COMPONENT_TYPES[accessor.component_type]
         if accessor.view >= 0 and (view := self.views[accessor.view]) is not None:
             # Matrix columns of 1- or 2-byte components start at multiples of 4 bytes.
-            size = _element_bytes(accessor.kind, kind)
-            stride = view.stride or size
-            if stride < size:
-                message = f"elements have {size} bytes, but byteStride is {stride}"
+            element_bytes = _element_bytes(accessor.element_type, dtype)
+            stride = view.stride or element_bytes
+            if stride < element_bytes:
+                message = (
+                    f"elements have {element_bytes} bytes, but byteStride is {stride}"
+                )
                 self.notes.fail("GLT008", accessor.where, message)
-            end = accessor.offset + stride * (accessor.count - 1) + size
+            end = accessor.offset + stride * (accessor.count - 1) + element_bytes
             if end > view.length:
                 message = f"reads up to byte {end} of a bufferView of {view.length}"
                 self.notes.fail("GLT008", accessor.where, message)
-            if (view.offset + accessor.offset) % kind.itemsize:
-                message = f"its bytes do not start at a multiple of {kind.itemsize}"
+            if (view.offset + accessor.offset) % dtype.itemsize:
+                message = f"its bytes do not start at a multiple of {dtype.itemsize}"
                 self.notes.warn("GLT105", accessor.where, message)
         sparse = accessor.sparse
         if sparse is None:
             return
-        for index, offset, size, name in (
+        for index, offset, element_bytes, name in (
             (sparse.index_view, sparse.index_offset, sparse.index_type.itemsize, "in"),
             (
                 sparse.value_view,
                 sparse.value_offset,
-                accessor.width * kind.itemsize,
+                accessor.width * dtype.itemsize,
                 "value",
             ),
         ):
-            view_ = self.views[index]
-            end = offset + sparse.count * size
-            if view_ is not None and end > view_.length:
+            sparse_view = self.views[index]
+            end = offset + sparse.count * element_bytes
+            if sparse_view is not None and end > sparse_view.length:
                 key = "indices" if name == "in" else "values"
-                message = f"reads up to byte {end} of a bufferView of {view_.length}"
+                message = (
+                    f"reads up to byte {end} of a bufferView of {sparse_view.length}"
+                )
                 self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
 
-    def _sparse(self, item: JsonItem, count: int) -> SparseValues | None:
+    def _read_sparse(self, item: JsonItem, count: int) -> SparseValues | None:
         sparse = item.child("sparse")
         if sparse is None:
             return None
@@ -346,19 +355,19 @@ class Accessors:
         ]
         for entry, view in zip((indices, values), views, strict=True):
             if view < 0:
-                entry.missing("bufferView")
+                entry.fail_missing("bufferView")
         return SparseValues(
             sparse_count,
             views[0],
             indices.size("byteOffset", 0),
-            COMPONENTS[component],
+            COMPONENT_TYPES[component],
             views[1],
             values.size("byteOffset", 0),
         )
 
 
-def _check_bounds_form(accessor: Accessor) -> None:
-    """Warn about min and max that are not lists of the element's width."""
+def _warn_about_invalid_bounds(accessor: Accessor) -> None:
+    """Warn about min or max without one number per component."""
     item = accessor.item
     for key in ("min", "max"):
         if key not in item.values:
@@ -369,16 +378,16 @@ def _check_bounds_form(accessor: Accessor) -> None:
         )
         if not is_valid or not {*map(type, bound_values)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
-            item.notes.warn("GLT102", item.at(key), message)
+            item.notes.warn("GLT102", item.pointer_to(key), message)
 
 
-def _element_bytes(kind: str, component: np.dtype[Any]) -> int:
-    width = WIDTHS[kind]
-    if not kind.startswith("MAT"):
-        return width * component.itemsize
-    rows = int(kind[3])
-    column = -(-rows * component.itemsize // 4) * 4
-    return column * (rows - 1) + rows * component.itemsize
+def _element_bytes(element_type: str, dtype: np.dtype[Any]) -> int:
+    width = ELEMENT_WIDTHS[element_type]
+    if not element_type.startswith("MAT"):
+        return width * dtype.itemsize
+    row_count = int(element_type[3])
+    column_bytes = -(-row_count * dtype.itemsize // 4) * 4
+    return column_bytes * (row_count - 1) + row_count * dtype.itemsize
 
 
 def _strided_elements(
@@ -386,16 +395,16 @@ def _strided_elements(
     start: int,
     count: int,
     width: int,
-    step: int,
-    kind: np.dtype[Any],
+    stride: int,
+    dtype: np.dtype[Any],
 ) -> AnyArray:
     """Return elements ``(count, width)`` at a stride in bytes."""
-    size = width * kind.itemsize
-    if step == size:
-        numbers = np.frombuffer(content, kind, count * width, start)
+    element_bytes = width * dtype.itemsize
+    if stride == element_bytes:
+        numbers = np.frombuffer(content, dtype, count * width, start)
         return numbers.reshape(count, width)
-    rows = np.ndarray((count, size), np.uint8, content, start, (step, 1))
-    return np.ascontiguousarray(rows).view(kind)
+    rows = np.ndarray((count, element_bytes), np.uint8, content, start, (stride, 1))
+    return np.ascontiguousarray(rows).view(dtype)
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:
@@ -405,8 +414,8 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
         # If the sum of squares is finite, all numbers are.
         if np.isfinite(np.dot(numbers, numbers)):
             return
-    not_finite = np.argwhere(~np.isfinite(values))
-    if len(not_finite):
-        i = int(not_finite[0, 0])
-        message = f"element {i} is {values[tuple(not_finite[0])]}, not finite"
+    non_finite_indices = np.argwhere(~np.isfinite(values))
+    if len(non_finite_indices):
+        i = int(non_finite_indices[0, 0])
+        message = f"element {i} is {values[tuple(non_finite_indices[0])]}, not finite"
         accessor.item.notes.fail("GLT010", accessor.where, message)

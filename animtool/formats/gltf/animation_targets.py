@@ -1,4 +1,4 @@
-"""What a channel of a glTF animation moves: a property of a node or a mesh."""
+"""Reads the target of a glTF animation channel: a property of a node or a mesh."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from animtool.formats.gltf.meshes import (
 )
 from animtool.formats.gltf.nodes import VISIBILITY
 
-POINTER = "KHR_animation_pointer"
+POINTER_EXTENSION = "KHR_animation_pointer"
 
 
 class TargetPath(StrEnum):
-    """Which property of a node a channel animates."""
+    """Property that a channel animates."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -38,7 +38,7 @@ _PATH_WIDTHS = {
 
 @dataclass(frozen=True, slots=True)
 class ChannelTarget:
-    """The weights of a mesh, or a property of a node."""
+    """Target of a channel: a property of a node, or the weights of a mesh."""
 
     node: int
     mesh: int
@@ -47,31 +47,31 @@ class ChannelTarget:
     width: int  # numbers per value
 
 
-def channel_target(
+def read_channel_target(
     channel: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
-    left_out: dict[str, None],
+    ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
     """Return the target of a channel; None if it is not read."""
     target = channel.required("target")
     path = target.text("path")
     if path is None:
-        target.missing("path")
+        target.fail_missing("path")
     if path == "pointer":
-        return _pointer_target(target, nodes, meshes, left_out)
+        return _read_pointer_target(target, nodes, meshes, ignored_targets)
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
         message = f"unknown path {excerpt(path)}: the channel is ignored"
-        target.notes.warn("GLT106", target.at("path"), message)
+        target.notes.warn("GLT106", target.pointer_to("path"), message)
         return None
     if node < 0:
         # Without a node, the target belongs to an extension, or is ignored.
         return None
-    return _node_target(target, nodes, meshes, node, TargetPath(path))
+    return _build_node_target(target, nodes, meshes, node, TargetPath(path))
 
 
-def _node_target(
+def _build_node_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
@@ -81,13 +81,15 @@ def _node_target(
 ) -> ChannelTarget | None:
     if path is TargetPath.WEIGHTS:
         mesh = nodes[node].mesh
-        count = meshes[mesh].targets if mesh >= 0 else 0
-        if weight_index >= count or not count:
-            message = f"node {node} has {count} morph targets: the channel is ignored"
+        target_count = meshes[mesh].targets if mesh >= 0 else 0
+        if weight_index >= target_count or not target_count:
+            message = (
+                f"node {node} has {target_count} morph targets: the channel is ignored"
+            )
             target.notes.warn("GLT106", target.pointer, message)
             return None
         return ChannelTarget(
-            node, -1, path, weight_index, count if weight_index < 0 else 1
+            node, -1, path, weight_index, target_count if weight_index < 0 else 1
         )
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
@@ -102,21 +104,21 @@ _NODE_POINTER = re.compile(
 _MESH_POINTER = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 
 
-def _pointer_target(
+def _read_pointer_target(
     target: JsonItem,
     nodes: Sequence[Node],
     meshes: Sequence[MeshEntry],
-    left_out: dict[str, None],
+    ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
     """Return the target of a `KHR_animation_pointer` channel."""
-    extension = target.extension(POINTER)
+    extension = target.extension(POINTER_EXTENSION)
     text = None if extension is None else extension.text("pointer")
     if text is None:
-        message = f"a channel of {POINTER} without a pointer is ignored"
+        message = f"a channel of {POINTER_EXTENSION} without a pointer is ignored"
         target.notes.warn("GLT106", target.pointer, message)
         return None
     if not text.startswith("/"):
-        where = extension.at("pointer") if extension else target.pointer
+        where = extension.pointer_to("pointer") if extension else target.pointer
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
         target.notes.warn("GLT106", where, message)
         return None
@@ -127,20 +129,20 @@ def _pointer_target(
         path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
         if match[3] is None or path is TargetPath.WEIGHTS:
             weight_index = -1 if match[3] is None else int(match[3][:9])
-            return _node_target(target, nodes, meshes, node, path, weight_index)
+            return _build_node_target(target, nodes, meshes, node, path, weight_index)
     elif match := _MESH_POINTER.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
             target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
-        count = meshes[mesh].targets
+        target_count = meshes[mesh].targets
         weight_index = -1 if match[2] is None else int(match[2][:9])
-        if count and weight_index < count:
+        if target_count and weight_index < target_count:
             return ChannelTarget(
                 -1,
                 mesh,
                 TargetPath.WEIGHTS,
                 weight_index,
-                count if weight_index < 0 else 1,
+                target_count if weight_index < 0 else 1,
             )
-    left_out[excerpt(text)] = None
+    ignored_targets[excerpt(text)] = None
     return None

@@ -1,4 +1,4 @@
-"""glTF animations: samplers, targets, and interpolation."""
+"""Reads glTF animations, and interpolates their keys."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.file_notices import FileNotices
-from animtool.formats.gltf.accessors import FLOAT, Accessors, check_finite
+from animtool.formats.gltf.accessors import FLOAT_COMPONENT, Accessors, check_finite
 from animtool.formats.gltf.animation_targets import (
     ChannelTarget,
     TargetPath,
-    channel_target,
+    read_channel_target,
 )
 from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.meshes import (
@@ -48,7 +48,7 @@ class SamplerInterpolation(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfTrack:
-    """Keys of one property.
+    """Keys of one animated property.
 
     Attributes:
         node: The animated node; -1 if a mesh is animated.
@@ -73,7 +73,7 @@ class GltfTrack:
     ins: FloatArray | None = None
     outs: FloatArray | None = None
 
-    def at(self, times: FloatArray) -> FloatArray:
+    def sample(self, times: FloatArray) -> FloatArray:
         """Return values at times ``(F, W)``, constant outside the keys.
 
         Rotations are unit quaternions.
@@ -86,14 +86,14 @@ class GltfTrack:
         segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
-        return self.interpolate(segment, times)
+        return self.sample_segments(segment, times)
 
-    def interpolate(self, segment: IntArray, times: FloatArray) -> FloatArray:
-        """Return values at times, each in the segment after a given key."""
-        return interpolate([self], segment, times)[:, 0]
+    def sample_segments(self, segment: IntArray, times: FloatArray) -> FloatArray:
+        """Return values at times, each in a given segment ``(F, W)``."""
+        return interpolate_tracks([self], segment, times)[:, 0]
 
 
-def interpolate(
+def interpolate_tracks(
     tracks: Sequence[GltfTrack], segment: IntArray, times: FloatArray
 ) -> FloatArray:
     """Return values ``(F, N, W)`` of N tracks within segments of their keys.
@@ -103,42 +103,56 @@ def interpolate(
     """
     first, path = tracks[0], tracks[0].path
     t0, t1 = first.times[segment], first.times[segment + 1]
-    length = (t1 - t0)[:, None, None]
-    fraction = np.clip((times - t0)[:, None, None] / length, 0.0, 1.0)
-    a = np.stack([track.values[segment] for track in tracks], axis=1)
-    b = np.stack([track.values[segment + 1] for track in tracks], axis=1)
+    duration = (t1 - t0)[:, None, None]
+    fraction = np.clip((times - t0)[:, None, None] / duration, 0.0, 1.0)
+    start_values = np.stack([track.values[segment] for track in tracks], axis=1)
+    end_values = np.stack([track.values[segment + 1] for track in tracks], axis=1)
     if first.interpolation is SamplerInterpolation.STEP:
-        return _normalize_rotations(np.where(fraction < 1.0, a, b), path)
+        return _normalize_rotations(
+            np.where(fraction < 1.0, start_values, end_values), path
+        )
     if first.interpolation is SamplerInterpolation.CUBIC:
-        outs = [track.outs[segment] for track in tracks if track.outs is not None]
-        ins = [track.ins[segment + 1] for track in tracks if track.ins is not None]
-        out, into = np.stack(outs, axis=1), np.stack(ins, axis=1)
-        return _normalize_rotations(_hermite(a, out, into, b, fraction, length), path)
+        track_outs = [track.outs[segment] for track in tracks if track.outs is not None]
+        track_ins = [
+            track.ins[segment + 1] for track in tracks if track.ins is not None
+        ]
+        out_slopes, in_slopes = (
+            np.stack(track_outs, axis=1),
+            np.stack(track_ins, axis=1),
+        )
+        return _normalize_rotations(
+            _hermite(
+                start_values, out_slopes, in_slopes, end_values, fraction, duration
+            ),
+            path,
+        )
     if path is TargetPath.ROTATION:
         return so3.slerp(
-            _normalize_rotations(a, path),
-            _normalize_rotations(b, path),
+            _normalize_rotations(start_values, path),
+            _normalize_rotations(end_values, path),
             fraction[:, :, 0],
         )
-    return np.asarray(a + (b.astype(np.float64) - a) * fraction)
+    return np.asarray(
+        start_values + (end_values.astype(np.float64) - start_values) * fraction
+    )
 
 
 def _hermite(
-    a: FloatArray,
+    start_values: FloatArray,
     out_slope: FloatArray,
     in_slope: FloatArray,
-    b: FloatArray,
+    end_values: FloatArray,
     fraction: FloatArray,
-    length: FloatArray,
+    duration: FloatArray,
 ) -> FloatArray:
-    """Return values of cubic segments with slopes per second."""
+    """Return values of cubic Hermite segments with slopes per second."""
     t = fraction
     t2, t3 = t * t, t * t * t
     return np.asarray(
-        (2 * t3 - 3 * t2 + 1) * a
-        + length * (t3 - 2 * t2 + t) * out_slope
-        + (3 * t2 - 2 * t3) * b
-        + length * (t3 - t2) * in_slope
+        (2 * t3 - 3 * t2 + 1) * start_values
+        + duration * (t3 - 2 * t2 + t) * out_slope
+        + (3 * t2 - 2 * t3) * end_values
+        + duration * (t3 - t2) * in_slope
     )
 
 
@@ -149,8 +163,7 @@ def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
         return rows
     length = np.linalg.norm(rows, axis=-1, keepdims=True)
     if not length.all():
-        # Between opposite cubic keys the quaternion may be zero: any rotation is
-        # correct.
+        # Between opposite cubic keys the quaternion may be zero, and has no rotation.
         rows = np.where(length == 0.0, so3.IDENTITY, rows)
         length = np.where(length == 0.0, 1.0, length)
     return np.asarray(rows / length)
@@ -175,22 +188,24 @@ class Animation:
 
 
 class _SamplerReader:
-    """Samplers of an animation; each input is read once."""
+    """Reads the samplers of an animation; checks each input once."""
 
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
         self.accessors = accessors
-        self.ends = [self._sampler_ends(sampler) for sampler in self.items]
-        self.checked: set[int] = set()
+        self.accessor_pairs = [
+            self._read_accessor_pair(sampler) for sampler in self.items
+        ]
+        self.checked_inputs: set[int] = set()
 
-    def _sampler_ends(self, item: JsonItem) -> tuple[int, int]:
+    def _read_accessor_pair(self, item: JsonItem) -> tuple[int, int]:
         count = len(self.accessors.entries)
         ends = []
         for key in ("input", "output"):
             index = item.index(key, count, "accessor")
             if index < 0:
-                item.missing(key)
-            self.accessors.check_packed(index, item.at(key))
+                item.fail_missing(key)
+            self.accessors.warn_about_stride(index, item.pointer_to(key))
             ends.append(index)
         return ends[0], ends[1]
 
@@ -204,17 +219,19 @@ class _SamplerReader:
             item.fail("interpolation", f"unknown interpolation {excerpt(name)}")
 
     def times(self, index: int) -> FloatArray:
-        """Return the key times of a sampler, checked to be finite."""
-        item, accessor = self.items[index], self.ends[index][0]
+        """Return the key times of a sampler; check them against stated bounds."""
+        item, accessor = self.items[index], self.accessor_pairs[index][0]
         entry = self.accessors.entries[accessor]
-        if entry is None or not entry.is_of("SCALAR", FLOAT):
+        if entry is None or not entry.has_type("SCALAR", FLOAT_COMPONENT):
             item.fail("input", "times must be float scalars", "GLT011")
         times = self.accessors.floats(accessor)[:, 0]
-        if accessor not in self.checked:
-            self.checked.add(accessor)
+        if accessor not in self.checked_inputs:
+            self.checked_inputs.add(accessor)
             stated_bounds = {"min", "max"} & entry.item.values.keys()
             if self.accessors.has_data(accessor) or not stated_bounds:
-                check_bounds(entry.item, times[:, None], missing=item.at("input"))
+                check_bounds(
+                    entry.item, times[:, None], required_by=item.pointer_to("input")
+                )
         return times
 
 
@@ -239,28 +256,30 @@ def _read_animation(
 ) -> Animation:
     for key in ("channels", "samplers"):
         if key not in item.values:
-            item.missing(key)
+            item.fail_missing(key)
     samplers = _SamplerReader(item, accessors)
     tracks: list[GltfTrack] = []
-    targets: dict[tuple[int, int, str, int], str] = {}
-    times: dict[int, tuple[FloatArray, bool]] = {}
-    left_out: dict[str, None] = {}
+    pointers_by_target: dict[tuple[int, int, str, int], str] = {}
+    times_by_accessor: dict[int, tuple[FloatArray, bool]] = {}
+    ignored_targets: dict[str, None] = {}
     for channel in item.children("channels"):
-        candidate = channel_target(channel, nodes, meshes, left_out)
+        resolved_target = read_channel_target(channel, nodes, meshes, ignored_targets)
         index = channel.index("sampler", len(samplers.items), "sampler")
         if index < 0:
-            channel.missing("sampler")
-        if candidate is None:
+            channel.fail_missing("sampler")
+        if resolved_target is None:
             continue
-        target = candidate
+        target = resolved_target
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
-        if target_key in targets:
+        if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
-            channel.notes.fail("GLT012", f"{targets[target_key]}/target", message)
-        targets[target_key] = channel.pointer
-        tracks.append(_read_track(channel, target, samplers, index, times))
-    if left_out:
-        names = ", ".join(left_out)
+            channel.notes.fail(
+                "GLT012", f"{pointers_by_target[target_key]}/target", message
+            )
+        pointers_by_target[target_key] = channel.pointer
+        tracks.append(_read_track(channel, target, samplers, index, times_by_accessor))
+    if ignored_targets:
+        names = ", ".join(ignored_targets)
         message = f"channels of unsupported targets are ignored: {names}"
         item.notes.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
     extras = item.values.get("extras")
@@ -277,42 +296,45 @@ def _read_track(
     target: ChannelTarget,
     samplers: _SamplerReader,
     index: int,
-    cache: dict[int, tuple[FloatArray, bool]],
+    times_by_accessor: dict[int, tuple[FloatArray, bool]],
 ) -> GltfTrack:
     """Return the keys of a channel, checked and repaired.
 
-    ``cache`` has times by accessor, and whether they ascend.
+    ``times_by_accessor`` has times by accessor, and whether they ascend.
     """
     item = samplers.items[index]
     notes = item.notes
     interpolation = samplers.interpolation(index)
-    source = samplers.ends[index][0]
-    if source not in cache:
+    input_accessor = samplers.accessor_pairs[index][0]
+    if input_accessor not in times_by_accessor:
         key_times = samplers.times(index)
-        cache[source] = key_times, bool((np.diff(key_times) > 0).all())
-    times, ascending = cache[source]
+        times_by_accessor[input_accessor] = (
+            key_times,
+            bool((np.diff(key_times) > 0).all()),
+        )
+    times, is_ascending = times_by_accessor[input_accessor]
     values = _read_values(channel, target, samplers, index)
-    cubic = interpolation is SamplerInterpolation.CUBIC
-    rows = values.size
-    row_count = len(times) * target.width * (3 if cubic else 1)
-    if rows != row_count:
-        message = f"{rows} numbers for {len(times)} keys of {target.width}"
-        if cubic:
+    is_cubic = interpolation is SamplerInterpolation.CUBIC
+    value_count = values.size
+    expected_count = len(times) * target.width * (3 if is_cubic else 1)
+    if value_count != expected_count:
+        message = f"{value_count} numbers for {len(times)} keys of {target.width}"
+        if is_cubic:
             message += ", with a tangent before and after each"
-        notes.fail("GLT011", channel.at("sampler"), message)
-    table = values.reshape(len(times), -1, target.width)
+        notes.fail("GLT011", channel.pointer_to("sampler"), message)
+    rows = values.reshape(len(times), -1, target.width)
     if target.path is TargetPath.ROTATION:
-        _check_unit(table[:, 1 if cubic else 0], channel, samplers, index)
-    if not ascending:
-        has_times = samplers.accessors.has_data(source)
-        times, table = _sorted_keys(times, table, item, has_times=has_times)
-    if cubic and len(times) == 1:
+        _check_unit_length(rows[:, 1 if is_cubic else 0], channel, samplers, index)
+    if not is_ascending:
+        has_times = samplers.accessors.has_data(input_accessor)
+        times, rows = _sort_keys(times, rows, item, has_times=has_times)
+    if is_cubic and len(times) == 1:
         message = "a cubic spline has two keys at least: its one key is held"
-        notes.warn("GLT107", item.at("interpolation"), message)
+        notes.warn("GLT107", item.pointer_to("interpolation"), message)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
-        notes.warn("GLT107", item.at("input"), message)
-    keys = table[:, 1 if cubic else 0]
+        notes.warn("GLT107", item.pointer_to("input"), message)
+    keys = rows[:, 1 if is_cubic else 0]
     return GltfTrack(
         target.node,
         target.mesh,
@@ -321,85 +343,89 @@ def _read_track(
         interpolation,
         times,
         keys,
-        table[:, 0].astype(np.float64) if cubic else None,
-        table[:, 2].astype(np.float64) if cubic else None,
+        rows[:, 0].astype(np.float64) if is_cubic else None,
+        rows[:, 2].astype(np.float64) if is_cubic else None,
     )
 
 
 def _read_values(
     channel: JsonItem, target: ChannelTarget, samplers: _SamplerReader, index: int
 ) -> Any:
-    item, accessor = samplers.items[index], samplers.ends[index][1]
+    item, accessor = samplers.items[index], samplers.accessor_pairs[index][1]
     accessors = samplers.accessors
     entry = accessors.entries[accessor]
-    kinds, components = {"SCALAR"}, {FLOAT}
+    element_types, component_types = {"SCALAR"}, {FLOAT_COMPONENT}
     if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
-        kinds = {"VEC3"}
+        element_types = {"VEC3"}
     elif target.path is TargetPath.ROTATION:
-        kinds, components = {"VEC4"}, {FLOAT, *SMALL_INTEGERS}
+        element_types, component_types = {"VEC4"}, {FLOAT_COMPONENT, *SMALL_INTEGERS}
     elif target.path is TargetPath.WEIGHTS:
-        components = {FLOAT, *SMALL_INTEGERS}
+        component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
     else:
-        components = {FLOAT, *SMALL_INTEGERS}
-    if entry is None or entry.kind not in kinds or entry.component not in components:
-        kind = "an unknown type" if entry is None else entry.kind
+        component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
+    if (
+        entry is None
+        or entry.element_type not in element_types
+        or entry.component_type not in component_types
+    ):
+        kind = "an unknown type" if entry is None else entry.element_type
         message = f"{target.path} cannot have values of {kind} in these components"
-        item.notes.fail("GLT011", channel.at("sampler"), message)
+        item.notes.fail("GLT011", channel.pointer_to("sampler"), message)
     # Non-finite rotations are detected by their length; slopes have none.
-    cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
-    finite = cubic or target.path is not TargetPath.ROTATION
-    raw = accessors.numbers(accessor, finite=finite)
-    if entry.component == FLOAT:
-        return raw
+    is_cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
+    must_be_finite = is_cubic or target.path is not TargetPath.ROTATION
+    stored = accessors.numbers(accessor, finite=must_be_finite)
+    if entry.component_type == FLOAT_COMPONENT:
+        return stored
     if target.path is TargetPath.VISIBLE:
-        return (raw != 0).astype(np.float64)
+        return (stored != 0).astype(np.float64)
     numbers = accessors.floats(accessor)
     if not entry.normalized:
-        # Integers of these paths are normalized, even if the accessor does not say so.
-        limit = np.iinfo(raw.dtype).max
+        # Integers of these paths are normalized even if the accessor does not state it.
+        limit = np.iinfo(stored.dtype).max
         numbers = np.maximum(numbers / limit, -1.0)
     return numbers
 
 
-def _sorted_keys(
-    times: FloatArray, table: Any, item: JsonItem, *, has_times: bool
+def _sort_keys(
+    times: FloatArray, rows: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys sorted by time; only the first of several at one time.
+    """Return keys sorted by time, with only the first of several at one time.
 
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """
-    order = np.argsort(times, kind="stable")
-    notes, where = item.notes, item.at("input")
+    time_order = np.argsort(times, kind="stable")
+    notes, where = item.notes, item.pointer_to("input")
     if (np.diff(times) < 0).any():
         notes.warn("GLT107", where, "times are out of order: the keys are sorted")
-    times, table = times[order], table[order]
+    times, rows = times[time_order], rows[time_order]
     duplicates = np.flatnonzero(np.diff(times) == 0)
     if len(duplicates):
-        if has_times and (table[duplicates] != table[duplicates + 1]).any():
-            at = float(times[duplicates[0]])
-            message = f"two keys at {at:.6g} s have different values"
+        if has_times and (rows[duplicates] != rows[duplicates + 1]).any():
+            time = float(times[duplicates[0]])
+            message = f"two keys at {time:.6g} s have different values"
             notes.fail("GLT012", where, message)
         message = f"{len(duplicates)} equal keys with the time of another are removed"
         if has_times:
             notes.warn("GLT107", where, message)
-        unique = np.setdiff1d(np.arange(len(times)), duplicates + 1)
-        times, table = times[unique], table[unique]
-    return times, table
+        unique_rows = np.setdiff1d(np.arange(len(times)), duplicates + 1)
+        times, rows = times[unique_rows], rows[unique_rows]
+    return times, rows
 
 
-def _check_unit(
+def _check_unit_length(
     keys: Any, channel: JsonItem, samplers: _SamplerReader, index: int
 ) -> None:
-    """Warn about quaternions off unit length; raise for zero length."""
-    accessor = samplers.ends[index][1]
+    """Warn about quaternions that are not unit length; raise for zero length."""
+    accessor = samplers.accessor_pairs[index][1]
     entry = samplers.accessors.get(accessor)
-    tolerance = UNIT_TOLERANCES.get(entry.component, UNIT_TOLERANCE)
+    tolerance = UNIT_TOLERANCES.get(entry.component_type, UNIT_TOLERANCE)
     shortest, longest = _kernels.squared_lengths(
         np.require(keys, np.float32, ["C", "A"])
     )
     if math.isnan(longest):
         check_finite(keys, entry)
-        # Squares out of the range of float32.
+        # Their squares exceed the range of float32.
         squares = np.square(keys, dtype=np.float64).sum(axis=1)
         shortest, longest = float(squares.min()), float(squares.max())
     if shortest <= 0.0:
@@ -410,4 +436,6 @@ def _check_unit(
             f"rotation keys have lengths from {shortest**0.5:.6g} to {longest**0.5:.6g}"
         )
         notes: FileNotices = samplers.items[index].notes
-        notes.warn("GLT103", channel.at("sampler"), f"{message}: they are normalised")
+        notes.warn(
+            "GLT103", channel.pointer_to("sampler"), f"{message}: they are normalised"
+        )

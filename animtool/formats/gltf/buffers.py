@@ -1,4 +1,4 @@
-"""glTF buffers: bytes of the file itself, of data URIs and of files next to it."""
+"""Opens glTF buffers: the GLB chunk, data URIs and files next to the glTF."""
 
 from __future__ import annotations
 
@@ -22,31 +22,31 @@ class Buffers:
     def __init__(self, container: Container, folder: Path, notes: FileNotices) -> None:
         self.container, self.folder, self.notes = container, folder, notes
         self.items = container.root.children("buffers")
-        self._bytes: dict[int, memoryview] = {}
+        self._opened: dict[int, memoryview] = {}
 
     def __len__(self) -> int:
-        """Return how many there are."""
+        """Return the number of buffers."""
         return len(self.items)
 
     @property
     def opened_bytes(self) -> int:
-        """Size of all that were read."""
-        return sum(map(len, self._bytes.values()))
+        """Total size of the opened buffers [bytes]."""
+        return sum(map(len, self._opened.values()))
 
     def size(self, index: int) -> int:
         """Return the stated length of a buffer [bytes]."""
         return self.items[index].size("byteLength", minimum=1)
 
     def has_data(self, index: int) -> bool:
-        """Return whether a buffer has bytes, which no other program fills."""
-        in_file = index == 0 and self.container.binary is not None
-        return "uri" in self.items[index].values or in_file
+        """Return whether the file has the bytes of a buffer."""
+        is_glb_chunk = index == 0 and self.container.binary is not None
+        return "uri" in self.items[index].values or is_glb_chunk
 
-    def bytes_of(self, index: int) -> memoryview:
+    def read_bytes(self, index: int) -> memoryview:
         """Return the bytes of a buffer, opened on first use."""
-        if index not in self._bytes:
-            self._bytes[index] = self._open_buffer(index)
-        return self._bytes[index]
+        if index not in self._opened:
+            self._opened[index] = self._open_buffer(index)
+        return self._opened[index]
 
     def _open_buffer(self, index: int) -> memoryview:
         buffer, length = self.items[index], self.size(index)
@@ -60,31 +60,33 @@ class Buffers:
         elif uri.startswith("data:"):
             content = memoryview(decode_data(uri, buffer))
         else:
-            content = memoryview(self._from_file(uri, buffer))
+            content = memoryview(self._read_file(uri, buffer))
         if len(content) < length:
             message = f"byteLength is {length}, but there are {len(content)} bytes"
             self.notes.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
-    def _from_file(self, uri: str, buffer: JsonItem) -> bytes:
-        path = self._file(uri, buffer)
+    def _read_file(self, uri: str, buffer: JsonItem) -> bytes:
+        path = self._find_file(uri, buffer)
         try:
             return read_input(path)
         except FormatError as error:
-            self.notes.fail("GLT007", buffer.at("uri"), str(error.faults[0].message))
+            self.notes.fail(
+                "GLT007", buffer.pointer_to("uri"), str(error.faults[0].message)
+            )
 
-    def _file(self, uri: str, buffer: JsonItem) -> Path:
-        """Return the file of a URI."""
+    def _find_file(self, uri: str, buffer: JsonItem) -> Path:
+        """Return the path of a URI's file; raise if it is not a file."""
         path = self._resolve_uri(uri, buffer)
         reason = not_a_file_reason(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
-            self.notes.fail("GLT007", buffer.at("uri"), message)
+            self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
         return path
 
     def _resolve_uri(self, uri: str, buffer: JsonItem) -> Path:
         """Return the path of a URI, inside the folder of the glTF."""
-        where = buffer.at("uri")
+        where = buffer.pointer_to("uri")
         try:
             url = urlsplit(uri)
             name = unquote_to_bytes(url.path).decode("utf-8")
@@ -125,15 +127,15 @@ class Buffers:
                     )
                     self.notes.warn("GLT101", buffer.pointer, message)
         elif uri.startswith("data:"):
-            self.bytes_of(index)
+            self.read_bytes(index)
         else:
-            self._file(uri, buffer)
+            self._find_file(uri, buffer)
 
 
 def decode_data(uri: str, item: JsonItem) -> bytes:
     """Return the bytes of a data URI of any media type."""
     media_type, comma, text = uri.partition(",")
-    where = item.at("uri")
+    where = item.pointer_to("uri")
     if not comma or not _DATA_URI.fullmatch(media_type):
         item.notes.fail("GLT007", where, f"{excerpt(uri)} is not a data URI")
     if not media_type.endswith(";base64"):

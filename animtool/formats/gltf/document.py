@@ -1,4 +1,4 @@
-"""A glTF in memory: nodes, meshes, skins and animations, checked."""
+"""Opens a glTF scene: nodes, meshes, skins and animations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node, SkinEntry, find_root_nodes
 from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import Accessors
-from animtool.formats.gltf.animation_targets import POINTER
+from animtool.formats.gltf.animation_targets import POINTER_EXTENSION
 from animtool.formats.gltf.animations import Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
 from animtool.formats.gltf.json_items import JsonItem, escape_pointer
@@ -20,16 +20,16 @@ from animtool.formats.gltf.meshes import (
     MeshEntry,
     Primitive,
     read_meshes,
+    read_skin_weights,
     read_skins,
-    skin_weights,
 )
 from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
-from animtool.formats.gltf.unused import unused_parts
+from animtool.formats.gltf.unused import find_unused_indices
 
 # Required extensions that are supported.
-SUPPORTED_EXTENSIONS = frozenset({QUANTIZATION, POINTER, VISIBILITY})
-# Extensions that files must list as required.
-EXTENSIONS_TO_REQUIRE = frozenset({QUANTIZATION})
+SUPPORTED_EXTENSIONS = frozenset({QUANTIZATION, POINTER_EXTENSION, VISIBILITY})
+# Extensions that must be listed as required if they are used.
+REQUIRED_EXTENSIONS = frozenset({QUANTIZATION})
 # Extensions for appearance only, which motion does not need.
 APPEARANCE_PREFIXES = (
     "KHR_materials_",
@@ -57,7 +57,7 @@ UNPACK_COMMANDS = {
     "KHR_meshopt_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
     "KHR_draco_mesh_compression": "npx @gltf-transform/cli copy {0} unpacked.glb",
 }
-_UNREAD_LISTS = ("materials", "textures", "images", "samplers", "cameras")
+_IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,7 +75,7 @@ class Gltf:
         accessors: Accessors of the file.
         root: The JSON.
         notes: Collects warnings and notes.
-        left_out: Labels of contents that are not read.
+        ignored_contents: Labels of contents that are not read.
     """
 
     path: Path
@@ -88,12 +88,12 @@ class Gltf:
     accessors: Accessors
     root: JsonItem
     notes: FileNotices
-    left_out: tuple[str, ...]
+    ignored_contents: tuple[str, ...]
 
 
 @expects_format("GLT001", "a glTF file")
 def open_gltf(path: Path | str) -> Gltf:
-    """Open a .gltf or .glb; every number that affects motion is checked."""
+    """Open a .gltf or .glb, and validate all numbers that affect motion."""
     path = Path(path)
     notes = FileNotices(str(path))
     container = read_container(path, notes)
@@ -101,14 +101,14 @@ def open_gltf(path: Path | str) -> Gltf:
     _check_asset(root, notes)
     _check_extensions(container, notes, path)
     accessors = _read_accessors(container, path, notes)
-    counts = [_entry_count(root, key) for key in ("meshes", "skins")]
-    nodes = read_nodes(root, notes, *counts)
+    entry_counts = [_entry_count(root, key) for key in ("meshes", "skins")]
+    nodes = read_nodes(root, notes, *entry_counts)
     scenes, default_scene = read_scenes(root, notes, nodes)
     meshes = read_meshes(root, accessors)
     skins = read_skins(root, accessors, len(nodes))
     _check_weights(nodes, meshes, notes)
     animations = read_animations(root, accessors, nodes, meshes)
-    left_out = _left_out_labels(container)
+    ignored_contents = _find_ignored_contents(container)
     gltf = Gltf(
         path,
         nodes,
@@ -120,14 +120,14 @@ def open_gltf(path: Path | str) -> Gltf:
         accessors,
         root,
         notes,
-        left_out,
+        ignored_contents,
     )
     _check_skins(gltf)
     return gltf
 
 
 def _read_accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
-    unused_indices = unused_parts(container.root.values)
+    unused_indices = find_unused_indices(container.root.values)
     return Accessors(
         container,
         path.parent,
@@ -147,31 +147,31 @@ def _check_asset(root: JsonItem, notes: FileNotices) -> None:
     asset = root.required("asset")
     version = asset.text("version")
     if version is None:
-        asset.missing("version")
+        asset.fail_missing("version")
     if version.split(".")[0] != "2":
         message = f"glTF {excerpt(version)} is not supported, only 2"
-        notes.fail("GLT003", asset.at("version"), message, "export glTF 2.0")
+        notes.fail("GLT003", asset.pointer_to("version"), message, "export glTF 2.0")
     min_version = asset.text("minVersion")
     if min_version is not None and min_version != "2.0":
         message = f"the file needs glTF {excerpt(min_version)}; 2.0 is supported"
-        notes.fail("GLT003", asset.at("minVersion"), message)
+        notes.fail("GLT003", asset.pointer_to("minVersion"), message)
 
 
 def _check_extensions(container: Container, notes: FileNotices, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
     root = container.root
-    declared_names = root.list_of("extensionsUsed")
+    declared_names = root.read_list("extensionsUsed")
     for key, names in (
         ("extensionsUsed", declared_names),
-        ("extensionsRequired", root.list_of("extensionsRequired")),
+        ("extensionsRequired", root.read_list("extensionsRequired")),
     ):
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
-                notes.warn("GLT106", f"{root.at(key)}/{i}", message)
-    _check_lists(root, declared_names, notes)
-    for i, name in enumerate(root.list_of("extensionsRequired")):
-        where = f"{root.at('extensionsRequired')}/{i}"
+                notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
+    _check_extension_lists(root, declared_names, notes)
+    for i, name in enumerate(root.read_list("extensionsRequired")):
+        where = f"{root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
             notes.fail("GLT005", where, "the name of an extension must be text")
         if (
@@ -185,34 +185,36 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
             hint = f"unpack it with {UNPACK_COMMANDS[name].format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
         notes.fail("GLT004", where, message, hint)
-    in_use = _used_extensions(root) if container.may_have_extensions else {}
-    for name, where in in_use.items():
+    used_extensions = _used_extensions(root) if container.may_have_extensions else {}
+    for name, where in used_extensions.items():
         if name not in declared_names:
             consequence = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{consequence}"
             notes.warn("GLT106", where, message)
 
 
-def _check_lists(root: JsonItem, declared: list[Any], notes: FileNotices) -> None:
+def _check_extension_lists(root: JsonItem, used: list[Any], notes: FileNotices) -> None:
     """Warn where extensionsUsed and extensionsRequired contradict each other."""
-    required = root.list_of("extensionsRequired")
-    for i, name in enumerate(declared):
-        where = f"{root.at('extensionsUsed')}/{i}"
+    required = root.read_list("extensionsRequired")
+    for i, name in enumerate(used):
+        where = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{excerpt(repr(name))} is not an extension name: ignored"
             notes.warn("GLT106", where, message)
-        elif name in EXTENSIONS_TO_REQUIRE and name not in required:
+        elif name in REQUIRED_EXTENSIONS and name not in required:
             notes.warn("GLT106", where, f"{name} is used, but not required")
     for i, name in enumerate(required):
-        if isinstance(name, str) and name not in declared:
+        if isinstance(name, str) and name not in used:
             message = f"{excerpt(name)} is required, but not listed as used"
-            notes.warn("GLT106", f"{root.at('extensionsRequired')}/{i}", message)
+            notes.warn(
+                "GLT106", f"{root.pointer_to('extensionsRequired')}/{i}", message
+            )
 
 
-def _left_out_labels(container: Container) -> tuple[str, ...]:
+def _find_ignored_contents(container: Container) -> tuple[str, ...]:
     """Return labels of contents and extensions that are not read."""
     root = container.root
-    labels = [key for key in _UNREAD_LISTS if root.values.get(key)]
+    labels = [key for key in _IGNORED_LISTS if root.values.get(key)]
     names = _used_extensions(root) if container.may_have_extensions else {}
     if "KHR_lights_punctual" in names:
         labels.append("lights")
@@ -254,9 +256,9 @@ def _check_weights(
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
-            targets = meshes[node.mesh].targets
-            if len(node.weights) != targets:
-                message = f"{len(node.weights)} weights for {targets} targets"
+            target_count = meshes[node.mesh].targets
+            if len(node.weights) != target_count:
+                message = f"{len(node.weights)} weights for {target_count} targets"
                 notes.fail("GLT011", f"/nodes/{i}/weights", message)
 
 
@@ -270,39 +272,41 @@ def _check_skins(gltf: Gltf) -> None:
         for primitive in gltf.meshes[node.mesh].primitives:
             _require_mesh_data(gltf.accessors, primitive)
             if primitive.joints and node.skin >= 0:
-                joints = len(gltf.skins[node.skin].joints)
-                skin_weights(primitive, joints, gltf.accessors, gltf.notes)
-    tree = find_root_nodes(gltf.nodes)
-    _check_scenes(gltf, tree)
+                joint_count = len(gltf.skins[node.skin].joints)
+                read_skin_weights(primitive, joint_count, gltf.accessors, gltf.notes)
+    roots = find_root_nodes(gltf.nodes)
+    _check_scenes(gltf, roots)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: ignored"
             gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
-        if len({tree[joint] for joint in skin.joints}) > 1:
+        if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"
-            note = Severity.WARNING
-            gltf.notes.warn("GLT106", f"{skin.where}/joints", message, severity=note)
+            severity = Severity.WARNING
+            gltf.notes.warn(
+                "GLT106", f"{skin.where}/joints", message, severity=severity
+            )
 
 
-def _check_scenes(gltf: Gltf, tree: list[int]) -> None:
+def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
     """Warn about scenes with a skinned mesh but without its joints.
 
-    ``tree`` has the root of each node.
+    ``roots`` has the root node of each node.
     """
     scenes = [set(scene) for scene in gltf.scenes]
-    skin_roots = [{tree[joint] for joint in skin.joints} for skin in gltf.skins]
+    skin_roots = [{roots[joint] for joint in skin.joints} for skin in gltf.skins]
     for i, node in enumerate(gltf.nodes):
         if node.skin < 0:
             continue
         if any(
-            tree[i] in scene and not skin_roots[node.skin] & scene for scene in scenes
+            roots[i] in scene and not skin_roots[node.skin] & scene for scene in scenes
         ):
             message = "a scene shows the mesh without the joints of its skin"
             gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 
 
 def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
-    """Read the accessors of a mesh in use; raise if data is missing."""
+    """Read the accessors of a mesh primitive; raise if data is missing."""
     accessor_indices = [primitive.position, primitive.indices, *primitive.joints]
     accessor_indices += [
         *primitive.weights,
@@ -319,6 +323,6 @@ def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
     return node == ancestor
 
 
-def left_out_text(gltf: Gltf) -> str:
-    """Return contents that are not read as text; empty for nothing."""
-    return listed(gltf.left_out)
+def ignored_contents_text(gltf: Gltf) -> str:
+    """Return a text that lists ignored contents; empty if there are none."""
+    return listed(gltf.ignored_contents)

@@ -1,4 +1,4 @@
-"""Builder of a glTF: its JSON and numbers, as .glb or .gltf."""
+"""Builds the JSON and binary data of a .glb or .gltf file."""
 
 from __future__ import annotations
 
@@ -28,8 +28,10 @@ class GlbBuilder:
 
     json: dict[str, Any]
     _chunks: list[bytes | memoryview] = field(default_factory=list)
-    _length: int = 0
-    _by_content: dict[tuple[str, int, bytes], int] = field(default_factory=dict)
+    _binary_bytes: int = 0
+    _accessors_by_content: dict[tuple[str, int, bytes], int] = field(
+        default_factory=dict
+    )
 
     def add(self, key: str, value: dict[str, Any]) -> int:
         """Append an entry to a list of the JSON; return its index."""
@@ -37,12 +39,12 @@ class GlbBuilder:
         entries.append(value)
         return len(entries) - 1
 
-    def accessor(
+    def add_accessor(
         self,
         values: npt.NDArray[Any],
         *,
         target: int | None = None,
-        bounds: bool = False,
+        with_bounds: bool = False,
     ) -> int:
         """Store numbers ``(count, width)``; return the index of their accessor.
 
@@ -51,47 +53,49 @@ class GlbBuilder:
         Args:
             values: The numbers.
             target: GPU buffer target; None for data that the GPU does not use.
-            bounds: Whether to write min and max.
+            with_bounds: Whether to write min and max.
         """
         data = np.ascontiguousarray(values)
-        kind = data.dtype.str[1:]
-        size = data.nbytes
+        type_name = data.dtype.str[1:]
+        byte_count = data.nbytes
         key = None
-        if size <= _MAX_COMPARED_BYTES:
-            layout = f"{kind}/{data.shape[1]}/{target}/{bounds}"
+        if byte_count <= _MAX_SHARED_BYTES:
+            layout = f"{type_name}/{data.shape[1]}/{target}/{with_bounds}"
             key = (layout, len(data), data.tobytes())
-            if key in self._by_content:
-                return self._by_content[key]
-        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._length}
-        view["byteLength"] = size
+            if key in self._accessors_by_content:
+                return self._accessors_by_content[key]
+        view: dict[str, Any] = {"buffer": 0, "byteOffset": self._binary_bytes}
+        view["byteLength"] = byte_count
         if target is not None:
             view["target"] = target
         entry: dict[str, Any] = {
             "bufferView": self.add("bufferViews", view),
-            "componentType": _COMPONENT_CODES[kind],
+            "componentType": _COMPONENT_CODES[type_name],
             "count": len(data),
             "type": _TYPE_BY_SIZE[data.shape[1]],
         }
-        if bounds:
+        if with_bounds:
             entry["min"] = data.min(axis=0).tolist()
             entry["max"] = data.max(axis=0).tolist()
-        padding = b"\0" * (-size % 4)
+        padding = b"\0" * (-byte_count % 4)
         self._chunks += [data.reshape(-1).view(np.uint8).data, padding]
-        self._length += size + len(padding)
+        self._binary_bytes += byte_count + len(padding)
         index = self.add("accessors", entry)
         if key is not None:
-            self._by_content[key] = index
+            self._accessors_by_content[key] = index
         return index
 
-    def parts(self) -> Iterator[bytes | memoryview]:
+    def glb_chunks(self) -> Iterator[bytes | memoryview]:
         """Yield the bytes of the GLB in chunks."""
-        if self._length:
-            self.json["buffers"] = [{"byteLength": self._length}]
+        if self._binary_bytes:
+            self.json["buffers"] = [{"byteLength": self._binary_bytes}]
         text = json.dumps(
             self.json, separators=(",", ":"), ensure_ascii=False, allow_nan=False
         ).encode()
         text += b" " * (-len(text) % 4)
-        length = 12 + 8 + len(text) + (8 + self._length if self._length else 0)
+        length = (
+            12 + 8 + len(text) + (8 + self._binary_bytes if self._binary_bytes else 0)
+        )
         if length > MAX_BYTES:
             message = (
                 "a GLB can have 4.29 GB, but this one needs "
@@ -100,22 +104,22 @@ class GlbBuilder:
             raise OutputError(Fault("OUT002", message))
         return self._yield_binary(text, length)
 
-    def text_parts(self) -> Iterator[bytes]:
+    def gltf_chunks(self) -> Iterator[bytes]:
         """Yield the bytes of a .gltf with a data URI for the numbers."""
-        if self._length:
+        if self._binary_bytes:
             data = base64.b64encode(b"".join(self._chunks)).decode()
             uri = f"data:application/octet-stream;base64,{data}"
-            self.json["buffers"] = [{"byteLength": self._length, "uri": uri}]
+            self.json["buffers"] = [{"byteLength": self._binary_bytes, "uri": uri}]
         text = json.dumps(self.json, indent=1, ensure_ascii=False, allow_nan=False)
         return iter([text.encode(), b"\n"])
 
     def _yield_binary(self, text: bytes, length: int) -> Iterator[bytes | memoryview]:
         yield struct.pack("<4sII", b"glTF", 2, length)
         yield struct.pack("<II", len(text), JSON_CHUNK) + text
-        if self._length:
-            yield struct.pack("<II", self._length, BIN_CHUNK)
+        if self._binary_bytes:
+            yield struct.pack("<II", self._binary_bytes, BIN_CHUNK)
             yield from self._chunks
 
 
 # Larger arrays are not deduplicated [byte].
-_MAX_COMPARED_BYTES = 1 << 14
+_MAX_SHARED_BYTES = 1 << 14

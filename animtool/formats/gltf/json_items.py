@@ -10,8 +10,8 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.file_notices import FileNotices
 
-# Largest float32, the number type of glTF; larger numbers are invalid.
-FLOAT32_LIMIT = 3.4028234663852886e38
+# Largest float32, the number type of glTF.
+FLOAT32_MAX = 3.4028234663852886e38
 
 
 def escape_pointer(key: str) -> str:
@@ -43,15 +43,15 @@ class JsonItem:
     pointer: str  # empty for the document root
     notes: FileNotices
 
-    def at(self, key: str) -> str:
+    def pointer_to(self, key: str) -> str:
         """Return the pointer of a property."""
         return f"{self.pointer}/{escape_pointer(key)}"
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
         """Raise a `FormatError` about a property."""
-        self.notes.fail(code, self.at(key), message)
+        self.notes.fail(code, self.pointer_to(key), message)
 
-    def missing(self, key: str) -> NoReturn:
+    def fail_missing(self, key: str) -> NoReturn:
         """Raise a `FormatError` about a missing property."""
         message = f"the required property {key!r} is missing"
         self.notes.fail("GLT005", self.pointer or "/", message)
@@ -70,7 +70,7 @@ class JsonItem:
         value = self.number(key)
         if value is None:
             if default is None:
-                self.missing(key)
+                self.fail_missing(key)
             return default
         if value < minimum:
             self.fail(key, f"{key} is {value}, and must be at least {minimum}")
@@ -96,7 +96,7 @@ class JsonItem:
 
     def indices(self, key: str, count: int, noun: str) -> list[int]:
         """Return a list of indices; empty if missing."""
-        entries = self.list_of(key)
+        entries = self.read_list(key)
         for i, value in enumerate(entries):
             is_integer = (
                 is_number(value) and math.isfinite(value) and value == int(value)
@@ -107,29 +107,29 @@ class JsonItem:
                 )
             if not 0 <= value < count:
                 message = f"{noun} {int(value)} does not exist"
-                self.notes.fail("GLT006", f"{self.at(key)}/{i}", message)
+                self.notes.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
         return [int(value) for value in entries]
 
     def floats(self, key: str, size: int | None) -> list[float] | None:
-        """Return a list of numbers of a length; None if missing."""
+        """Return a list of numbers, checked for its length; None if missing."""
         if key not in self.values:
             return None
-        entries = self.list_of(key)
+        entries = self.read_list(key)
         if size is not None and len(entries) != size:
             self.fail(key, f"{key} must have {size} numbers, not {len(entries)}")
         for i, value in enumerate(entries):
             if not is_number(value):
                 self.fail(key, f"{excerpt(repr(value))} is not a number")
-            if not abs(value) <= FLOAT32_LIMIT:
+            if not abs(value) <= FLOAT32_MAX:
                 message = f"{value} is outside the range of a float32"
-                self.notes.fail("GLT010", f"{self.at(key)}/{i}", message)
+                self.notes.fail("GLT010", f"{self.pointer_to(key)}/{i}", message)
         return [float(value) for value in entries]
 
     def text(self, key: str) -> str | None:
         """Return a string; None if missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
-            self.notes.warn("GLT106", self.at(key), "a name of null is ignored")
+            self.notes.warn("GLT106", self.pointer_to(key), "a name of null is ignored")
         elif not isinstance(value, str) and key in self.values:
             self.fail(key, f"{key} must be text, not {excerpt(repr(value))}")
         return value
@@ -141,7 +141,7 @@ class JsonItem:
             self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
         return value
 
-    def list_of(self, key: str) -> list[Any]:
+    def read_list(self, key: str) -> list[Any]:
         """Return a list; empty if missing. Warn about an empty one."""
         if key not in self.values:
             return []
@@ -149,7 +149,7 @@ class JsonItem:
         if not isinstance(value, list):
             self.fail(key, f"{key} must be a list, not {excerpt(repr(value))}")
         if not value:
-            self.notes.warn("GLT106", self.at(key), "an empty list is ignored")
+            self.notes.warn("GLT106", self.pointer_to(key), "an empty list is ignored")
         return value
 
     def child(self, key: str) -> JsonItem | None:
@@ -159,26 +159,26 @@ class JsonItem:
         value = self.values[key]
         if not isinstance(value, dict):
             self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
-        return JsonItem(value, self.at(key), self.notes)
+        return JsonItem(value, self.pointer_to(key), self.notes)
 
     def required(self, key: str) -> JsonItem:
         """Return a child object; raise if missing."""
-        return self.child(key) or self.missing(key)
+        return self.child(key) or self.fail_missing(key)
 
     def children(self, key: str) -> list[JsonItem]:
         """Return a list of objects; empty if missing."""
         return list(self._children(key))
 
     def _children(self, key: str) -> Iterator[JsonItem]:
-        pointer = self.at(key)
-        for i, value in enumerate(self.list_of(key)):
+        pointer = self.pointer_to(key)
+        for i, value in enumerate(self.read_list(key)):
             if not isinstance(value, dict):
                 message = f"must be an object, not {excerpt(repr(value))}"
                 self.notes.fail("GLT005", f"{pointer}/{i}", message)
             yield JsonItem(value, f"{pointer}/{i}", self.notes)
 
     def extension(self, name: str) -> JsonItem | None:
-        """Return an extension of the object; None if it has none of the name."""
+        """Return an extension of the object; None if missing."""
         extensions = self.values.get("extensions")
         extension = extensions.get(name) if isinstance(extensions, dict) else None
         if not isinstance(extension, dict):

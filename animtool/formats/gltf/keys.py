@@ -1,4 +1,4 @@
-"""A glTF animation as a clip, with the file's keys."""
+"""Builds clips with the keys of glTF animations."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _CHANNEL_PARTS = {
 }
 # Clips cannot store cubic splines of quaternions: slerp keys are added until the error
 # is below this [rad].
-ARC_TOLERANCE = 1e-4
+SLERP_TOLERANCE = 1e-4
 # Maximum number of times a segment between keys is halved.
-MAX_ARC_HALVINGS = 10
+MAX_HALVINGS = 10
 
 
-def clip_of_gltf(
+def build_clip(
     name: str, gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
 ) -> tuple[Clip, list[Fault]]:
     """Return a clip with a glTF animation's keys, and notices.
@@ -41,38 +41,40 @@ def clip_of_gltf(
         frames: Frames of the animation.
     """
     channels: list[ClipChannel] = []
-    splines = added = 0
-    for path, rest in sampler.rest.items():
+    spline_count = added_key_count = 0
+    for path, rest in sampler.rest_values.items():
         tracks = {entry.row: entry for entry in sampler.tracks[path]}
-        defaults = _default_rows(path, gltf_rig)
+        default_values = _default_rows(path, gltf_rig)
         for row in range(len(rest)):
             target = _clip_target(path, row, gltf_rig)
             if row not in tracks:
-                if np.abs(rest[row] - defaults[row]).max() > 0:
+                if np.abs(rest[row] - default_values[row]).max() > 0:
                     channels.append(_static_channel(target, rest[row], path, frames))
                 continue
             channel, extra_keys = _track_channel(target, tracks[row], path, frames)
             channels.append(channel)
-            splines, added = (
-                splines + (extra_keys > 0),
-                added + extra_keys,
+            spline_count, added_key_count = (
+                spline_count + (extra_keys > 0),
+                added_key_count + extra_keys,
             )
     last_frame = frames.first + frames.count - 1
     clip = Clip(name, frames.fps, frames.first, last_frame, tuple(channels))
-    if not splines:
+    if not spline_count:
         return clip, []
     message = (
-        f"{counted(splines, 'rotation')} with cubic splines, which clips do not have: "
+        f"{counted(spline_count, 'rotation')} with cubic splines, which clips do not "
+        "have: "
     )
     message += (
-        f"{counted(added, 'key')} added between those of the file keep them within "
+        f"{counted(added_key_count, 'key')} added between those of the file keep them "
+        "within "
     )
-    message += f"{np.degrees(ARC_TOLERANCE):.2g} degrees"
+    message += f"{np.degrees(SLERP_TOLERANCE):.2g} degrees"
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
 def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return the values of a rig's channels without keys."""
+    """Return the values of a rig's channels that need no keys."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -97,8 +99,8 @@ def _clip_channel(
     slopes: tuple[FloatArray, FloatArray] | None = None,
 ) -> ClipChannel:
     """Return a channel; slopes [1/frame] become handles at thirds."""
-    keys, width = values.shape
-    ins, outs = np.zeros((keys, 1 + width)), np.zeros((keys, 1 + width))
+    key_count, width = values.shape
+    ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
     tangent = Tangent.AUTO_CLAMPED
     if slopes is not None:
         tangent = Tangent.FREE
@@ -111,11 +113,11 @@ def _clip_channel(
         target,
         times,
         values,
-        (interp,) * keys,
-        ((tangent, tangent),) * keys,
+        (interp,) * key_count,
+        ((tangent, tangent),) * key_count,
         ins,
         outs,
-        np.zeros((keys, 3)),
+        np.zeros((key_count, 3)),
     )
 
 
@@ -130,55 +132,68 @@ def _static_channel(
 def _track_channel(
     target: str, row_track: AnimatedRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return the keys of a track, and the count of keys not in the file."""
+    """Return the keys of a track, and the number of keys added to them."""
     track = row_track.track
-    times = key_frames(track.times, frames)
+    times = key_times_in_frames(track.times, frames)
     values = track.values.astype(np.float64) * row_track.factor
-    step = track.interpolation is SamplerInterpolation.STEP
+    is_stepped = track.interpolation is SamplerInterpolation.STEP
     if path is TargetPath.ROTATION:
         if track.interpolation is SamplerInterpolation.CUBIC:
             return _slerp_keys(target, track, frames)
         values = so3.align_signs(so3.normalize(values))
-        interp = Interp.STEP if step else Interp.SLERP
+        interp = Interp.STEP if is_stepped else Interp.SLERP
         return _clip_channel(target, times, values, interp), 0
     if track.ins is not None and track.outs is not None:
         scale = row_track.factor / float(frames.fps)
         slopes = (track.ins * scale, track.outs * scale)
         return _clip_channel(target, times, values, Interp.BEZIER, slopes), 0
     return _clip_channel(
-        target, times, values, Interp.STEP if step else Interp.LINEAR
+        target, times, values, Interp.STEP if is_stepped else Interp.LINEAR
     ), 0
 
 
-def key_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
+def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
     """Return key times [frames], snapped to a frame within float32 rounding."""
     exact = seconds * float(frames.fps)
-    frames_ = np.round(exact)
-    is_on_frame = np.abs(frames_ - exact) <= KEY_TIME_TOLERANCE * np.abs(exact)
-    return np.asarray(np.where(is_on_frame, frames_, exact) + float(frames.start))
+    nearest_frames = np.round(exact)
+    is_on_frame = np.abs(nearest_frames - exact) <= KEY_TIME_TOLERANCE * np.abs(exact)
+    return np.asarray(
+        np.where(is_on_frame, nearest_frames, exact) + float(frames.start)
+    )
 
 
 def _slerp_keys(
     target: str, track: GltfTrack, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return slerp keys that approximate a cubic rotation, file keys included."""
+    """Return slerp keys that approximate a cubic rotation, and the added count."""
     times = [track.times]
-    a, b = track.times[:-1], track.times[1:]
-    for _ in range(MAX_ARC_HALVINGS):
-        if not len(a):
+    starts, ends = track.times[:-1], track.times[1:]
+    for _ in range(MAX_HALVINGS):
+        if not len(starts):
             break
-        middle = (a + b) / 2
-        ends_slerp = so3.slerp(track.at(a), track.at(b), 0.5)
-        quarter_slerp = so3.slerp(track.at(a), track.at(b), 0.25)
-        error = np.maximum(
-            so3.angle_between(ends_slerp, track.at(middle)),
-            so3.angle_between(quarter_slerp, track.at(a + (b - a) / 4)),
+        middles = (starts + ends) / 2
+        middle_values = so3.slerp(track.sample(starts), track.sample(ends), 0.5)
+        quarter_values = so3.slerp(track.sample(starts), track.sample(ends), 0.25)
+        errors = np.maximum(
+            so3.angle_between(middle_values, track.sample(middles)),
+            so3.angle_between(
+                quarter_values, track.sample(starts + (ends - starts) / 4)
+            ),
         )
-        needs_split = error > ARC_TOLERANCE
-        a, b, middle = a[needs_split], b[needs_split], middle[needs_split]
-        times.append(middle)
-        a, b = np.concatenate([a, middle]), np.concatenate([middle, b])
+        needs_split = errors > SLERP_TOLERANCE
+        starts, ends, middles = (
+            starts[needs_split],
+            ends[needs_split],
+            middles[needs_split],
+        )
+        times.append(middles)
+        starts, ends = (
+            np.concatenate([starts, middles]),
+            np.concatenate([middles, ends]),
+        )
     all_times = np.unique(np.concatenate(times))
-    values = so3.align_signs(track.at(all_times))
-    channel = _clip_channel(target, key_frames(all_times, frames), values, Interp.SLERP)
+    values = so3.align_signs(track.sample(all_times))
+    channel = _clip_channel(
+        target, key_times_in_frames(all_times, frames), values, Interp.SLERP
+    )
     return channel, len(all_times) - len(track.times)

@@ -1,4 +1,4 @@
-"""glTF meshes, morph targets and skins, checked."""
+"""Reads and checks glTF meshes, morph targets and skins."""
 
 from __future__ import annotations
 
@@ -11,18 +11,23 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import SkinEntry
 from animtool.formats.file_notices import FileNotices
-from animtool.formats.gltf.accessors import COMPONENTS, FLOAT, Accessor, Accessors
+from animtool.formats.gltf.accessors import (
+    COMPONENT_TYPES,
+    FLOAT_COMPONENT,
+    Accessor,
+    Accessors,
+)
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras, is_number
-from animtool.formats.gltf.unused import is_known, is_read
+from animtool.formats.gltf.unused import is_known_attribute, is_supported_attribute
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
 QUANTIZATION = "KHR_mesh_quantization"
-QUANTIZED_TYPES = (FLOAT, I8, U8, I16, U16)
+QUANTIZED_TYPES = (FLOAT_COMPONENT, I8, U8, I16, U16)
 TRIANGLES, STRIP, FAN = 4, 5, 6
 # Tolerance of a vertex's weight sum [1]: float32 rounding is smaller, and integers are
 # exact.
-SUM_TOLERANCE = 1e-5
+WEIGHT_SUM_TOLERANCE = 1e-5
 # Tolerance of min and max, relative to the size of the data [1].
 BOUNDS_TOLERANCE = 1e-6
 
@@ -49,8 +54,8 @@ class Primitive:
     where: str
 
     @property
-    def vertices(self) -> tuple[Any, ...]:
-        """Accessors that identify the vertices; equal for sharing primitives."""
+    def vertex_key(self) -> tuple[Any, ...]:
+        """Accessors of the vertices; equal if primitives share vertices."""
         return self.position, self.normal, self.joints, self.weights, self.targets
 
 
@@ -73,13 +78,13 @@ class MeshEntry:
 
 
 def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
-    """Return the meshes of a file, with checked numbers."""
+    """Return the meshes of a file."""
     return tuple(_read_mesh(item, accessors) for item in root.children("meshes"))
 
 
 def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     if "primitives" not in item.values:
-        item.missing("primitives")
+        item.fail_missing("primitives")
     primitives = tuple(
         _read_primitive(primitive, accessors)
         for primitive in item.children("primitives")
@@ -90,22 +95,22 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
             message = f"{count} targets, but the first primitive has {counts[0]}"
             where = f"{item.pointer}/primitives/{i}/targets"
             item.notes.fail("GLT011", where, message)
-    targets = max(counts, default=0)
+    target_count = max(counts, default=0)
     weights = item.floats("weights", None)
-    if weights is not None and len(weights) != targets:
-        message = f"{len(weights)} weights for {targets} targets"
-        item.notes.fail("GLT011", item.at("weights"), message)
+    if weights is not None and len(weights) != target_count:
+        message = f"{len(weights)} weights for {target_count} targets"
+        item.notes.fail("GLT011", item.pointer_to("weights"), message)
     extras = item.values.get("extras")
     names = extras.get("targetNames") if isinstance(extras, dict) else None
-    is_list = isinstance(names, list) and len(names) == targets
-    texts = tuple(map(str, names)) if is_list and names is not None else ()
-    zeros = (0.0,) * targets
+    has_names = isinstance(names, list) and len(names) == target_count
+    target_names = tuple(map(str, names)) if has_names and names is not None else ()
+    zeros = (0.0,) * target_count
     original_name = animtool_extras(item).get("name")
     return MeshEntry(
         item.text("name"),
         primitives,
         zeros if weights is None else tuple(weights),
-        texts,
+        target_names,
         item.pointer,
         original_name if isinstance(original_name, str) else None,
     )
@@ -113,25 +118,25 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
 
 def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     attributes = item.required("attributes")
-    read = _read_attributes(attributes, len(accessors.entries))
-    vertex_count = _check_vertices(attributes, read, accessors)
-    sets = _skin_sets(attributes, read)
+    accessor_indices = _read_attributes(attributes, len(accessors.entries))
+    vertex_count = _check_vertices(attributes, accessor_indices, accessors)
+    set_indices = _skin_set_indices(attributes, accessor_indices)
     targets = [
-        _morph_target(target, vertex_count, accessors)
+        _read_morph_target(target, vertex_count, accessors)
         for target in item.children("targets")
     ]
     mode = item.number("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
-        item.notes.warn("GLT106", item.at("mode"), message)
+        item.notes.warn("GLT106", item.pointer_to("mode"), message)
     indices = item.index("indices", len(accessors.entries), "accessor")
     if indices >= 0:
         _check_indices(item, indices, vertex_count, accessors)
     return Primitive(
-        read.get("POSITION", -1),
-        read.get("NORMAL", -1),
-        tuple(read[f"JOINTS_{set_index}"] for set_index in sets),
-        tuple(read[f"WEIGHTS_{set_index}"] for set_index in sets),
+        accessor_indices.get("POSITION", -1),
+        accessor_indices.get("NORMAL", -1),
+        tuple(accessor_indices[f"JOINTS_{set_index}"] for set_index in set_indices),
+        tuple(accessor_indices[f"WEIGHTS_{set_index}"] for set_index in set_indices),
         indices,
         TRIANGLES if mode is None else mode,
         tuple(targets),
@@ -139,23 +144,29 @@ def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     )
 
 
-def _read_attributes(attributes: JsonItem, count: int) -> dict[str, int]:
+def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int]:
     """Return the accessors of attributes that are read; warn of unknown ones."""
-    read: dict[str, int] = {}
+    accessor_indices: dict[str, int] = {}
     for name in attributes.values:
-        if is_read(name):
-            read[name] = attributes.index(name, count, "accessor")
-        elif not is_known(name):
+        if is_supported_attribute(name):
+            accessor_indices[name] = attributes.index(name, accessor_count, "accessor")
+        elif not is_known_attribute(name):
             message = f"unknown attribute {name!r}: ignored"
-            attributes.notes.warn("GLT106", attributes.at(name), message)
-    return read
+            attributes.notes.warn("GLT106", attributes.pointer_to(name), message)
+    return accessor_indices
 
 
-def _skin_sets(attributes: JsonItem, read: Mapping[str, int]) -> list[int]:
-    """Return the numbers of the sets of joints and weights."""
+def _skin_set_indices(
+    attributes: JsonItem, accessor_indices: Mapping[str, int]
+) -> list[int]:
+    """Return the indices of the sets of joints and weights."""
     joints, weights = (
-        sorted(int(name.removeprefix(kind)) for name in read if name.startswith(kind))
-        for kind in ("JOINTS_", "WEIGHTS_")
+        sorted(
+            int(name.removeprefix(prefix))
+            for name in accessor_indices
+            if name.startswith(prefix)
+        )
+        for prefix in ("JOINTS_", "WEIGHTS_")
     )
     if joints != weights:
         message = f"JOINTS {joints} and WEIGHTS {weights} do not match"
@@ -163,58 +174,66 @@ def _skin_sets(attributes: JsonItem, read: Mapping[str, int]) -> list[int]:
     return joints
 
 
-def _morph_target(
+def _read_morph_target(
     target: JsonItem, vertex_count: int, accessors: Accessors
 ) -> MorphTarget:
     """Return the accessors of a morph target."""
-    _check_target(target)
-    read = {
+    _check_morph_attributes(target)
+    accessor_indices = {
         name: target.index(name, len(accessors.entries), "accessor")
         for name in ("POSITION", "NORMAL")
         if name in target.values
     }
-    for name, index in read.items():
-        accessor = _typed_accessor(
+    for name, index in accessor_indices.items():
+        accessor = _require_accessor(
             target, name, index, accessors, "VEC3", QUANTIZED_TYPES
         )
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
-            target.notes.fail("GLT011", target.at(name), message)
+            target.notes.fail("GLT011", target.pointer_to(name), message)
         if accessors.has_data(index):
             check_bounds(accessor.item, accessors.numbers(index))
-    return MorphTarget(read.get("POSITION", -1), read.get("NORMAL", -1))
+    return MorphTarget(
+        accessor_indices.get("POSITION", -1), accessor_indices.get("NORMAL", -1)
+    )
 
 
-def _check_target(target: JsonItem) -> None:
+def _check_morph_attributes(target: JsonItem) -> None:
     """Warn about attributes of a morph target that are not read."""
     if not target.values:
         message = "a morph target without attributes moves nothing"
         target.notes.warn("GLT106", target.pointer, message)
     for name in target.values:
-        if not is_known(name):
+        if not is_known_attribute(name):
             message = f"unknown attribute {name!r}: ignored"
-            target.notes.warn("GLT106", target.at(name), message)
+            target.notes.warn("GLT106", target.pointer_to(name), message)
 
 
-def _typed_accessor(
+def _require_accessor(
     item: JsonItem,
     key: str,
     index: int,
     accessors: Accessors,
-    kind: str,
-    components: tuple[int, ...],
+    element_type: str,
+    component_types: tuple[int, ...],
 ) -> Accessor:
     """Return an accessor of a type allowed for an attribute."""
     accessor = accessors.entries[index]
-    if accessor is None or not accessor.is_of(kind, *components):
-        text = "of an unknown type"
+    if accessor is None or not accessor.has_type(element_type, *component_types):
+        type_text = "of an unknown type"
         if accessor is not None:
-            text = f"{accessor.kind} of {COMPONENTS[accessor.component].name}"
-        item.notes.fail("GLT011", item.at(key), f"{key} cannot be {text}")
-    is_quantized = components is QUANTIZED_TYPES and accessor.component != FLOAT
-    if is_quantized and not accessors.declares(QUANTIZATION):
+            type_text = (
+                f"{accessor.element_type} of "
+                f"{COMPONENT_TYPES[accessor.component_type].name}"
+            )
+        item.notes.fail("GLT011", item.pointer_to(key), f"{key} cannot be {type_text}")
+    is_quantized = (
+        component_types is QUANTIZED_TYPES
+        and accessor.component_type != FLOAT_COMPONENT
+    )
+    if is_quantized and not accessors.declares_extension(QUANTIZATION):
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
-        item.notes.warn("GLT106", item.at(key), message)
+        item.notes.warn("GLT106", item.pointer_to(key), message)
     if accessors.has_data(index):
         accessors.numbers(index)
     return accessor
@@ -226,126 +245,141 @@ def _check_vertices(
     """Check types and counts of vertex attributes; return the vertex count."""
     vertex_count = -1
     for name, index in indices.items():
-        kind = "VEC4"
-        components: tuple[int, ...] = (U8, U16)
+        element_type = "VEC4"
+        component_types: tuple[int, ...] = (U8, U16)
         if name in {"POSITION", "NORMAL"}:
-            kind, components = "VEC3", QUANTIZED_TYPES
+            element_type, component_types = "VEC3", QUANTIZED_TYPES
         elif name.startswith("WEIGHTS_"):
-            components = (FLOAT, U8, U16)
-        accessor = _typed_accessor(attributes, name, index, accessors, kind, components)
-        _check_packing(attributes, name, accessor)
+            component_types = (FLOAT_COMPONENT, U8, U16)
+        accessor = _require_accessor(
+            attributes, name, index, accessors, element_type, component_types
+        )
+        _check_weight_normalization(attributes, name, accessor)
         if vertex_count < 0:
             vertex_count = accessor.count
         elif accessor.count != vertex_count:
             message = (
                 f"{name} has {accessor.count} rows, but others have {vertex_count}"
             )
-            attributes.notes.fail("GLT011", attributes.at(name), message)
+            attributes.notes.fail("GLT011", attributes.pointer_to(name), message)
         if not accessors.has_data(index):
             continue
         if name == "POSITION":
-            where = attributes.at(name)
-            check_bounds(accessor.item, accessors.numbers(index), missing=where)
+            pointer = attributes.pointer_to(name)
+            check_bounds(accessor.item, accessors.numbers(index), required_by=pointer)
         if name.startswith("WEIGHTS_") and (accessors.numbers(index) < 0).any():
             message = "a weight of a vertex is negative"
-            attributes.notes.fail("GLT010", attributes.at(name), message)
+            attributes.notes.fail("GLT010", attributes.pointer_to(name), message)
     return vertex_count
 
 
-def _check_packing(attributes: JsonItem, name: str, accessor: Accessor) -> None:
+def _check_weight_normalization(
+    attributes: JsonItem, name: str, accessor: Accessor
+) -> None:
     """Warn about integer weights that are not normalised."""
-    if not name.startswith("WEIGHTS_") or accessor.component == FLOAT:
+    if not name.startswith("WEIGHTS_") or accessor.component_type == FLOAT_COMPONENT:
         return
     if not accessor.normalized:
         message = f"{name} are integers that are not normalized: divided by their sum"
-        attributes.notes.warn("GLT104", attributes.at(name), message)
+        attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
 
 
 def _check_indices(
     item: JsonItem, index: int, vertex_count: int, accessors: Accessors
 ) -> None:
-    _typed_accessor(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
-    accessors.check_packed(index, item.at("indices"))
+    _require_accessor(item, "indices", index, accessors, "SCALAR", (U8, U16, U32))
+    accessors.warn_about_stride(index, item.pointer_to("indices"))
     if not accessors.has_data(index):
         return
     largest = int(accessors.numbers(index).max())
     if vertex_count >= 0 and largest >= vertex_count:
         message = f"a face refers to vertex {largest} of {vertex_count}"
-        item.notes.fail("GLT006", item.at("indices"), message)
+        item.notes.fail("GLT006", item.pointer_to("indices"), message)
 
 
-def check_bounds(item: JsonItem, values: Any, *, missing: str = "") -> None:
+def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
     """Warn about min and max that differ from the data.
 
-    ``missing`` names what requires them, if anything does.
+    ``required_by`` is the pointer of an attribute that requires bounds; empty for none.
     """
-    stated = [item.values.get(key) for key in ("min", "max")]
-    if not any(stated_value is not None for stated_value in stated):
-        if missing:
+    stated_bounds = [item.values.get(key) for key in ("min", "max")]
+    if not any(stated_value is not None for stated_value in stated_bounds):
+        if required_by:
             message = "min and max are missing: computed from the data"
-            item.notes.warn("GLT102", missing, message)
+            item.notes.warn("GLT102", required_by, message)
         return
-    actual = (values.min(axis=0), values.max(axis=0))
-    for key, stated_bound, bound in zip(("min", "max"), stated, actual, strict=True):
-        size = BOUNDS_TOLERANCE * max(
+    actual_bounds = (values.min(axis=0), values.max(axis=0))
+    for key, stated_bound, bound in zip(
+        ("min", "max"), stated_bounds, actual_bounds, strict=True
+    ):
+        tolerance = BOUNDS_TOLERANCE * max(
             1.0, float(np.abs(bound.astype(np.float64)).max())
         )
         if stated_bound is None and key not in item.values:
-            item.notes.warn("GLT102", item.at(key), f"{key} is missing")
+            item.notes.warn("GLT102", item.pointer_to(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
         for i, (stated_value, number) in enumerate(
             zip(stated_bound, bound.tolist(), strict=True)
         ):
-            if is_number(stated_value) and not abs(stated_value - number) <= size:
+            if is_number(stated_value) and not abs(stated_value - number) <= tolerance:
                 message = (
                     f"{key} is {stated_value!r}, but the data has {number:.9g}: using "
                 )
                 message += "the data"
-                item.notes.warn("GLT102", f"{item.at(key)}/{i}", message)
+                item.notes.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
                 break
 
 
 def read_skins(
-    root: JsonItem, accessors: Accessors, nodes: int
+    root: JsonItem, accessors: Accessors, node_count: int
 ) -> tuple[SkinEntry, ...]:
-    """Return the skins of a file, with checked matrices."""
-    return tuple(_read_skin(item, accessors, nodes) for item in root.children("skins"))
+    """Return the skins of a file."""
+    return tuple(
+        _read_skin(item, accessors, node_count) for item in root.children("skins")
+    )
 
 
-def _read_skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
+def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEntry:
     if "joints" not in item.values:
-        item.missing("joints")
-    joints = item.indices("joints", nodes, "node")
+        item.fail_missing("joints")
+    joints = item.indices("joints", node_count, "node")
     if not joints:
-        item.notes.fail("GLT011", item.at("joints"), "a skin without joints")
+        item.notes.fail("GLT011", item.pointer_to("joints"), "a skin without joints")
     if len(set(joints)) < len(joints):
-        item.notes.warn("GLT106", item.at("joints"), "a joint is listed twice")
+        item.notes.warn("GLT106", item.pointer_to("joints"), "a joint is listed twice")
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    index = item.index("inverseBindMatrices", len(accessors.entries), "accessor")
-    where = item.at("inverseBindMatrices")
-    if index >= 0:
-        accessor = _typed_accessor(
-            item, "inverseBindMatrices", index, accessors, "MAT4", (FLOAT,)
+    accessor_index = item.index(
+        "inverseBindMatrices", len(accessors.entries), "accessor"
+    )
+    where = item.pointer_to("inverseBindMatrices")
+    if accessor_index >= 0:
+        accessor = _require_accessor(
+            item,
+            "inverseBindMatrices",
+            accessor_index,
+            accessors,
+            "MAT4",
+            (FLOAT_COMPONENT,),
         )
-        accessors.check_packed(index, where)
+        accessors.warn_about_stride(accessor_index, where)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
             item.notes.fail("GLT011", where, message)
-        matrices_ = np.zeros((len(joints), 4, 4))
-        if accessors.has_data(index):
-            matrices_ = accessors.floats(index)[: len(joints)].reshape(-1, 4, 4)
-        matrices = np.ascontiguousarray(matrices_.swapaxes(1, 2))
+        columns = np.zeros((len(joints), 4, 4))
+        if accessors.has_data(accessor_index):
+            columns = accessors.floats(accessor_index)[: len(joints)].reshape(-1, 4, 4)
+        matrices = np.ascontiguousarray(columns.swapaxes(1, 2))
         row_error = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
-        if (row_error > 1e-4).any() and accessors.has_data(index):
+        if (row_error > 1e-4).any() and accessors.has_data(accessor_index):
             joint = int(row_error.argmax())
             message = f"the last row of matrix {joint} is not 0 0 0 1"
             item.notes.fail("GLT010", where, message)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.number("skeleton")
-    if skeleton is not None and not 0 <= skeleton < nodes:
+    if skeleton is not None and not 0 <= skeleton < node_count:
         message = f"node {skeleton} does not exist: the hint is ignored"
-        item.notes.warn("GLT106", item.at("skeleton"), message)
+        item.notes.warn("GLT106", item.pointer_to("skeleton"), message)
         skeleton = None
     return SkinEntry(
         item.text("name"),
@@ -356,12 +390,12 @@ def _read_skin(item: JsonItem, accessors: Accessors, nodes: int) -> SkinEntry:
     )
 
 
-def skin_weights(
-    primitive: Primitive, joints: int, accessors: Accessors, notes: FileNotices
+def read_skin_weights(
+    primitive: Primitive, joint_count: int, accessors: Accessors, notes: FileNotices
 ) -> tuple[IntArray, FloatArray]:
-    """Return joints and weights of vertices ``(V, I)``; weights sum to 1.
+    """Return joint indices and weights of vertices ``(V, I)``; weights sum to 1.
 
-    ``joints`` is the number of joints of the skin.
+    ``joint_count`` is the number of joints of the skin.
     """
     indices = np.concatenate(
         [accessors.numbers(accessor).astype(np.int64) for accessor in primitive.joints],
@@ -370,27 +404,29 @@ def skin_weights(
     weights = np.concatenate(
         [accessors.floats(accessor) for accessor in primitive.weights], axis=1
     )
-    _check_distinct(primitive, indices, weights, notes)
-    out_of_range = indices >= joints
+    _check_duplicate_joints(primitive, indices, weights, notes)
+    out_of_range = indices >= joint_count
     if out_of_range.any():
         has_weight = out_of_range & (weights > 0)
         index = np.argwhere(has_weight if has_weight.any() else out_of_range)[0, 1] // 4
         where = f"{primitive.where}/attributes/JOINTS_{int(index)}"
-        message = f"joint {int(indices[out_of_range].max())} of a skin with {joints}"
+        message = (
+            f"joint {int(indices[out_of_range].max())} of a skin with {joint_count}"
+        )
         if has_weight.any():
             notes.fail("GLT006", where, message)
         notes.warn("GLT106", where, f"{message}, without weight: ignored")
         indices[out_of_range] = 0
     weight_sums = weights.sum(axis=1)
-    worst = (
+    worst_sum = (
         float(weight_sums[np.abs(weight_sums - 1.0).argmax()])
         if len(weight_sums)
         else 1.0
     )
     where = f"{primitive.where}/attributes/WEIGHTS_0"
     has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
-    if has_data and abs(worst - 1.0) > SUM_TOLERANCE:
-        message = f"weights of a vertex have the sum {worst:.6g}"
+    if has_data and abs(worst_sum - 1.0) > WEIGHT_SUM_TOLERANCE:
+        message = f"weights of a vertex have the sum {worst_sum:.6g}"
         notes.warn("GLT104", where, f"{message}: they are normalised")
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
@@ -402,37 +438,39 @@ def skin_weights(
     return indices, weights / weight_sums[:, None]
 
 
-def _check_distinct(
+def _check_duplicate_joints(
     primitive: Primitive, indices: IntArray, weights: FloatArray, notes: FileNotices
 ) -> None:
-    """Warn about joints with two weights on a vertex, which are added."""
+    """Warn about joints listed twice for a vertex; their weights are added."""
     # Influences without weight get distinct numbers that no joint has.
-    idle = -1 - np.arange(indices.shape[1])
-    order = np.sort(np.where(weights > 0, indices, idle), axis=1)
-    has_duplicate = (order[:, 1:] == order[:, :-1]).any(axis=1)
+    placeholders = -1 - np.arange(indices.shape[1])
+    sorted_indices = np.sort(np.where(weights > 0, indices, placeholders), axis=1)
+    has_duplicate = (sorted_indices[:, 1:] == sorted_indices[:, :-1]).any(axis=1)
     if has_duplicate.any():
         message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
         where = f"{primitive.where}/attributes/JOINTS_0"
         notes.warn("GLT104", where, f"{message}: they are added")
 
 
-def triangles(
+def build_triangles(
     primitive: Primitive, vertex_count: int, accessors: Accessors
 ) -> IntArray:
-    """Return a primitive's faces ``(N, 3)``; no faces for points and lines."""
+    """Return the triangles of a primitive ``(N, 3)``; none for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
-    run = np.arange(vertex_count)
+    vertex_indices = np.arange(vertex_count)
     if primitive.indices >= 0:
-        run = accessors.numbers(primitive.indices)[:, 0].astype(np.int64)
+        vertex_indices = accessors.numbers(primitive.indices)[:, 0].astype(np.int64)
     if primitive.mode == TRIANGLES:
-        return run[: len(run) // 3 * 3].reshape(-1, 3)
-    if len(run) < 3:
+        return vertex_indices[: len(vertex_indices) // 3 * 3].reshape(-1, 3)
+    if len(vertex_indices) < 3:
         return np.zeros((0, 3), np.int64)
     if primitive.mode == FAN:
-        fan_center = np.full(len(run) - 2, run[0])
-        return np.stack([run[1:-1], run[2:], fan_center], axis=1)
-    faces = np.stack([run[:-2], run[1:-1], run[2:]], axis=1)
+        fan_center = np.full(len(vertex_indices) - 2, vertex_indices[0])
+        return np.stack([vertex_indices[1:-1], vertex_indices[2:], fan_center], axis=1)
+    faces = np.stack(
+        [vertex_indices[:-2], vertex_indices[1:-1], vertex_indices[2:]], axis=1
+    )
     faces[1::2] = faces[1::2][:, [1, 0, 2]]
     is_degenerate = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
     return np.asarray(faces[~(is_degenerate | (faces[:, 0] == faces[:, 2]))])

@@ -1,4 +1,4 @@
-"""glTF nodes: the tree and rest transforms."""
+"""Reads the node tree of a glTF and its rest transforms."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ MAX_NODES = 200_000
 
 
 def read_nodes(
-    root: JsonItem, notes: FileNotices, meshes: int, skins: int
+    root: JsonItem, notes: FileNotices, mesh_count: int, skin_count: int
 ) -> tuple[Node, ...]:
     """Return the nodes in file order."""
     items = root.children("nodes")
     if len(items) > MAX_NODES:
         notes.fail("GLT013", "/nodes", f"{len(items)} nodes; the limit is {MAX_NODES}")
-    children = [item.indices("children", len(items), "node") for item in items]
-    parents = _parent_indices(items, children, notes)
+    child_lists = [item.indices("children", len(items), "node") for item in items]
+    parents = _parent_indices(items, child_lists, notes)
     return tuple(
-        _read_node(item, parents[i], children[i], meshes, skins, notes)
+        _read_node(item, parents[i], child_lists[i], mesh_count, skin_count, notes)
         for i, item in enumerate(items)
     )
 
@@ -49,14 +49,16 @@ def _parent_indices(
             parents[child] = i
     is_checked = [False] * len(items)
     for i in range(len(items)):
-        path: dict[int, None] = {}
-        at = i
-        while at >= 0 and not is_checked[at]:
-            if at in path:
-                notes.fail("GLT009", items[at].pointer, "the node is its own ancestor")
-            path[at] = None
-            at = parents[at]
-        for node in path:
+        visited: dict[int, None] = {}
+        ancestor = i
+        while ancestor >= 0 and not is_checked[ancestor]:
+            if ancestor in visited:
+                notes.fail(
+                    "GLT009", items[ancestor].pointer, "the node is its own ancestor"
+                )
+            visited[ancestor] = None
+            ancestor = parents[ancestor]
+        for node in visited:
             is_checked[node] = True
     return parents
 
@@ -65,22 +67,24 @@ def _read_node(
     item: JsonItem,
     parent: int,
     children: list[int],
-    meshes: int,
-    skins: int,
+    mesh_count: int,
+    skin_count: int,
     notes: FileNotices,
 ) -> Node:
-    mesh = item.index("mesh", meshes, "mesh")
-    skin = item.index("skin", skins, "skin")
+    mesh = item.index("mesh", mesh_count, "mesh")
+    skin = item.index("skin", skin_count, "skin")
     weights = item.floats("weights", None)
     if mesh < 0:
         for key, is_stated in (("skin", skin >= 0), ("weights", weights is not None)):
             if is_stated:
                 message = f"{key} of a node without a mesh is ignored"
-                notes.warn("GLT106", item.at(key), message)
+                notes.warn("GLT106", item.pointer_to(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _read_transform(item, notes)
     visibility = item.extension(VISIBILITY)
-    visible = visibility is None or visibility.values.get("visible", True) is not False
+    is_visible = (
+        visibility is None or visibility.values.get("visible", True) is not False
+    )
     return Node(
         item.text("name"),
         parent,
@@ -91,7 +95,7 @@ def _read_node(
         mesh,
         skin,
         None if weights is None else tuple(weights),
-        visible,
+        is_visible,
         has_matrix,
         mesh < 0 and animtool_extras(item).get("above") is True,
     )
@@ -115,7 +119,7 @@ def _read_transform(
         ):
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
-                notes.warn("GLT106", item.at(key), message)
+                notes.warn("GLT106", item.pointer_to(key), message)
         return (*_decompose(np.array(matrix), item, notes), True)
     translation, rotation, scale = (
         default if component is None else component
@@ -125,10 +129,10 @@ def _read_transform(
     )
     length = math.hypot(*rotation)
     if length == 0.0:
-        notes.fail("GLT010", item.at("rotation"), "a rotation has length 0")
+        notes.fail("GLT010", item.pointer_to("rotation"), "a rotation has length 0")
     if abs(length - 1.0) > UNIT_TOLERANCE:
         message = f"the rotation has length {length:.6g}: it is normalised"
-        notes.warn("GLT103", item.at("rotation"), message)
+        notes.warn("GLT103", item.pointer_to("rotation"), message)
     x, y, z = translation
     a, b, c, w = (value / length for value in rotation)
     u, v, s = scale
@@ -149,7 +153,7 @@ def _decompose(
 ]:
     """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
-    where = item.at("matrix")
+    where = item.pointer_to("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
         notes.fail("GLT010", where, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
@@ -179,10 +183,10 @@ def read_scenes(
         for k, node in enumerate(scene_nodes):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
-                notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
+                notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
             if node in scene_nodes[:k]:
                 message = f"node {node} is listed twice; it is in the tree once"
-                notes.warn("GLT106", f"{item.at('nodes')}/{k}", message)
+                notes.warn("GLT106", f"{item.pointer_to('nodes')}/{k}", message)
         scenes.append(scene_nodes)
     default = root.index("scene", len(scenes), "scene")
     return scenes, (0 if default < 0 and scenes else default)

@@ -1,4 +1,4 @@
-"""glTF reader: rigs, and animations as streams of motion."""
+"""Reads rigs and animations from glTF files."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.document import Gltf, left_out_text, open_gltf
-from animtool.formats.gltf.keys import clip_of_gltf
+from animtool.formats.gltf.document import Gltf, ignored_contents_text, open_gltf
+from animtool.formats.gltf.keys import build_clip
 from animtool.formats.gltf.rig import build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
     NativeKeys,
     animates_rig,
-    clip_stream,
-    sampler_of,
+    build_sampler,
+    build_stream,
 )
-from animtool.formats.gltf.timing import distinct_clip_names, frames_of
+from animtool.formats.gltf.timing import find_frame_range, unique_clip_names
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 MAX_LISTED_CONTENTS = 8
 # Codes for an unknown character, and for one of several.
 CHARACTER_CODES = "GLT014", "GLT109"
-MESSAGES = TakeMessages(
+TAKE_MESSAGES = TakeMessages(
     "clip",
     "has no animation: the rig is read at rest",
-    unknown="GLT015",
-    none="GLT116",
-    several="GLT121",
+    unknown_code="GLT015",
+    no_take_code="GLT116",
+    several_code="GLT121",
 )
 
 
@@ -64,22 +64,22 @@ def read_gltf(
     character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
     meters = LengthUnit.M if unit is None else unit
     gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
-    names = distinct_clip_names(gltf.animations)
-    animated = (
+    names = unique_clip_names(gltf.animations)
+    animated_indices = (
         i
         for i, animation_ in enumerate(gltf.animations)
         if animates_rig(gltf_rig, animation_)
     )
     candidates = range(len(names))
-    index, notes = choose_take(
-        MESSAGES, str(path), names, take, candidates, next(animated, 0)
+    index, take_notices = choose_take(
+        TAKE_MESSAGES, str(path), names, take, candidates, next(animated_indices, 0)
     )
     animation = None if index < 0 else gltf.animations[index]
-    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *notes]
-    notices += _unread_notice(gltf, animation)
-    sampler = sampler_of(gltf, gltf_rig, animation)
-    frames = frames_of(animation, rate, str(path), sampler.numbers)
-    stream = clip_stream(gltf_rig, sampler, frames)
+    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *take_notices]
+    notices += _ignored_contents_notice(gltf, animation)
+    sampler = build_sampler(gltf, gltf_rig, animation)
+    frames = find_frame_range(animation, rate, str(path), sampler.values_per_frame)
+    stream = build_stream(gltf_rig, sampler, frames)
     stream.notices[:] = [*notices, *frames.notices]
     last_time = 0.0 if animation is None else animation.span[1]
     return finish_stream(
@@ -87,7 +87,7 @@ def read_gltf(
         "glTF",
         names,
         index,
-        lambda name: clip_of_gltf(name, gltf_rig, sampler, frames),
+        lambda name: build_clip(name, gltf_rig, sampler, frames),
         NativeKeys(sampler, frames, last_time),
     )
 
@@ -111,22 +111,22 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
 
 def take_names(path: Path) -> list[str]:
     """Return the names of a glTF's animations, in file order."""
-    return distinct_clip_names(open_gltf(path).animations)
+    return unique_clip_names(open_gltf(path).animations)
 
 
-def _unread_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
-    """Return one notice about file contents that takes cannot store."""
-    names = [left_out_text(gltf)] if gltf.left_out else []
+def _ignored_contents_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
+    """Return a notice that lists contents that takes cannot store, if any."""
+    contents = [ignored_contents_text(gltf)] if gltf.ignored_contents else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is TargetPath.VISIBLE for track in tracks):
-        names.append("animated visibility")
+        contents.append("animated visibility")
     nodes = enumerate(gltf.nodes)
     hidden_names = [node.name or f"node_{i}" for i, node in nodes if not node.visible]
     if hidden_names:
-        names.append(
+        contents.append(
             f"that nodes are hidden: {listed(hidden_names, MAX_LISTED_CONTENTS)}"
         )
-    if not names:
+    if not contents:
         return []
-    message = f"ignored: {', '.join(names)}"
+    message = f"ignored: {', '.join(contents)}"
     return [Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE)]

@@ -1,4 +1,4 @@
-"""glTF animations sampled as rig motion at any times."""
+"""Samples glTF animations as rig motion at any times."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
 from animtool.formats.gltf.animation_targets import TargetPath
-from animtool.formats.gltf.animations import Animation, GltfTrack, interpolate
+from animtool.formats.gltf.animations import Animation, GltfTrack, interpolate_tracks
 from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.rig import GltfRig, folded_nodes
+from animtool.formats.gltf.rig import GltfRig, find_folded_nodes
 from animtool.formats.gltf.timing import GltfFrames
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -25,14 +25,13 @@ from animtool.motion.take import TakeStream
 
 # Times this close to a key, relative to the time, equal the key in float32.
 KEY_TIME_TOLERANCE = 1.5 * float(np.finfo(np.float32).eps)
-# Frames per block, of which 60 joints take 30 MB, and per chunk that is evaluated at
-# once.
+# Frames per block of a stream (30 MB for 60 joints), and per chunk evaluated at once.
 BLOCK_FRAMES, CHUNK_FRAMES = 16384, 512
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AnimatedRow:
-    """A track and the channel row that it animates."""
+    """The channel row that a track animates."""
 
     row: int
     track: GltfTrack
@@ -44,24 +43,26 @@ class GltfSampler:
     """Sampler of an animation's rig motion at any times."""
 
     # Static values of each channel ``(rows, width)``.
-    rest: dict[TargetPath, FloatArray]
+    rest_values: dict[TargetPath, FloatArray]
     tracks: dict[TargetPath, list[AnimatedRow]]
     has_scale: bool  # whether any joint has a scale
-    _grids: dict[int, tuple[IntArray | slice, FloatArray]] = field(default_factory=dict)
+    _segments_by_keys: dict[int, tuple[IntArray | slice, FloatArray]] = field(
+        default_factory=dict
+    )
 
     @property
-    def numbers(self) -> int:
-        """Count of animated numbers per frame."""
+    def values_per_frame(self) -> int:
+        """Number of animated values per frame."""
         counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
         return sum(
             counts.get(path, 3) * len(tracks) for path, tracks in self.tracks.items()
         )
 
-    def at(self, times: FloatArray) -> Motion:
+    def sample(self, times: FloatArray) -> Motion:
         """Return the motion at times ``(F,)`` [s]."""
-        self._grids.clear()
-        channels = {path: self._channel(path, times) for path in self.rest}
-        shapes = len(self.rest[TargetPath.WEIGHTS])
+        self._segments_by_keys.clear()
+        channels = {path: self._channel(path, times) for path in self.rest_values}
+        shapes = len(self.rest_values[TargetPath.WEIGHTS])
         return Motion(
             channels[TargetPath.TRANSLATION],
             channels[TargetPath.ROTATION],
@@ -70,15 +71,17 @@ class GltfSampler:
         )
 
     def _channel(self, path: TargetPath, times: FloatArray) -> Channel:
-        rest, row_tracks = self.rest[path], self.tracks[path]
+        rest, row_tracks = self.rest_values[path], self.tracks[path]
         rows = np.array([row_track.row for row_track in row_tracks], np.int64)
         if path is TargetPath.ROTATION and row_tracks:
-            keys = [
+            keys_by_row = [
                 self._consecutive_keys(row_track.track, times)
                 for row_track in row_tracks
             ]
-            channel_keys = [keys_ for keys_ in keys if keys_ is not None]
-            if len(channel_keys) == len(keys):
+            channel_keys = [
+                row_keys for row_keys in keys_by_row if row_keys is not None
+            ]
+            if len(channel_keys) == len(keys_by_row):
                 return Channel(
                     rest, rows, _kernels.unpack_rotations(channel_keys, None)
                 )
@@ -87,8 +90,8 @@ class GltfSampler:
         factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
         has_scale = bool((factors != 1.0).any())
         # A chunk stays in the processor's cache.
-        for at in range(0, len(times) if row_tracks else 0, CHUNK_FRAMES):
-            chunk = slice(at, min(at + CHUNK_FRAMES, len(times)))
+        for first in range(0, len(times) if row_tracks else 0, CHUNK_FRAMES):
+            chunk = slice(first, min(first + CHUNK_FRAMES, len(times)))
             for columns in groups:
                 tracks = [row_tracks[k].track for k in columns]
                 values[chunk, columns] = self._track_values(tracks, times, chunk)
@@ -96,21 +99,21 @@ class GltfSampler:
                 values[chunk] *= factors
             if path is TargetPath.ROTATION:
                 _normalize_rows(values[chunk])
-                _align_signs(values[chunk], values[at - 1] if at else None)
+                _align_signs(values[chunk], values[first - 1] if first else None)
         return Channel(rest, rows, values)
 
     def _cached_segments(
         self, keys: FloatArray, times: FloatArray
     ) -> tuple[IntArray | slice, FloatArray]:
-        """Return `segments`, cached for tracks with the same keys."""
-        if id(keys) not in self._grids:
-            self._grids[id(keys)] = segments(keys, times)
-        return self._grids[id(keys)]
+        """Return `find_segments`, cached for tracks with the same keys."""
+        if id(keys) not in self._segments_by_keys:
+            self._segments_by_keys[id(keys)] = find_segments(keys, times)
+        return self._segments_by_keys[id(keys)]
 
     def _consecutive_keys(
         self, track: GltfTrack, times: FloatArray
     ) -> npt.NDArray[np.float32] | None:
-        """Return a track's values if the times are consecutive keys of the track.
+        """Return the track's values at times that are consecutive keys of the track.
 
         Returns None for other times, and for files that do not store floats.
         """
@@ -130,16 +133,16 @@ class GltfSampler:
         """
         keys = tracks[0].times
         if len(keys) == 1:
-            return np.stack([track.at(times[chunk]) for track in tracks], axis=1)
+            return np.stack([track.sample(times[chunk]) for track in tracks], axis=1)
         key_indices, fractions = self._cached_segments(keys, times)
         if isinstance(key_indices, slice):
             at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
-        if fractions is _NO_TIMES:
+        if fractions is _ON_KEYS:
             return np.stack(
                 [track.values[key_indices[chunk]] for track in tracks], axis=1
             )
-        return interpolate(tracks, key_indices[chunk], fractions[chunk])
+        return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
 
 def _group_tracks(row_tracks: list[AnimatedRow]) -> list[list[int]]:
@@ -157,18 +160,18 @@ class NativeKeys:
 
     sampler: GltfSampler
     frames: GltfFrames
-    last: float
+    last_time: float
 
 
-_NO_TIMES = np.zeros(0)
+_ON_KEYS = np.zeros(0)
 
 
-def segments(
+def find_segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
-    """Return the key before each time, and the times; close times snap to the key.
+    """Return the key before each time, and the times snapped to close keys.
 
-    If all times are keys or outside the keys, the times are `_NO_TIMES` and the indices
+    If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
     are those of the keys.
     """
     last_key = len(keys) - 1
@@ -184,8 +187,8 @@ def segments(
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
             return slice(
                 int(key_indices[0]), int(key_indices[0]) + len(key_indices)
-            ), _NO_TIMES
-        return np.asarray(key_indices), _NO_TIMES
+            ), _ON_KEYS
+        return np.asarray(key_indices), _ON_KEYS
     snapped_times = np.where(is_on_key, keys[key_indices], times)
     return np.minimum(key_indices, last_key - 1), snapped_times
 
@@ -213,7 +216,7 @@ def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
         rotations[:] = so3.align_signs(rotations, previous)
 
 
-def sampler_of(
+def build_sampler(
     gltf: Gltf, gltf_rig: GltfRig, animation: Animation | None
 ) -> GltfSampler:
     """Return the sampler of a rig's animation; None samples the rest pose."""
@@ -221,29 +224,31 @@ def sampler_of(
     rest = {
         TargetPath.TRANSLATION: rig.rest_translations.copy(),
         TargetPath.ROTATION: rig.rest_rotations.copy(),
-        TargetPath.SCALE: gltf_rig.scales.copy(),
+        TargetPath.SCALE: gltf_rig.remaining_scales.copy(),
         TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
     tracks: dict[TargetPath, list[AnimatedRow]] = {path: [] for path in rest}
-    is_folded = folded_nodes(gltf)
+    is_folded = find_folded_nodes(gltf)
     for path, row_track in _animated_rows(
         gltf, gltf_rig, animation.tracks if animation else (), is_folded
     ):
-        if _is_static(row_track.track):
-            value = row_track.track.at(row_track.track.times[:1])[0] * row_track.factor
+        if _is_constant(row_track.track):
+            value = (
+                row_track.track.sample(row_track.track.times[:1])[0] * row_track.factor
+            )
             rest[path][row_track.row] = value
         else:
             tracks[path].append(row_track)
-    for rows in tracks.values():
-        rows.sort(key=lambda row_track: row_track.row)
+    for channel_tracks in tracks.values():
+        channel_tracks.sort(key=lambda row_track: row_track.row)
     has_scale = bool(tracks[TargetPath.SCALE]) or bool(
         (rest[TargetPath.SCALE] != 1.0).any()
     )
     return GltfSampler(rest, tracks, has_scale)
 
 
-def _is_static(track: GltfTrack) -> bool:
-    """Return whether a track's value never changes."""
+def _is_constant(track: GltfTrack) -> bool:
+    """Return whether a track always has the same value."""
     slopes = [slope for slope in (track.ins, track.outs) if slope is not None]
     if len(track.times) == 1:
         return True
@@ -254,9 +259,9 @@ def _is_static(track: GltfTrack) -> bool:
 
 
 def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
-    """Return the shape weights without an animation ``(S, 1)``."""
-    weights = np.zeros((len(gltf_rig.shapes), 1))
-    for row, (node, target) in enumerate(gltf_rig.shapes):
+    """Return the shape weights of the rest pose ``(S, 1)``."""
+    weights = np.zeros((len(gltf_rig.shape_sources), 1))
+    for row, (node, target) in enumerate(gltf_rig.shape_sources):
         node_weights = gltf.nodes[node].weights
         mesh_weights = gltf.meshes[gltf.nodes[node].mesh].weights
         weights[row] = (
@@ -269,13 +274,13 @@ def _animated_rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], is_folded: BoolArray
 ) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return the channel rows that tracks animate."""
-    rows: list[tuple[TargetPath, AnimatedRow]] = []
+    animated_rows: list[tuple[TargetPath, AnimatedRow]] = []
     mesh_tracks: list[GltfTrack] = []
     for track in tracks:
         if track.path is TargetPath.WEIGHTS:
             mesh_tracks.append(track)
             continue
-        joint = int(gltf_rig.joints[track.node])
+        joint = int(gltf_rig.joint_of_node[track.node])
         if joint < 0 or track.path is TargetPath.VISIBLE:
             continue
         if track.path is TargetPath.SCALE and is_folded[track.node]:
@@ -285,28 +290,30 @@ def _animated_rows(
             parent = gltf.nodes[track.node].parent
             factor = 1.0 if parent < 0 else float(gltf_rig.folded_scales[parent])
             factor *= gltf_rig.rig.meters_per_unit
-        rows.append((track.path, AnimatedRow(joint, track, factor)))
-    rows += _weight_rows(gltf, gltf_rig, mesh_tracks)
-    return rows
+        animated_rows.append((track.path, AnimatedRow(joint, track, factor)))
+    animated_rows += _weight_rows(gltf, gltf_rig, mesh_tracks)
+    return animated_rows
 
 
 def _weight_rows(
     gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
 ) -> list[tuple[TargetPath, AnimatedRow]]:
-    """Return animated shapes; tracks of nodes come before those of meshes."""
-    by_row: dict[int, GltfTrack] = {}
+    """Return animated shapes; tracks of nodes override those of meshes."""
+    track_by_row: dict[int, GltfTrack] = {}
     for track in sorted(
-        tracks, key=lambda track_: (track_.node < 0, track_.weight_index < 0)
+        tracks,
+        key=lambda each_track: (each_track.node < 0, each_track.weight_index < 0),
     ):
-        for row, (node, target) in enumerate(gltf_rig.shapes):
+        for row, (node, target) in enumerate(gltf_rig.shape_sources):
             entry = gltf.nodes[node]
-            by_mesh = track.mesh == entry.mesh and entry.weights is None
-            if (track.node == node or (track.node < 0 and by_mesh)) and (
+            targets_mesh = track.mesh == entry.mesh and entry.weights is None
+            if (track.node == node or (track.node < 0 and targets_mesh)) and (
                 track.weight_index in {-1, target}
             ):
-                by_row.setdefault(row, _weight_track(track, target))
+                track_by_row.setdefault(row, _weight_track(track, target))
     return [
-        (TargetPath.WEIGHTS, AnimatedRow(row, track)) for row, track in by_row.items()
+        (TargetPath.WEIGHTS, AnimatedRow(row, track))
+        for row, track in track_by_row.items()
     ]
 
 
@@ -328,22 +335,24 @@ def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
     )
 
 
-def clip_stream(
+def build_stream(
     gltf_rig: GltfRig, sampler: GltfSampler, frames: GltfFrames
 ) -> TakeStream:
     """Return an animation as a stream, sampled block by block."""
     clock = Clock(frames.fps, frames.first, Fraction(1), frames.count)
 
     def sample(codes: FloatArray) -> Motion:
-        return sampler.at(frames.seconds(codes))
+        return sampler.sample(frames.seconds(codes))
 
     return sampled_stream(gltf_rig.rig, clock, sample, BLOCK_FRAMES)
 
 
 def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:
     """Return whether an animation moves the rig."""
-    shapes = {node for node, _ in gltf_rig.shapes}
+    shape_nodes = {node for node, _ in gltf_rig.shape_sources}
     return any(
-        track.mesh >= 0 or gltf_rig.joints[track.node] >= 0 or track.node in shapes
+        track.mesh >= 0
+        or gltf_rig.joint_of_node[track.node] >= 0
+        or track.node in shape_nodes
         for track in animation.tracks
     )

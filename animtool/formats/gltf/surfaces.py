@@ -1,4 +1,4 @@
-"""glTF meshes and morph targets as rig meshes and shapes."""
+"""Builds rig meshes and shapes from glTF meshes and morph targets."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.formats.characters.binding import SkinBinder
 from animtool.formats.characters.choice import CharacterNodes
 from animtool.formats.characters.names import replace_unprintable, shape_names
 from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.meshes import Primitive, skin_weights, triangles
+from animtool.formats.gltf.meshes import Primitive, build_triangles, read_skin_weights
 from animtool.rig.parts import LoadedArray, Mesh, Shape, Skin, Subdivision
 
 ShapeKey = tuple[int, int]  # node and morph target
@@ -22,14 +22,14 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SharedVertices:
-    """Vertices common to several primitives, with their offset in the mesh."""
+    """Vertices shared by primitives, with their offset in the mesh."""
 
     primitive: Primitive
-    first: int  # index of their first vertex in the mesh
+    first_vertex: int  # index of their first vertex in the mesh
     count: int
 
 
-def mesh_parts(
+def build_meshes(
     gltf: Gltf, character: CharacterNodes, binder: SkinBinder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
     """Return a character's meshes and shapes, the shapes' keys, and notices."""
@@ -37,40 +37,43 @@ def mesh_parts(
     names = mesh_names(gltf, nodes)
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    keys: list[ShapeKey] = []
-    empty: list[str] = []
-    targets: list[tuple[str, list[LoadedArray], list[LoadedArray | None]]] = []
+    shape_keys: list[ShapeKey] = []
+    empty_meshes: list[str] = []
+    arrays_by_node: list[tuple[str, list[LoadedArray], list[LoadedArray | None]]] = []
     for node in nodes:
         mesh = _build_mesh(gltf, node, names[node], binder)
-        count = gltf.meshes[gltf.nodes[node].mesh].targets
+        target_count = gltf.meshes[gltf.nodes[node].mesh].targets
         if mesh is None:
-            empty.append(names[node])
+            empty_meshes.append(names[node])
             deltas: list[LoadedArray] = []
             normals: list[LoadedArray | None] = []
-            keys += [(node, target) for target in range(count)]
-            targets.append(("", deltas, normals))
+            shape_keys += [(node, target) for target in range(target_count)]
+            arrays_by_node.append(("", deltas, normals))
             continue
         meshes.append(mesh)
-        keys += [(node, target) for target in range(count)]
-        targets.append((names[node], *_morph_offsets(gltf, node)))
-    shape_names_ = iter(names_of_shapes(gltf, keys, names))
-    of_node = iter(targets)
+        shape_keys += [(node, target) for target in range(target_count)]
+        arrays_by_node.append((names[node], *_morph_offsets(gltf, node)))
+    remaining_names = iter(find_shape_names(gltf, shape_keys, names))
+    target_arrays = iter(arrays_by_node)
     for node in nodes:
-        name, deltas, normals = next(of_node)
+        name, deltas, normals = next(target_arrays)
         for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-            shape = next(shape_names_)
+            shape = next(remaining_names)
             arrays = (deltas[target], normals[target]) if name else (None, None)
             shapes.append(Shape(shape, name, *arrays))
     notices = []
-    if empty:
-        message = f"{counted(len(empty), 'mesh', 'meshes')} with only points or lines, "
-        message += f"or with no geometry, skipped: {listed(empty)}"
+    if empty_meshes:
+        message = (
+            f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
+            "lines, "
+        )
+        message += f"or with no geometry, skipped: {listed(empty_meshes)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
-    return tuple(meshes), tuple(shapes), tuple(keys), notices
+    return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
 
 def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
-    """Return distinct mesh names, from the nodes that carry them."""
+    """Return unique mesh names by node."""
     names = []
     for node in nodes:
         entry = gltf.nodes[node]
@@ -80,26 +83,28 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
     return dict(zip(nodes, numbered_names(names), strict=True))
 
 
-def names_of_shapes(
-    gltf: Gltf, keys: Sequence[ShapeKey], meshes: dict[int, str]
+def find_shape_names(
+    gltf: Gltf, keys: Sequence[ShapeKey], name_of_mesh: dict[int, str]
 ) -> list[str]:
-    """Return distinct shape names, prefixed with the mesh if ambiguous."""
-    texts = []
+    """Return unique shape names, prefixed with the mesh if ambiguous."""
+    name_options = []
     for node, target in keys:
         names = gltf.meshes[gltf.nodes[node].mesh].target_names
-        text = names[target] if names else ""
-        texts.append((text, f"{meshes[node]}_{target}", meshes[node]))
-    return shape_names(texts)
+        target_name = names[target] if names else ""
+        name_options.append(
+            (target_name, f"{name_of_mesh[node]}_{target}", name_of_mesh[node])
+        )
+    return shape_names(name_options)
 
 
 def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
-    """Return a mesh's vertex sets; primitives may share one."""
+    """Return the vertex sets of a mesh; primitives may share one."""
     vertex_sets: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
-        if primitive.position >= 0 and primitive.vertices not in vertex_sets:
+        if primitive.position >= 0 and primitive.vertex_key not in vertex_sets:
             count = gltf.accessors.get(primitive.position).count
-            vertex_sets[primitive.vertices] = _SharedVertices(primitive, first, count)
+            vertex_sets[primitive.vertex_key] = _SharedVertices(primitive, first, count)
             first += count
     return list(vertex_sets.values())
 
@@ -109,22 +114,24 @@ def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
     target_primitive = gltf.meshes[gltf.nodes[node].mesh].primitives[primitive]
     vertex_sets = _shared_vertices(gltf, node)
     return next(
-        vertices.first
+        vertices.first_vertex
         for vertices in vertex_sets
-        if vertices.primitive.vertices == target_primitive.vertices
+        if vertices.primitive.vertex_key == target_primitive.vertex_key
     )
 
 
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
     vertex_sets = _shared_vertices(gltf, node)
-    starts = {vertices.primitive.vertices: vertices.first for vertices in vertex_sets}
+    starts = {
+        vertices.primitive.vertex_key: vertices.first_vertex for vertices in vertex_sets
+    }
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
             count = gltf.accessors.get(primitive.position).count
-            corners = triangles(primitive, count, gltf.accessors)
-            faces.append(corners + starts[primitive.vertices])
+            triangles = build_triangles(primitive, count, gltf.accessors)
+            faces.append(triangles + starts[primitive.vertex_key])
     if not sum(map(len, faces)):
         return None
     points = [
@@ -160,13 +167,15 @@ def _build_skin(
     index = gltf.nodes[node].skin
     if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
         geometry, joints = binder.bind_skin(index)
-        rows = [
-            skin_weights(vertices.primitive, len(joints), gltf.accessors, gltf.notes)
+        skin_rows = [
+            read_skin_weights(
+                vertices.primitive, len(joints), gltf.accessors, gltf.notes
+            )
             for vertices in vertex_sets
         ]
-        width = max(indices.shape[1] for indices, _ in rows)
-        indices = np.concatenate([_padded_columns(row, width) for row, _ in rows])
-        weights = np.concatenate([_padded_columns(row, width) for _, row in rows])
+        width = max(indices.shape[1] for indices, _ in skin_rows)
+        indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
+        weights = np.concatenate([_pad_columns(row, width) for _, row in skin_rows])
     else:
         geometry, joint = binder.bind_node(node)
         joints = [joint]
@@ -182,7 +191,7 @@ def _build_skin(
     return skin, geometry
 
 
-def _padded_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
+def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
     padded = np.zeros((len(values), width))
     padded[:, : values.shape[1]] = values
     return padded
@@ -195,7 +204,7 @@ def _morph_offsets(
     vertex_sets = _shared_vertices(gltf, node)
     deltas: list[LoadedArray] = []
     normals: list[LoadedArray | None] = []
-    with_normals = _vertex_normals(gltf, vertex_sets) is not None
+    has_normals = _vertex_normals(gltf, vertex_sets) is not None
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
         point_rows: list[FloatArray] = []
         normal_rows: list[FloatArray] = []
@@ -212,7 +221,7 @@ def _morph_offsets(
         normal_offsets = np.concatenate(normal_rows)
         normals.append(
             LoadedArray(normal_offsets)
-            if with_normals and normal_offsets.any()
+            if has_normals and normal_offsets.any()
             else None
         )
     return deltas, normals

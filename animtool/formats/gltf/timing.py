@@ -1,4 +1,4 @@
-"""Frame rate and range of a glTF animation, whose keys are in seconds."""
+"""Finds the frame rate and range of a glTF animation, whose keys are in seconds."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ DEFAULT_RATE = Fraction(30)
 # Keys closer to a frame than this [frame], or within the relative precision of their
 # time, are on it.
 FRAME_TOLERANCE, TIME_PRECISION = 1e-3, 4e-7
-# Limit of a take's animated numbers over all frames.
-MAX_VALUES = 60_000_000
+# Maximum number of animated values of a take, over all frames.
+MAX_TAKE_VALUES = 60_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,8 +46,8 @@ class GltfFrames:
         return np.asarray((codes - float(self.start)) / float(self.fps))
 
 
-def frames_of(
-    animation: Animation | None, fps: Fraction | None, path: str, width: int
+def find_frame_range(
+    animation: Animation | None, fps: Fraction | None, path: str, values_per_frame: int
 ) -> GltfFrames:
     """Return the frame range and rate of an animation.
 
@@ -57,7 +57,7 @@ def frames_of(
         animation: The animation; None is one frame.
         fps: Requested frame rate; None derives it from the keys.
         path: The file, for notices.
-        width: Animated numbers per frame.
+        values_per_frame: Number of animated values per frame.
     """
     if animation is None or not animation.tracks:
         return GltfFrames(fps or RATES_BY_PREFERENCE[0], Fraction(0), Fraction(0), 1)
@@ -67,7 +67,11 @@ def frames_of(
         fps
         or stated_rate
         or next(
-            (rate_ for rate_ in RATES_BY_PREFERENCE if _fits_rate(times, rate_)),
+            (
+                candidate
+                for candidate in RATES_BY_PREFERENCE
+                if _fits_rate(times, candidate)
+            ),
             DEFAULT_RATE,
         )
     )
@@ -82,10 +86,10 @@ def frames_of(
         math.ceil(last_time * float(rate) - _frame_tolerance(last_time, rate)),
     )
     count = last_frame - first_frame + 1
-    if count > MAX_FRAMES or count * max(width, 1) > MAX_VALUES:
+    if count > MAX_FRAMES or count * max(values_per_frame, 1) > MAX_TAKE_VALUES:
         duration = last_time - first_time
         message = f"{duration:.6g} s at {rate_label(rate)} are {count} frames of "
-        message += f"{width} numbers, above the limit"
+        message += f"{values_per_frame} numbers, above the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
@@ -100,8 +104,10 @@ def frames_of(
 
 def key_times(animation: Animation) -> FloatArray:
     """Return all distinct key times [s]."""
-    distinct: dict[int, FloatArray] = {id(t.times): t.times for t in animation.tracks}
-    return np.unique(np.concatenate(list(distinct.values())))
+    times_by_id: dict[int, FloatArray] = {
+        id(t.times): t.times for t in animation.tracks
+    }
+    return np.unique(np.concatenate(list(times_by_id.values())))
 
 
 def _frame_tolerance(time: float, rate: Fraction) -> float:
@@ -123,9 +129,10 @@ def _fits_rate(times: FloatArray, rate: Fraction) -> bool:
 def _off_frame_fault(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
-    is_off = _frame_distances(times, rate) > FRAME_TOLERANCE
+    is_off_frame = _frame_distances(times, rate) > FRAME_TOLERANCE
     message = (
-        f"{int(is_off.sum())} of {len(times)} key times fall between the frames at "
+        f"{int(is_off_frame.sum())} of {len(times)} key times fall between the frames "
+        "at "
     )
     message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
@@ -135,7 +142,7 @@ def _off_frame_fault(
 
 
 def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:
-    """Return rate and start frame that animtool wrote to the animation."""
+    """Return the rate and start frame recorded by animtool."""
     entry = extras.get("animtool")
     if not isinstance(entry, dict):
         return None, Fraction(0)
@@ -147,8 +154,8 @@ def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]
     return rate, start if abs(start) < 10**9 else Fraction(0)
 
 
-def distinct_clip_names(animations: Iterable[Animation]) -> list[str]:
-    """Return a distinct name for every animation; unnamed ones are numbered."""
+def unique_clip_names(animations: Iterable[Animation]) -> list[str]:
+    """Return a unique name for each animation; unnamed ones are numbered."""
     from animtool.core.names import numbered_names
 
     names = [

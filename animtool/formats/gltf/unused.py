@@ -1,4 +1,7 @@
-"""glTF contents that only images and materials use; these are not checked."""
+"""Finds accessors, views and buffers that only images and materials use.
+
+These are not checked.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,7 @@ from typing import Any
 from animtool.core.record import dataclass
 from animtool.formats.gltf.json_items import is_number
 
-# Attributes of a primitive that are read, and those for appearance.
+# Vertex attributes that are read, and those that only affect appearance.
 _READ_ATTRIBUTES = re.compile(r"POSITION|NORMAL|(?:JOINTS|WEIGHTS)_(?:0|[1-9]\d{0,3})")
 _APPEARANCE_ATTRIBUTES = re.compile(
     r"TANGENT|(?:TEXCOORD|COLOR)_(?:0|[1-9]\d*)|_.*", re.DOTALL
@@ -25,32 +28,36 @@ class UnusedIndices:
     buffers: frozenset[int]
 
 
-def unused_parts(root: dict[str, Any]) -> UnusedIndices:
-    """Return indices referenced only by contents that are not read."""
-    read: set[int] = set()
-    unread: set[int] = set()
+def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
+    """Return indices that only ignored contents refer to."""
+    read_accessors: set[int] = set()
+    unread_accessors: set[int] = set()
     for primitive in _all_primitives(root):
         for attributes in _primitive_accessors(primitive):
             for name, index in attributes.items():
                 if is_number(index):
-                    (read if is_read(str(name)) else unread).add(int(index))
-    used = {*read, *_used_elsewhere(root)}
-    accessors = frozenset(unread - used)
+                    (
+                        read_accessors
+                        if is_supported_attribute(str(name))
+                        else unread_accessors
+                    ).add(int(index))
+    used = {*read_accessors, *_used_elsewhere(root)}
+    accessors = frozenset(unread_accessors - used)
     images = set(_image_views(root))
     entries = list(enumerate(_dicts(root.get("accessors"))))
-    of_read = {
+    used_views = {
         view
         for i, entry in entries
         if i not in accessors
         for view in _accessor_views(entry)
     }
-    of_other = {
+    unused_views = {
         view
         for i, entry in entries
         if i in accessors
         for view in _accessor_views(entry)
     }
-    views = frozenset((images | of_other) - of_read)
+    views = frozenset((images | unused_views) - used_views)
     buffer_views = list(enumerate(_dicts(root.get("bufferViews"))))
     used_buffers = {
         _valid_index(view.get("buffer")) for i, view in buffer_views if i not in views
@@ -63,22 +70,24 @@ def unused_parts(root: dict[str, Any]) -> UnusedIndices:
     )
 
 
-def is_read(attribute: str) -> bool:
+def is_supported_attribute(attribute: str) -> bool:
     """Return whether a vertex attribute is read.
 
-    >>> is_read("JOINTS_1"), is_read("TEXCOORD_0")
+    >>> is_supported_attribute("JOINTS_1"), is_supported_attribute("TEXCOORD_0")
     (True, False)
     """
     return _READ_ATTRIBUTES.fullmatch(attribute) is not None
 
 
-def is_known(attribute: str) -> bool:
+def is_known_attribute(attribute: str) -> bool:
     """Return whether a vertex attribute is standard or application-specific.
 
-    >>> is_known("COLOR_0"), is_known("_PAINT"), is_known("TEXCOORD_00")
-    (True, True, False)
+    >>> is_known_attribute("COLOR_0"), is_known_attribute("TEXCOORD_00")
+    (True, False)
     """
-    return _APPEARANCE_ATTRIBUTES.fullmatch(attribute) is not None or is_read(attribute)
+    return _APPEARANCE_ATTRIBUTES.fullmatch(
+        attribute
+    ) is not None or is_supported_attribute(attribute)
 
 
 def _dicts(value: Any) -> Iterator[dict[str, Any]]:
@@ -124,6 +133,6 @@ def _accessor_views(accessor: dict[str, Any]) -> Iterator[int]:
     yield _valid_index(accessor.get("bufferView"))
     sparse = accessor.get("sparse")
     for name in ("indices", "values"):
-        sparse_part = sparse.get(name) if isinstance(sparse, dict) else None
-        if isinstance(sparse_part, dict):
-            yield _valid_index(sparse_part.get("bufferView"))
+        sparse_entry = sparse.get(name) if isinstance(sparse, dict) else None
+        if isinstance(sparse_entry, dict):
+            yield _valid_index(sparse_entry.get("bufferView"))

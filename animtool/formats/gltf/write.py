@@ -1,4 +1,4 @@
-"""glTF writer: a rig and its takes as one .glb or .gltf file."""
+"""Writes a rig and its takes as one .glb or .gltf file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.motion.take_files import TakeFiles, WriteOptions
 
 
-def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+def build_gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     """Return a rig and its takes as glTF: skin, shapes, named animations.
 
     Args:
@@ -29,7 +29,7 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         options: Other takes of the same rig, names of all takes, and a tolerance for
             keys.
     """
-    takes = [_rotate_to_y_up(each_take) for each_take in (take, *options.others)]
+    takes = [_rotate_to_y_up(written_take) for written_take in (take, *options.others)]
     first_take = takes[0]
     rig = first_take.rig
     if not rig.joints and not rig.meshes:
@@ -40,20 +40,20 @@ def gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     written_rig = write_rig(builder, rig, scales, _rest_weights(first_take))
     names = options.names or (path.stem,)
     notices = list(written_rig.notices)
-    for each_take, name in zip(takes, names, strict=True):
+    for written_take, name in zip(takes, names, strict=True):
         notices += write_clip(
-            builder, each_take, name, written_rig, scales, options.tolerance
+            builder, written_take, name, written_rig, scales, options.tolerance
         )
     clock = take.clock
-    span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
-    contents = {path: _output_parts(builder, path)}
-    return TakeFiles(contents, span, len(rig.joints), notices)
+    frame_span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
+    contents = {path: _output_chunks(builder, path)}
+    return TakeFiles(contents, frame_span, len(rig.joints), notices)
 
 
-def _output_parts(builder: GlbBuilder, path: Path) -> Any:
+def _output_chunks(builder: GlbBuilder, path: Path) -> Any:
     if path.suffix.lower() == ".gltf":
-        return builder.text_parts()
-    return builder.parts()
+        return builder.gltf_chunks()
+    return builder.glb_chunks()
 
 
 def _rotate_to_y_up(take: Take) -> Take:
@@ -64,7 +64,7 @@ def _rotate_to_y_up(take: Take) -> Take:
 
 
 def _rest_scales(take: Take) -> FloatArray:
-    """Return static joint scales ``(J, 3)``."""
+    """Return the joint scales of the first frame ``(J, 3)``."""
     scales = take.motion.scales
     if scales is None:
         return np.ones((len(take.rig.joints), 3))

@@ -1,4 +1,4 @@
-"""A take as a glTF animation: sampled, reduced, or with its clip's keys."""
+"""Writes a take as a glTF animation: sampled, reduced, or with its clip's keys."""
 
 from __future__ import annotations
 
@@ -13,7 +13,11 @@ from animtool.clip.reduction.points import SHELL_DISTANCE, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
-from animtool.formats.gltf.clip_keys import Keys, keys_of_clip, native_keys
+from animtool.formats.gltf.clip_keys import (
+    SamplerKeys,
+    convert_clip_keys,
+    convert_native_keys,
+)
 from animtool.formats.gltf.glb import GlbBuilder
 from animtool.formats.gltf.reduce import reduce_keys
 from animtool.formats.gltf.sampling import NativeKeys
@@ -27,23 +31,26 @@ STATIC_TOLERANCE = 1e-9
 
 @dataclass(slots=True)
 class _AnimationBuilder:
-    """Builder of an animation's samplers and channels."""
+    """Builds the samplers and channels of an animation."""
 
     builder: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
-    tracks: list[tuple[int, str, Keys]] = field(default_factory=list)
-    # By the id of the times: the times, to keep them alive, and their accessor.
+    tracks: list[tuple[int, str, SamplerKeys]] = field(default_factory=list)
+    # By the id of times: the times, which keeps the id unique, and their accessor.
     inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
 
     def input(self, times: FloatArray) -> int:
         """Return the accessor of key times; equal times are stored once."""
         if id(times) not in self.inputs:
             rows = times.astype(np.float32)[:, None]
-            self.inputs[id(times)] = (times, self.builder.accessor(rows, bounds=True))
+            self.inputs[id(times)] = (
+                times,
+                self.builder.add_accessor(rows, with_bounds=True),
+            )
         return self.inputs[id(times)][1]
 
-    def add(self, node: int, path: str, keys: Keys) -> None:
+    def add(self, node: int, path: str, keys: SamplerKeys) -> None:
         """Add the keys of a property."""
         self.tracks.append((node, path, keys))
 
@@ -54,7 +61,7 @@ class _AnimationBuilder:
         for k, (node, path, keys) in enumerate(self.tracks):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
-                extended_keys = Keys(times, np.repeat(keys.values, 2, axis=0))
+                extended_keys = SamplerKeys(times, np.repeat(keys.values, 2, axis=0))
                 self.tracks[k] = (node, path, extended_keys)
                 return True
         return False
@@ -64,11 +71,11 @@ class _AnimationBuilder:
         for node, path, keys in self.tracks:
             self._write(node, path, keys)
 
-    def _write(self, node: int, path: str, keys: Keys) -> None:
-        rows = keys.rows(scalars=path == "weights")
+    def _write(self, node: int, path: str, keys: SamplerKeys) -> None:
+        rows = keys.accessor_rows(scalars=path == "weights")
         sampler: dict[str, Any] = {
             "input": self.input(keys.times),
-            "output": self.builder.accessor(rows.astype(np.float32, copy=False)),
+            "output": self.builder.add_accessor(rows.astype(np.float32, copy=False)),
         }
         if keys.interpolation != "LINEAR":
             sampler["interpolation"] = keys.interpolation
@@ -104,9 +111,9 @@ def write_clip(
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
     animation = _AnimationBuilder(builder)
     source_keys = {} if tolerance is not None else _source_keys(take)
-    bounds = None
+    position_bounds = None
     if tolerance is not None:
-        bounds = joint_bounds(take.rig, tolerance, {})
+        position_bounds = joint_bounds(take.rig, tolerance, {})
     motion, rig = take.motion, take.rig
     channels: list[tuple[str, Channel | None, FloatArray]] = [
         ("translation", motion.translations, rig.rest_translations),
@@ -116,15 +123,17 @@ def write_clip(
     for path, channel, rest in channels:
         if channel is None:
             continue
-        samples = _samples_by_joint(channel, narrow=bounds is None)
+        samples = _samples_by_row(channel, as_float32=position_bounds is None)
         for j in range(len(rig.joints)):
             values = samples.get(j, channel.rest[j][None])
             keys = _joint_keys(path, values, rest[j], seconds)
             if keys is not None and len(keys.times) > 1:
                 if (j, path) in source_keys:
                     keys = source_keys[j, path]
-                elif bounds is not None:
-                    keys = reduce_keys(keys, _key_tolerance(path, j, bounds, take))
+                elif position_bounds is not None:
+                    keys = reduce_keys(
+                        keys, _key_tolerance(path, j, position_bounds, take)
+                    )
             if keys is not None:
                 animation.add(rig_indices.joints[j], path, keys)
     lost_notices = _write_weights(
@@ -133,7 +142,7 @@ def write_clip(
     duration = float(seconds[-1])
     if tolerance is None and is_of_curve(take):
         native = getattr(take.curve, "native", None)
-        duration = native.last if isinstance(native, NativeKeys) else duration
+        duration = native.last_time if isinstance(native, NativeKeys) else duration
     if not animation.lasts_until(duration):
         # glTF requires a channel: a static key keeps the name and duration of the clip.
         _add_static_key(animation, take, rig_indices, seconds[:1])
@@ -149,22 +158,22 @@ def write_clip(
     return lost_notices
 
 
-def _source_keys(take: Take) -> dict[tuple[int, str], Keys]:
+def _source_keys(take: Take) -> dict[tuple[int, str], SamplerKeys]:
     """Return the keys that a take was read with; empty if it has changed since."""
     start = take.clock.start
     if not is_of_curve(take):
         return {}
     native = getattr(take.curve, "native", None)
     if isinstance(native, NativeKeys):
-        return native_keys(native, start)
+        return convert_native_keys(native, start)
     clip = clip_of(take)
-    return {} if clip is None else keys_of_clip(clip, take, start)
+    return {} if clip is None else convert_clip_keys(clip, take, start)
 
 
 def _add_static_key(
     animation: _AnimationBuilder, take: Take, rig_indices: RigIndices, times: FloatArray
 ) -> None:
-    """Add a static key for a joint, of the first part without keys."""
+    """Add a static key for the first joint property without keys."""
     rig = take.rig
     keyed_paths = {(node, path) for node, path, _ in animation.tracks}
     rests = {"translation": rig.rest_translations, "rotation": rig.rest_rotations}
@@ -182,35 +191,35 @@ def _timing_extras(fps: Fraction, start: Fraction) -> dict[str, Any]:
     return {"fps": str(fps), "start": str(start)}
 
 
-def _single_key(row: FloatArray, times: FloatArray) -> Keys:
-    return Keys(times[:1], row.reshape(1, -1))
+def _single_key(row: FloatArray, times: FloatArray) -> SamplerKeys:
+    return SamplerKeys(times[:1], row.reshape(1, -1))
 
 
-def _samples_by_joint(channel: Channel, *, narrow: bool) -> dict[int, FloatArray]:
+def _samples_by_row(channel: Channel, *, as_float32: bool) -> dict[int, FloatArray]:
     """Return the samples of each animated joint ``(F, K)``.
 
-    ``narrow`` converts them to float32, the type stored in files.
+    ``as_float32`` converts them to float32, the type stored in files.
     """
     values = channel.values
     if not len(values):
         return {}
-    table = _columns_first(values, np.float32 if narrow else np.float64)
+    table = _joints_first(values, np.float32 if as_float32 else np.float64)
     return dict(zip(channel.animated.tolist(), table, strict=True))
 
 
-def _columns_first(values: FloatArray, kind: type[np.floating[Any]]) -> Any:
+def _joints_first(values: FloatArray, dtype: type[np.floating[Any]]) -> Any:
     """Return samples ``(F, J, K)`` as ``(J, F, K)`` of a dtype.
 
     The samples of a joint are copied as one element, in chunks of frames that stay in
     the processor's cache.
     """
     frames, joints, width = values.shape
-    element = np.dtype((np.void, width * np.dtype(kind).itemsize))
+    element = np.dtype((np.void, width * np.dtype(dtype).itemsize))
     table = np.empty((joints, frames), element)
-    for at in range(0, frames, _CHUNK_FRAMES):
-        rows = np.ascontiguousarray(values[at : at + _CHUNK_FRAMES], kind)
-        table[:, at : at + _CHUNK_FRAMES] = rows.view(element)[:, :, 0].T
-    return table.view(kind).reshape(joints, frames, width)
+    for first in range(0, frames, _CHUNK_FRAMES):
+        rows = np.ascontiguousarray(values[first : first + _CHUNK_FRAMES], dtype)
+        table[:, first : first + _CHUNK_FRAMES] = rows.view(element)[:, :, 0].T
+    return table.view(dtype).reshape(joints, frames, width)
 
 
 _CHUNK_FRAMES = 256
@@ -218,37 +227,39 @@ _CHUNK_FRAMES = 256
 
 def _joint_keys(
     path: str, values: FloatArray, rest: FloatArray, seconds: FloatArray
-) -> Keys | None:
-    """Return the keys of a joint's samples; None if equal to the node."""
+) -> SamplerKeys | None:
+    """Return the keys of a joint's samples; None if equal to the node's value."""
     first_value = values[0]
     if len(values) > 1 and (values[-1] != first_value).any():
-        return Keys(seconds, values)
+        return SamplerKeys(seconds, values)
     if len(values) > 1 and (values != values[:1]).any():
-        return Keys(seconds, values)
+        return SamplerKeys(seconds, values)
     difference = np.abs(first_value - rest).max()
     if path == "rotation":
         difference = min(difference, np.abs(first_value + rest).max())
     return None if difference <= STATIC_TOLERANCE else _single_key(first_value, seconds)
 
 
-def _key_tolerance(path: str, joint: int, reaches: FloatArray, take: Take) -> float:
+def _key_tolerance(
+    path: str, joint: int, position_bounds: FloatArray, take: Take
+) -> float:
     """Return the key tolerance of a joint: [m], [rad] or [1]."""
-    reach_ = float(reaches[joint])
+    bound = float(position_bounds[joint])
     if path == "translation":
-        return reach_
-    return reach_ / max(SHELL_DISTANCE, float(_joint_reaches(take)[joint]))
+        return bound
+    return bound / max(SHELL_DISTANCE, float(_joint_reaches(take)[joint]))
 
 
 def _joint_reaches(take: Take) -> FloatArray:
     """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
     rig = take.rig
-    reach = np.zeros(len(rig.joints))
+    reaches = np.zeros(len(rig.joints))
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
     for j in range(len(rig.joints) - 1, -1, -1):
         parent = rig.joints[j].parent
         if parent >= 0:
-            reach[parent] = max(reach[parent], reach[j] + lengths[j])
-    return reach
+            reaches[parent] = max(reaches[parent], reaches[j] + lengths[j])
+    return reaches
 
 
 def _write_weights(
@@ -256,7 +267,7 @@ def _write_weights(
     take: Take,
     rig_indices: RigIndices,
     seconds: FloatArray,
-    source_keys: dict[tuple[int, str], Keys],
+    source_keys: dict[tuple[int, str], SamplerKeys],
     tolerance: float | None,
 ) -> list[Fault]:
     """Write morph target weights of each mesh."""
@@ -265,53 +276,53 @@ def _write_weights(
         return []
     names = [shape.name for shape in take.rig.shapes]
     dense = weights.dense()[:, :, 0]
-    rest = animation.builder.json
+    document = animation.builder.json
     for node, shapes in rig_indices.targets.items():
-        rows = [names.index(shape) for shape in shapes]
-        values = dense[:, rows]
-        mesh = rest["meshes"][rest["nodes"][node]["mesh"]]
+        shape_rows = [names.index(shape) for shape in shapes]
+        values = dense[:, shape_rows]
+        mesh = document["meshes"][document["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
             if np.abs(values[0] - mesh["weights"]).max() > STATIC_TOLERANCE:
-                animation.add(node, "weights", _weight_keys(values[:1], seconds))
+                animation.add(node, "weights", _static_weight_keys(values[:1], seconds))
             continue
-        keys = Keys(seconds, values)
+        keys = SamplerKeys(seconds, values)
         if tolerance is not None:
             keys = reduce_keys(keys, WEIGHT_TOLERANCE)
         track_keys = _combine_weights(
-            [source_keys.get((row, "weight")) for row in rows], values
+            [source_keys.get((row, "weight")) for row in shape_rows], values
         )
         animation.add(node, "weights", keys if track_keys is None else track_keys)
-    homeless = [
+    unwritten_names = [
         names[row]
         for row in weights.animated.tolist()
         if names[row] not in rig_indices.shapes
     ]
-    if not homeless:
+    if not unwritten_names:
         return []
-    message = f"weights of shapes without a mesh are skipped: {listed(homeless)}"
+    message = f"weights of shapes without a mesh are skipped: {listed(unwritten_names)}"
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 
 WEIGHT_TOLERANCE = 1e-3
 
 
-def _weight_keys(values: FloatArray, seconds: FloatArray) -> Keys:
-    return Keys(seconds[:1], values)
+def _static_weight_keys(values: FloatArray, seconds: FloatArray) -> SamplerKeys:
+    return SamplerKeys(seconds[:1], values)
 
 
-def _same_times(first: Keys, second: Keys) -> bool:
+def _have_same_times(first: SamplerKeys, second: SamplerKeys) -> bool:
     is_equal = first.interpolation == second.interpolation
     return is_equal and np.array_equal(first.times, second.times)
 
 
-def _static_keys(like: Keys, value: float) -> Keys:
+def _static_keys(like: SamplerKeys, value: float) -> SamplerKeys:
     """Return keys of one value at another track's times."""
     values = np.full((len(like.times), 1), value)
     slopes = None if like.ins is None else np.zeros_like(values)
-    return Keys(like.times, values, like.interpolation, slopes, slopes)
+    return SamplerKeys(like.times, values, like.interpolation, slopes, slopes)
 
 
-def _merge_weights(tracks: list[Keys]) -> Keys | None:
+def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
     """Return linear or stepped weight keys at the union of their times."""
     interpolation = tracks[0].interpolation
     if interpolation == "CUBICSPLINE" or any(
@@ -327,38 +338,42 @@ def _merge_weights(tracks: list[Keys]) -> Keys | None:
             columns.append(values[np.clip(key_indices, 0, None)])
         else:
             columns.append(np.interp(times, keys.times, values))
-    return Keys(times, np.stack(columns, axis=1), interpolation)
+    return SamplerKeys(times, np.stack(columns, axis=1), interpolation)
 
 
-def _combine_weights(tracks: list[Keys | None], samples: FloatArray) -> Keys | None:
+def _combine_weights(
+    tracks: list[SamplerKeys | None], samples: FloatArray
+) -> SamplerKeys | None:
     """Return several weights as one track; None if glTF cannot store them as one.
 
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
     of the others.
     """
-    first_track = next((track_ for track_ in tracks if track_ is not None), None)
+    first_track = next(
+        (each_keys for each_keys in tracks if each_keys is not None), None
+    )
     if first_track is None:
         return None
     static = (samples == samples[:1]).all(axis=0).tolist()
     tracks = [
         _static_keys(first_track, float(samples[0, k]))
-        if track_ is None and static[k]
-        else track_
-        for k, track_ in enumerate(tracks)
+        if each_keys is None and static[k]
+        else each_keys
+        for k, each_keys in enumerate(tracks)
     ]
-    present = [track_ for track_ in tracks if track_ is not None]
-    if len(present) < len(tracks):
+    all_keys = [each_keys for each_keys in tracks if each_keys is not None]
+    if len(all_keys) < len(tracks):
         return None
-    if not all(_same_times(track, first_track) for track in present):
-        return _merge_weights(present)
+    if not all(_have_same_times(track, first_track) for track in all_keys):
+        return _merge_weights(all_keys)
 
     def columns(name: str) -> FloatArray | None:
-        rows = [getattr(track, name) for track in present]
+        rows = [getattr(track, name) for track in all_keys]
         return None if rows[0] is None else np.concatenate(rows, axis=1)
 
     values = columns("values")
     assert values is not None
-    return Keys(
+    return SamplerKeys(
         first_track.times,
         values,
         first_track.interpolation,

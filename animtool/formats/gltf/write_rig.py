@@ -1,4 +1,4 @@
-"""A rig as glTF nodes, skins and meshes."""
+"""Writes a rig as glTF nodes, skins and meshes."""
 
 from __future__ import annotations
 
@@ -60,21 +60,23 @@ def write_rig(
         if joint.parent >= 0:
             builder.json["nodes"][joint.parent].setdefault("children", []).append(j)
     roots = list(rig.roots)
-    left_out: dict[str, list[str]] = defaultdict(list)
+    lost_contents: dict[str, list[str]] = defaultdict(list)
     bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
     for surface in surfaces_of(rig):
-        at = _write_surface(builder, rig, surface, bind, weights, rig_indices, left_out)
-        if at >= len(rig.joints):
-            roots.append(at)
-    roots = _with_common_root(builder, rig, roots)
+        mesh_node = _write_surface(
+            builder, rig, surface, bind, weights, rig_indices, lost_contents
+        )
+        if mesh_node >= len(rig.joints):
+            roots.append(mesh_node)
+    roots = _ensure_common_root(builder, rig, roots)
     builder.json["scene"] = 0
     builder.json["scenes"] = [{"name": rig.name, "nodes": roots}]
-    rig_indices.notices += _unstored_notice(rig, left_out, rig_indices)
+    rig_indices.notices += _lost_contents_notice(rig, lost_contents, rig_indices)
     return rig_indices
 
 
-def _with_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
-    """Return the scene's roots; joints of a skin need a common root.
+def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[int]:
+    """Return the scene's root nodes; joints of a skin need a common root.
 
     If there are several, a node outside the rig is inserted above them.
     """
@@ -94,12 +96,12 @@ def _with_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list[i
 
 
 def _transform_properties(
-    move: FloatArray, rotation: FloatArray, scale: FloatArray
+    translation: FloatArray, rotation: FloatArray, scale: FloatArray
 ) -> dict[str, Any]:
     """Return the transform properties that differ from the identity."""
     properties: dict[str, Any] = {}
-    if np.abs(move).max() > 0:
-        properties["translation"] = move.tolist()
+    if np.abs(translation).max() > 0:
+        properties["translation"] = translation.tolist()
     if np.abs(rotation[:3]).max() > 0:
         properties["rotation"] = (rotation / np.linalg.norm(rotation)).tolist()
     if np.abs(scale - 1.0).max() > 0:
@@ -114,7 +116,7 @@ def _write_surface(
     bind: FloatArray,
     weights: dict[str, float],
     rig_indices: RigIndices,
-    left_out: dict[str, list[str]],
+    lost_contents: dict[str, list[str]],
 ) -> int:
     """Write a mesh; return its node."""
     carrier, local = _carrier_joint(builder, rig, surface, bind)
@@ -127,19 +129,19 @@ def _write_surface(
     if surface.skin is not None and carrier < 0:
         _write_influences(builder, surface.skin, primitive["attributes"])
         if surface.skin.method != "linear":
-            left_out["dual quaternion skinning (written as linear)"].append(
+            lost_contents["dual quaternion skinning (written as linear)"].append(
                 surface.name
             )
     faces = triangulated(surface.counts, surface.indices)
     fits_16_bits = len(points) < 65535
     indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
-    primitive["indices"] = builder.accessor(indices, target=ELEMENT_ARRAY_BUFFER)
+    primitive["indices"] = builder.add_accessor(indices, target=ELEMENT_ARRAY_BUFFER)
     if len(surface.counts) and surface.counts.max() > 3:
-        left_out["faces of more than three points (written as triangles)"].append(
+        lost_contents["faces of more than three points (written as triangles)"].append(
             surface.name
         )
     mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
-    _write_targets(builder, surface, primitive, mesh, weights, left_out)
+    _write_targets(builder, surface, primitive, mesh, weights, lost_contents)
     if carrier >= 0 and builder.json["nodes"][carrier]["name"] != surface.name:
         mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
     index = builder.add("meshes", mesh)
@@ -163,14 +165,16 @@ def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
 def _write_influences(
     builder: GlbBuilder, skin: SurfaceSkin, attributes: dict[str, int]
 ) -> None:
-    indices, values = padded_influences(skin)
-    kind = np.uint8 if indices.max(initial=0) < 256 else np.uint16
+    indices, weights = pad_influences(skin)
+    index_dtype = np.uint8 if indices.max(initial=0) < 256 else np.uint16
     for k in range(indices.shape[1] // 4):
         columns = slice(4 * k, 4 * k + 4)
-        joints = indices[:, columns].astype(kind)
-        attributes[f"JOINTS_{k}"] = builder.accessor(joints, target=ARRAY_BUFFER)
-        some_weights = values[:, columns].astype(np.float32)
-        attributes[f"WEIGHTS_{k}"] = builder.accessor(some_weights, target=ARRAY_BUFFER)
+        joints = indices[:, columns].astype(index_dtype)
+        attributes[f"JOINTS_{k}"] = builder.add_accessor(joints, target=ARRAY_BUFFER)
+        set_weights = weights[:, columns].astype(np.float32)
+        attributes[f"WEIGHTS_{k}"] = builder.add_accessor(
+            set_weights, target=ARRAY_BUFFER
+        )
 
 
 def _attach_mesh(
@@ -184,19 +188,19 @@ def _attach_mesh(
 ) -> int:
     """Attach a mesh to the joint that carries it, or to a new node."""
     if carrier >= 0:
-        at = carrier
-        builder.json["nodes"][at]["mesh"] = mesh
+        node_index = carrier
+        builder.json["nodes"][node_index]["mesh"] = mesh
     else:
         node: dict[str, Any] = {"name": surface.name, "mesh": mesh}
         if surface.skin is not None:
             node["skin"] = _write_skin(builder, rig, surface, surface.skin, bind)
-        at = builder.add("nodes", node)
+        node_index = builder.add("nodes", node)
     names = [shape.name for shape in surface.shapes]
     for k, name in enumerate(names):
-        rig_indices.shapes[name] = (at, k)
+        rig_indices.shapes[name] = (node_index, k)
     if names:
-        rig_indices.targets[at] = names
-    return at
+        rig_indices.targets[node_index] = names
+    return node_index
 
 
 def _carrier_joint(
@@ -211,8 +215,8 @@ def _carrier_joint(
     if skin is None or not len(skin.indices):
         return -1, surface.geom_bind
     used_joints = np.unique(skin.indices[skin.weights > 0])
-    single = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
-    if len(used_joints) != 1 or not single or len(skin.joints) > 1:
+    is_fully_weighted = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
+    if len(used_joints) != 1 or not is_fully_weighted or len(skin.joints) > 1:
         return -1, np.eye(4)
     joint = rig.index(skin.joints[int(used_joints[0])])
     if "mesh" in builder.json["nodes"][joint]:
@@ -227,14 +231,14 @@ def _write_skin(
     skin: SurfaceSkin,
     bind: FloatArray,
 ) -> int:
-    """Return the skin of a mesh; meshes with equal binds share one."""
+    """Write the skin of a mesh and return its index; equal skins are shared."""
     joints = [rig.index(name) for name in skin.joints]
     matrices = np.linalg.inv(bind[joints]) @ surface.geom_bind
     matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     columns = matrices.swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
     entry: dict[str, Any] = {
         "name": rig.name,
-        "inverseBindMatrices": builder.accessor(columns),
+        "inverseBindMatrices": builder.add_accessor(columns),
         "joints": joints,
     }
     skins = builder.json.get("skins", [])
@@ -247,13 +251,13 @@ def _write_attributes(
     builder: GlbBuilder, points: FloatArray, normals: FloatArray | None
 ) -> dict[str, int]:
     positions = points.astype(np.float32)
-    position = builder.accessor(positions, target=ARRAY_BUFFER, bounds=True)
+    position = builder.add_accessor(positions, target=ARRAY_BUFFER, with_bounds=True)
     attributes = {"POSITION": position}
     if normals is not None:
         lengths = np.linalg.norm(normals, axis=1, keepdims=True)
         if (lengths > 0).all():
             unit = (normals / lengths).astype(np.float32)
-            attributes["NORMAL"] = builder.accessor(unit, target=ARRAY_BUFFER)
+            attributes["NORMAL"] = builder.add_accessor(unit, target=ARRAY_BUFFER)
     return attributes
 
 
@@ -263,7 +267,7 @@ def _write_targets(
     primitive: dict[str, Any],
     mesh: dict[str, Any],
     weights: dict[str, float],
-    left_out: dict[str, list[str]],
+    lost_contents: dict[str, list[str]],
 ) -> None:
     """Write shapes as morph targets."""
     if not surface.shapes:
@@ -273,28 +277,30 @@ def _write_targets(
         rows = shape.vertices
         if rows is None:
             rows = np.arange(len(surface.points))
-        dense = np.zeros((len(surface.points), 3))
-        np.add.at(dense, rows, shape.deltas)
-        offsets = dense.astype(np.float32)
+        offsets_by_vertex = np.zeros((len(surface.points), 3))
+        np.add.at(offsets_by_vertex, rows, shape.deltas)
+        offsets = offsets_by_vertex.astype(np.float32)
         target = {
-            "POSITION": builder.accessor(offsets, target=ARRAY_BUFFER, bounds=True)
+            "POSITION": builder.add_accessor(
+                offsets, target=ARRAY_BUFFER, with_bounds=True
+            )
         }
         if "NORMAL" in primitive["attributes"]:
-            normal_offsets = np.zeros_like(dense)
+            normal_offsets = np.zeros_like(offsets_by_vertex)
             if shape.normals is not None:
                 np.add.at(normal_offsets, rows, shape.normals)
             normals = normal_offsets.astype(np.float32)
-            target["NORMAL"] = builder.accessor(normals, target=ARRAY_BUFFER)
+            target["NORMAL"] = builder.add_accessor(normals, target=ARRAY_BUFFER)
         targets.append(target)
         if shape.inbetweens:
-            left_out["in-between shapes"].append(shape.name)
+            lost_contents["in-between shapes"].append(shape.name)
     primitive["targets"] = targets
     names = [shape.name for shape in surface.shapes]
     mesh["weights"] = [weights.get(name, 0.0) for name in names]
     mesh["extras"] = {"targetNames": names}
 
 
-def padded_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
+def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     """Return joints and weights, largest first, padded to multiples of four.
 
     Each joint occurs once per vertex, weights sum to 1, and entries without weight have
@@ -316,38 +322,42 @@ def padded_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     max_count = int((weights > 0).sum(axis=1).max(initial=1))
     width = max(4, -(-max_count // 4) * 4)
     padded = np.zeros((len(indices), width), np.int64)
-    shares = np.zeros((len(indices), width))
-    common_width = min(width, indices.shape[1])
-    padded[:, :common_width], shares[:, :common_width] = (
-        indices[:, :common_width],
-        weights[:, :common_width],
+    padded_weights = np.zeros((len(indices), width))
+    kept_width = min(width, indices.shape[1])
+    padded[:, :kept_width], padded_weights[:, :kept_width] = (
+        indices[:, :kept_width],
+        weights[:, :kept_width],
     )
-    weight_sums = shares.sum(axis=1, keepdims=True)
-    shares = np.where(
-        weight_sums > 0, shares / np.where(weight_sums > 0, weight_sums, 1.0), 0.0
+    weight_sums = padded_weights.sum(axis=1, keepdims=True)
+    padded_weights = np.where(
+        weight_sums > 0,
+        padded_weights / np.where(weight_sums > 0, weight_sums, 1.0),
+        0.0,
     )
-    shares[weight_sums[:, 0] <= 0, 0] = 1.0
-    rounded_weights = shares.astype(np.float32).astype(np.float64)
+    padded_weights[weight_sums[:, 0] <= 0, 0] = 1.0
+    rounded_weights = padded_weights.astype(np.float32).astype(np.float64)
     rounded_weights[:, 0] += 1.0 - rounded_weights.sum(axis=1)
     padded[rounded_weights == 0.0] = 0
     return padded, rounded_weights
 
 
-def _unstored_notice(
-    rig: Rig, left_out: dict[str, list[str]], rig_indices: RigIndices
+def _lost_contents_notice(
+    rig: Rig, lost_contents: dict[str, list[str]], rig_indices: RigIndices
 ) -> list[Fault]:
-    """Return one notice about rig contents that glTF cannot store."""
+    """Return a notice about rig contents that glTF cannot store, if any."""
     corrective_names = [shape.name for shape in rig.shapes if len(shape.combine) > 1]
     if corrective_names:
-        left_out["products of shapes (each gets its own weight)"] += corrective_names
+        lost_contents["products of shapes (each gets its own weight)"] += (
+            corrective_names
+        )
     unwritten = [
-        shape_.name for shape_ in rig.shapes if shape_.name not in rig_indices.shapes
+        shape.name for shape in rig.shapes if shape.name not in rig_indices.shapes
     ]
     if unwritten:
-        left_out["shapes without a mesh (skipped)"] += unwritten
+        lost_contents["shapes without a mesh (skipped)"] += unwritten
     texts = [
         f"{label}: {listed(names, MAX_LISTED_CONTENTS)}"
-        for label, names in left_out.items()
+        for label, names in lost_contents.items()
     ]
     if not texts:
         return []

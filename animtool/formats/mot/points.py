@@ -84,7 +84,7 @@ def read_points(
     positions = values[:, 1:].reshape(len(values), -1, 3).copy()
     positions = file.clean_positions(positions, length.meters)
     times = values[:, 0]
-    check_times(path, times, rows.lines)
+    check_times(path, times, rows.line_numbers)
     frames = _row_frames(file, header, times, rounding_error(rows.decimals(0)), fps)
     positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))

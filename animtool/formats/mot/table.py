@@ -11,13 +11,13 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt,
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.delimited import (
-    BLANKS,
+    BLANK_CHARACTERS,
     TextRows,
     decode_text,
+    find_separator,
     gather_rows,
     parse_number,
     read_lines,
-    separator_of,
     split_cells,
 )
 
@@ -89,7 +89,7 @@ def read_table(path: Path) -> MotionTable:
     _check_kind(path, header, lines)
     notices: list[Fault] = []
     rows = read_rows(path, lines, header, len(names) + 1, notices)
-    decimals, numbers = rows.decimals(0), rows.lines
+    decimals, numbers = rows.decimals(0), rows.line_numbers
     values = parse_numbers(path, rows, len(names) + 1)
     counts = {"rows": len(values), "columns": len(names) + 1}
     for noun, count in counts.items():
@@ -159,11 +159,11 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     at = _end_of_header(path, lines)
     counts, degrees, texts = _parse_header(lines[:at])
     names_line = next(
-        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANKS)), None
+        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK_CHARACTERS)), None
     )
     if names_line is None:
         raise _table_error("MOF002", path, "ends after its header", at + 1)
-    separator = separator_of(lines[names_line])
+    separator = find_separator(lines[names_line])
     names = _column_names(path, lines[names_line], separator, names_line + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
     in_degrees_text = texts.get("indegrees", "")
@@ -174,7 +174,7 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
 
 def _end_of_header(path: Path, lines: list[bytes]) -> int:
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
-        if line.strip(BLANKS).lower() == b"endheader":
+        if line.strip(BLANK_CHARACTERS).lower() == b"endheader":
             return i
     message = "has no line 'endheader', which ends the header of OpenSim's files"
     raise _table_error("MOF001", path, message)
@@ -224,7 +224,7 @@ def _parse_header(
 def _column_names(
     path: Path, line: bytes, separator: bytes, number: int
 ) -> tuple[str, ...]:
-    text = line.strip(BLANKS if separator == b" " else b" " + separator)
+    text = line.strip(BLANK_CHARACTERS if separator == b" " else b" " + separator)
     cells = split_cells(text, separator)
     if cells[0].lower() != "time":
         message = f"the first column is {excerpt(cells[0])}, not time"
@@ -267,7 +267,8 @@ def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     kind, names, begin = header.kind, header.names, header.begin
     separator = header.separator
     row = next(
-        (i for i in range(begin, len(lines)) if lines[i].strip(BLANKS)), begin - 1
+        (i for i in range(begin, len(lines)) if lines[i].strip(BLANK_CHARACTERS)),
+        begin - 1,
     )
     cells = split_cells(lines[row], separator)[1:] if row >= begin else []
     width = max((cell.count(",") + 1 for cell in cells), default=1)
@@ -306,12 +307,14 @@ def read_rows(
     rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING
     while len(rows.texts):
-        bad_rows = np.flatnonzero((rows.filled > width) | (rows.cells < width))
+        bad_rows = np.flatnonzero(
+            (rows.value_counts > width) | (rows.cell_counts < width)
+        )
         if not len(bad_rows):
             break
         row = int(bad_rows[0])
-        line, is_short = int(rows.lines[row]), rows.cells[row] < width
-        count = int(rows.cells[row] if is_short else rows.filled[row])
+        line, is_short = int(rows.line_numbers[row]), rows.cell_counts[row] < width
+        count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
         message = f"has {count} values instead of {width}"
         # The last row of a truncated file has no line end.
         is_last = row == len(rows.texts) - 1 and line == len(lines)
@@ -322,7 +325,7 @@ def read_rows(
         rows = rows.without_last()
     if not rows.texts:
         raise _table_error("MOF003", path, "has no rows")
-    if rows.decimal_commas:
+    if rows.has_decimal_commas:
         message = "numbers have decimal commas: read as such"
         hint = "export it with decimal points, which other programs need"
         notices.append(Fault("MOF110", message, str(path), (), hint, Severity.NOTE))

@@ -15,14 +15,14 @@ from animtool.core.rates import FractionLike
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.delimited import (
-    BLANKS,
+    BLANK_CHARACTERS,
     TextRows,
     decode_text,
+    find_row_separator,
+    find_separator,
     gather_rows,
     parse_number,
     read_lines,
-    row_separator,
-    separator_of,
     split_cells,
 )
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
@@ -64,12 +64,14 @@ class TrcHeader:
 
 def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     """Return the values of the header lines."""
-    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANKS + b'"'))[0].strip(b'"')
+    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))[
+        0
+    ].strip(b'"')
     if first_word.lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
     starts = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
     at = next((i for i, start in enumerate(starts) if start), 0)
-    lines_above = [i for i in range(1, at) if lines[i].strip(BLANKS)]
+    lines_above = [i for i in range(1, at) if lines[i].strip(BLANK_CHARACTERS)]
     if len(lines_above) < 2:
         missing_line = "line that starts with Frame#" if not at else "DataRate line"
         raise file.error(
@@ -94,19 +96,19 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
         names,
         axes,
         begin,
-        row_separator(row, start[1]),
+        find_row_separator(row, start[1]),
     )
 
 
 def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     """Return the values below the header's keys."""
-    separator = separator_of(keys_line)
+    separator = find_separator(keys_line)
     keys = [
         key
         for cell in split_cells(keys_line, separator)
         for key in cell.split() or [""]
     ]
-    values = split_cells(values_line, row_separator(values_line, separator))
+    values = split_cells(values_line, find_row_separator(values_line, separator))
     if len(values) < len(keys):
         cells = [text for value in values for text in value.split() or [""]]
         values = cells if len(cells) <= len(keys) else values
@@ -121,7 +123,7 @@ def _names_of_header(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
     """Return marker names, each above three columns or one."""
-    if separator == b" " and (line_separator := separator_of(line)) != b" ":
+    if separator == b" " and (line_separator := find_separator(line)) != b" ":
         separator = line_separator
     if separator == b" ":
         names = [decode_text(cell) for cell in line.split()[2:]]
@@ -155,7 +157,7 @@ def _stems_of_columns(cells: list[str]) -> list[str]:
 
 def _is_heading(line: bytes) -> bool:
     """Return whether a line is not a row of numbers."""
-    text = line.strip(BLANKS)
+    text = line.strip(BLANK_CHARACTERS)
     return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
 
@@ -235,7 +237,7 @@ def read_trc(
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
     values = rows.values(2 + 3 * len(names), fault)
-    if rows.decimal_commas:
+    if rows.has_decimal_commas:
         message = "commas are read as decimal points"
         file.note(
             "TRC108",
@@ -251,7 +253,7 @@ def read_trc(
     labels = file.names(names, subject)
     positions = file.clean_positions(positions, length.meters)
     frames = frames_of_rows(
-        file, values[:, :2], rows.lines, decimals, header.rate, fps, len(names)
+        file, values[:, :2], rows.line_numbers, decimals, header.rate, fps, len(names)
     )
     positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
@@ -265,29 +267,32 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         if not header.names:
             raise file.error("MKR013", "the file has no markers")
         raise file.error("MKR013", "the file has no frames")
-    max_cells = int(rows.filled.max())
+    max_cells = int(rows.value_counts.max())
     names, unnamed_count = columns_of(file, header, max_cells)
     if not names:
         raise file.error("MKR013", "the file has no markers")
-    is_too_wide = rows.filled > 2 + 3 * len(header.names)
+    is_too_wide = rows.value_counts > 2 + 3 * len(header.names)
     # The last cell may be followed by a separator.
-    is_ragged = ((rows.filled - 2) % 3 != 0) & ((rows.cells - 2) % 3 != 0)
-    is_ragged &= (rows.cells == rows.filled) | ((rows.cells - 3) % 3 != 0)
+    is_ragged = ((rows.value_counts - 2) % 3 != 0) & ((rows.cell_counts - 2) % 3 != 0)
+    is_ragged &= (rows.cell_counts == rows.value_counts) | (
+        (rows.cell_counts - 3) % 3 != 0
+    )
     bad_rows = np.flatnonzero(is_too_wide & is_ragged)
     if len(bad_rows) or len(names) > MAX_MARKERS:
-        row = int(bad_rows[0]) if len(bad_rows) else int(rows.filled.argmax())
-        message = f"the row has {int(rows.filled[row])} values, not "
+        row = int(bad_rows[0]) if len(bad_rows) else int(rows.value_counts.argmax())
+        message = f"the row has {int(rows.value_counts[row])} values, not "
         message += str(2 + 3 * len(names))
         if len(bad_rows):
             message = (
-                f"the row has {int(rows.filled[row])} values, but frame, time and "
+                f"the row has {int(rows.value_counts[row])} values, but frame, time "
+                "and "
             )
             message += f"{counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
             hint = "commas separate both cells and decimals; export with tabs or points"
-        at = (int(rows.lines[row]),)
+        at = (int(rows.line_numbers[row]),)
         raise FormatError(Fault("TRC002", message, file.path, at, hint))
     if unnamed_count:
         first_unnamed = next(i for i, name in enumerate(names) if not name)
@@ -297,7 +302,7 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
             f"{3 + 3 * first_unnamed}"
         )
         if is_too_wide.any() and not is_too_wide.all():
-            lines = rows.lines[is_too_wide]
+            lines = rows.line_numbers[is_too_wide]
             message += f", in {counted(len(lines), 'row')} from line {lines[0]}"
         hint = "name the points with mocap label"
         file.warn("TRC103", f"{message}; read as unlabelled points", hint)
@@ -311,9 +316,9 @@ def _complete_rows(
 
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """
-    is_short = (rows.cells < width) & (rows.filled > 1)
+    is_short = (rows.cell_counts < width) & (rows.value_counts > 1)
     incomplete_markers = np.flatnonzero(
-        is_short & (rows.cells == rows.filled) & (rows.cells % 3 != 2)
+        is_short & (rows.cell_counts == rows.value_counts) & (rows.cell_counts % 3 != 2)
     )
     last_row = len(rows.texts) - 1
     # A row that ends after a complete marker is not truncated if others are short too.
@@ -323,13 +328,13 @@ def _complete_rows(
     is_only_short = bool(is_short[last_row]) and int(is_short.sum()) == 1
     is_truncated = (
         last_row > 0
-        and rows.lines[last_row] == unterminated_line
+        and rows.line_numbers[last_row] == unterminated_line
         and (is_cut_in_marker or is_only_short)
     )
     if not len(incomplete_markers) and not is_truncated:
         return rows
     row = last_row if is_truncated else int(incomplete_markers[0])
-    cells = f"{int(rows.cells[row])} of {width} values"
+    cells = f"{int(rows.cell_counts[row])} of {width} values"
     message = f"the last row is truncated ({cells}) and is skipped"
     if not is_truncated:
         message = f"the row ends within a marker ({cells}), which is missing there"
@@ -337,5 +342,5 @@ def _complete_rows(
             message += (
                 f", and so do {counted(len(incomplete_markers) - 1, 'other row')}"
             )
-    file.warn("TRC109", message, "copy or export it again", int(rows.lines[row]))
+    file.warn("TRC109", message, "copy or export it again", int(rows.line_numbers[row]))
     return rows.without_last() if is_truncated else rows

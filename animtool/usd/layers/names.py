@@ -30,7 +30,7 @@ def valid_text(name: str) -> str:
 
     File names may contain such bytes.
 
-    >>> plain_text("walk\udcff")
+    >>> valid_text("walk\udcff")
     'walk?'
     """
     return name.encode("utf-8", "replace").decode("utf-8")

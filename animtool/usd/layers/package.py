@@ -45,7 +45,7 @@ def layer_to_package(path: Path, temporary: Path) -> Iterator[Path]:
 def ascii_stem(path: Path) -> str:
     """Return the ASCII name of the layer in a package.
 
-    >>> plain_stem(Path("my walk.usdz"))
+    >>> ascii_stem(Path("my walk.usdz"))
     'my_walk'
     """
     return re.sub(r"[^A-Za-z0-9_-]", "_", path.stem) or "stage"

@@ -12,8 +12,8 @@ from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import (
     FbxSampler,
     animates_rig,
-    frames_of,
-    take_stream,
+    build_stream,
+    find_frame_range,
 )
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
@@ -46,10 +46,10 @@ def _take_subjects(
             continue
         sampler = FbxSampler(scene, built_rig, take)
         try:
-            frames = frames_of(scene, take, None, sampler.numbers)
+            frames = find_frame_range(scene, take, None, sampler.values_per_frame)
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take_data = take_stream(built_rig, sampler, frames).collect()
+        take_data = build_stream(built_rig, sampler, frames).collect()
         subjects.append(clip_subject(scene.path, built_rig.rig, take_data, take.where))
     return subjects

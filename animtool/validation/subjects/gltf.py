@@ -17,18 +17,18 @@ from animtool.formats.characters.choice import CharacterNodes, find_characters
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
-from animtool.formats.gltf.keys import key_frames
+from animtool.formats.gltf.keys import key_times_in_frames
 from animtool.formats.gltf.rig import GltfRig, build_rig
 from animtool.formats.gltf.sampling import (
     GltfSampler,
     animates_rig,
-    clip_stream,
-    sampler_of,
+    build_sampler,
+    build_stream,
 )
 from animtool.formats.gltf.timing import (
     FRAME_TOLERANCE,
     GltfFrames,
-    frames_of,
+    find_frame_range,
     key_times,
 )
 from animtool.motion.take import Take
@@ -70,13 +70,15 @@ def _clip_subjects(
     for animation in gltf.animations:
         if not animates_rig(built_rig, animation):
             continue
-        sampler = sampler_of(gltf, built_rig, animation)
+        sampler = build_sampler(gltf, built_rig, animation)
         try:
-            frames = frames_of(animation, None, str(gltf.path), sampler.numbers)
+            frames = find_frame_range(
+                animation, None, str(gltf.path), sampler.values_per_frame
+            )
         except AnimtoolError as error:
             faults += error.faults
             continue
-        take = clip_stream(built_rig, sampler, frames).collect()
+        take = build_stream(built_rig, sampler, frames).collect()
         subject = clip_subject(gltf.path, built_rig.rig, take, animation.where)
         subjects.append(_trim_to_keys(subject, sampler, animation, frames))
     return subjects
@@ -94,7 +96,7 @@ def _trim_to_keys(
     """
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
-    codes = key_frames(seconds, frames)
+    codes = key_times_in_frames(seconds, frames)
     nearest_frames = np.round(codes)
     codes = np.where(
         np.abs(codes - nearest_frames) <= FRAME_TOLERANCE, nearest_frames, codes
@@ -107,7 +109,7 @@ def _trim_to_keys(
     ):
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
-        motion = sampler.at(frames.seconds(codes))
+        motion = sampler.sample(frames.seconds(codes))
     else:
         first_frame = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_frame < clock.count:

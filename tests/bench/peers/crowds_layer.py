@@ -27,7 +27,7 @@ def main(scene: str, runs: str, output: str) -> None:
         layer = Sdf.Layer.CreateNew(output + "/crowd.usdc")
         layer.Clear()
         made = CharactersWriter("/square/people", 1.0, 24.0)
-        made.author_prim(layer, frames[0])
+        made.author_prototypes(layer, frames[0])
         for k, frame in enumerate(frames):
             made.add(float(k + 1), frame)
         made.finish(layer)

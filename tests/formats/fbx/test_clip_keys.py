@@ -13,7 +13,7 @@ from animtool.clip.clip import Clip
 from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import sample_channels
 from animtool.formats.fbx.read import read_fbx
-from animtool.formats.gltf.clip_keys import keys_of_clip
+from animtool.formats.gltf.clip_keys import convert_clip_keys
 from animtool.maths.curves import Interp
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward_kinematics
@@ -171,4 +171,4 @@ def test_a_rotation_that_keys_add_to_is_no_key_of_gltf(tmp_path: Path) -> None:
     names = {c.target for c in clip.channels}
     still = "joint/fore.local_rotation"
     assert {"joint/fore.rotation", still} <= names or still not in names
-    assert (1, "rotation") not in keys_of_clip(clip, stream.collect(), clip.first)
+    assert (1, "rotation") not in convert_clip_keys(clip, stream.collect(), clip.first)

@@ -26,7 +26,7 @@ def over(name: str, layer: Layer, low: float, high: float) -> float:
         LayerValues(Layer("base"), True, [low] * 3, curves),
         LayerValues(layer, False, [high] * 3, curves),
     ]
-    return float(PropertyTrack(1, name, layers).at(np.zeros(3), TICKS)[0, 0])
+    return float(PropertyTrack(1, name, layers).evaluate(np.zeros(3), TICKS)[0, 0])
 
 
 @pytest.mark.parametrize(
@@ -49,7 +49,7 @@ def test_a_layer_at_half_weight(mode: int, expected: float) -> None:
 def test_scales_by_product(
     mode: int, weight: float, high: float, expected: float
 ) -> None:
-    layer = Layer("more", weight, mode=mode, by_product=True)
+    layer = Layer("more", weight, mode=mode, accumulates_scales=True)
     assert over(SCALING, layer, 3.0, high) == pytest.approx(expected)
 
 

@@ -463,7 +463,9 @@ def test_scales_of_mixed_inherit_types(tmp_path: Path) -> None:
         rows.append(("P", ["InheritType", "enum", "", "", inherit], []))
     scene = open_fbx(written(tmp_path, as_binary(trees)))
     state = NodeTransforms(scene, None, np.zeros(1, np.int64))
-    sizes = [np.cbrt(np.linalg.det(state.world(i)[0, :3, :3])) for i in range(3)]
+    sizes = [
+        np.cbrt(np.linalg.det(state.world_matrices(i)[0, :3, :3])) for i in range(3)
+    ]
     assert [m.name for m in scene.models[:3]] == ["arm", "fore", "tip"]
     np.testing.assert_allclose(sizes, [2.0, 6.0, 2.0])
 

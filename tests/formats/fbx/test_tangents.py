@@ -15,7 +15,7 @@ from animtool.formats.fbx.tangents import (
     TCB,
     TIME_INDEPENDENT,
     USER,
-    key_slopes,
+    compute_key_slopes,
 )
 
 SECONDS, VALUES = np.array([0.0, 1.0, 3.0]), np.array([0.0, 2.0, 3.0])
@@ -28,7 +28,7 @@ def slopes(
     values: npt.NDArray[np.float64] = VALUES,
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return the slopes of three keys of one kind."""
-    return key_slopes(
+    return compute_key_slopes(
         SECONDS,
         values,
         np.full(3, flags),

@@ -18,8 +18,8 @@ from support.suite import some_quick
 from animtool.core.errors import Severity
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.sampling import sampler_of
-from animtool.formats.gltf.timing import distinct_clip_names
+from animtool.formats.gltf.sampling import build_sampler
+from animtool.formats.gltf.timing import unique_clip_names
 from animtool.rig.kinematics import forward_kinematics
 from animtool.scene.convert.takes import convert
 from animtool.scene.sources.open import SourceOptions
@@ -78,7 +78,7 @@ def places(
 ) -> dict[str, npt.NDArray[np.float64]]:
     """Return positions of joints and points of meshes by name ``(F, N, 3)``."""
     animation = character.gltf.animations[clip]
-    motion = sampler_of(character.gltf, character.made, animation).at(times)
+    motion = build_sampler(character.gltf, character.made, animation).sample(times)
     world = forward_kinematics(character.made.rig, *motion.dense())
     weights = None if motion.weights is None else motion.weights.dense()[:, :, 0]
     joints = enumerate(character.made.rig.names)
@@ -103,9 +103,9 @@ def test_a_strange_file_comes_back(tmp_path: Path, seed: int) -> None:
     source.write_bytes(as_glb(*strange_gltf(seed)))
     convert(source, output, SourceOptions(prim_path="/"))
     whole, again = Character.of(source), Character.of(output)
-    names = distinct_clip_names(whole.gltf.animations)
+    names = unique_clip_names(whole.gltf.animations)
     if names:
-        assert distinct_clip_names(again.gltf.animations) == names
+        assert unique_clip_names(again.gltf.animations) == names
     for k, animation in enumerate(whole.gltf.animations):
         last = animation.span[1]
         assert again.gltf.animations[k].span[1] == pytest.approx(last, abs=1e-5)
