@@ -109,11 +109,11 @@ BVH = Writer(
 LIVELINK = Writer(
     "csv",
     "Live Link Face recordings",
-    text="animtool.formats.livelink.write:livelink_text",
+    text="animtool.formats.livelink.write:build_livelink_text",
     holds=frozenset({"shapes"}),
     samples="weights of ARKit's shapes",
 )
-_MOT_TEXT = "animtool.formats.mot.write:mot_text"
+_MOT_TEXT = "animtool.formats.mot.write:build_mot_text"
 MOT, STO = (
     Writer(
         name,

@@ -1,4 +1,4 @@
-"""Marker trajectories in .npz files, written by numpy or animtool."""
+"""Reads and writes marker trajectories in .npz files."""
 
 from __future__ import annotations
 
@@ -62,10 +62,10 @@ def read_markers(
         with Archives() as archives:
             return _read_arrays(file, archives, path, array, unit, up, fps, subject)
     except ValueError as error:
-        raise file.error("MKR012", _message_of(str(error), path)) from error
+        raise file.error("MKR012", _strip_file_name(str(error), path)) from error
 
 
-def _message_of(message: str, path: Path) -> str:
+def _strip_file_name(message: str, path: Path) -> str:
     """Return an archive's message without the leading file name."""
     return message.removeprefix(path.name).lstrip("# ")
 
@@ -81,47 +81,61 @@ def _read_arrays(
     subject: str | None,
 ) -> Markers:
     array_names = archives.names(path)
-    key = _positions_array(file, archives, path, array_names, array)
-    header = archives.header(path, key)
+    positions_name = _find_positions_array(file, archives, path, array_names, array)
+    header = archives.header(path, positions_name)
     if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
-        message = f"{key!r} has shape {header.shape}, not (frames, markers, 3)"
+        message = (
+            f"{positions_name!r} has shape {header.shape}, not (frames, markers, 3)"
+        )
         raise file.error("MKR012", message)
-    frames, count, _ = header.shape
-    if frames == 0 or count == 0:
-        raise file.error("MKR013", f"{key!r} has {frames} frames of {count} points")
-    if frames * count > MAX_POSITIONS:
-        message = f"{key!r} has {frames} frames of {count} points, above the limit"
+    frames, point_count, _ = header.shape
+    if frames == 0 or point_count == 0:
+        raise file.error(
+            "MKR013", f"{positions_name!r} has {frames} frames of {point_count} points"
+        )
+    if frames * point_count > MAX_POSITIONS:
+        message = (
+            f"{positions_name!r} has {frames} frames of {point_count} points, above "
+            "the limit"
+        )
         raise file.error("MKR012", message)
-    suffix = _UNIT_SUFFIX.fullmatch(key[key.rfind("_") :]) if "_" in key else None
-    length = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
+    suffix = (
+        _UNIT_SUFFIX.fullmatch(positions_name[positions_name.rfind("_") :])
+        if "_" in positions_name
+        else None
+    )
+    length_unit = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
-    def number(name: str) -> float | None:
+    def read_number(name: str) -> float | None:
         return (
             float(archives.load_stored(path, name).ravel()[0])
             if name in array_names
             else None
         )
 
-    def point_array(name: str) -> npt.NDArray[Any] | None:
-        if name not in array_names or key.partition("_")[0] != DEFAULT_PREFIX:
+    def read_point_array(name: str) -> npt.NDArray[Any] | None:
+        if (
+            name not in array_names
+            or positions_name.partition("_")[0] != DEFAULT_PREFIX
+        ):
             return None
         return archives.load_stored(path, name)
 
-    rate = file.rate(number("fs"), fps)
-    stated_up = archives.text(path, "up") if "up" in array_names else None
-    axis = file.up(UpAxis(stated_up) if stated_up in {"Y", "Z"} else None, up)
+    rate = file.rate(read_number("fs"), fps)
+    up_text = archives.text(path, "up") if "up" in array_names else None
+    up_axis = file.up(UpAxis(up_text) if up_text in {"Y", "Z"} else None, up)
     names = (
         archives.texts(path, "marker_names") if "marker_names" in array_names else []
     )
-    labels = names if len(names) == count else [""] * count
-    positions = np.array(archives.load_stored(path, key), np.float64)
-    residuals, cameras = point_array("residuals_m"), point_array("cameras")
-    filled, start = point_array("filled"), number("start")
+    labels = names if len(names) == point_count else [""] * point_count
+    positions = np.array(archives.load_stored(path, positions_name), np.float64)
+    residuals, cameras = read_point_array("residuals_m"), read_point_array("cameras")
+    filled, start = read_point_array("filled"), read_number("start")
     return Markers(
         file.names(labels, subject),
-        Clock(rate, _start_fraction(start), Fraction(1), frames),
-        file.clean_positions(positions, length.meters),
-        axis,
+        Clock(rate, _start_frame(start), Fraction(1), frames),
+        file.clean_positions(positions, length_unit.meters),
+        up_axis,
         None if cameras is None else cameras.astype(np.int64),
         None if residuals is None else residuals.astype(np.float64),
         None if filled is None else filled.astype(bool),
@@ -129,7 +143,7 @@ def _read_arrays(
     )
 
 
-def _positions_array(
+def _find_positions_array(
     file: MarkerFile,
     archives: Archives,
     path: Path,
@@ -157,7 +171,7 @@ def _positions_array(
     return candidates[0]
 
 
-def _start_fraction(start: float | None) -> Fraction:
+def _start_frame(start: float | None) -> Fraction:
     if start is None or not np.isfinite(start):
         return Fraction(1)
     return time_fraction(start)

@@ -1,4 +1,4 @@
-"""Frame rate of timed rows, and the frame of each row."""
+"""Finds the frame rate of timed rows, and the frame of each row."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class TimeSteps:
 
 
 def rounding_error(decimals: int) -> float:
-    """Return the rounding error of a number with some decimals."""
+    """Return the rounding error of numbers with a number of decimals."""
     return float(0.5 * 10.0**-decimals)
 
 
@@ -70,12 +70,14 @@ def median_step(times: FloatArray) -> float:
     return float(steps[(len(steps) - 1) // 2])
 
 
-def fit_gaps(times: FloatArray, step: float, rounding: float) -> TimeSteps | None:
+def fit_frames_with_gaps(
+    times: FloatArray, step: float, rounding: float
+) -> TimeSteps | None:
     """Return times fitted to frames of about ``step``; frames may lack a row.
 
     Returns None if two rows are in one frame, or there are too many frames.
 
-    >>> fit_gaps(np.array([0.0, 0.1, 0.2, 0.5]), 0.1, 0.0).frames.tolist()
+    >>> fit_frames_with_gaps(np.array([0.0, 0.1, 0.2, 0.5]), 0.1, 0.0).frames.tolist()
     [0, 1, 2, 5]
     """
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -117,30 +119,36 @@ def find_steps(
     )
     fitted_steps = [fit_frames(times, frames, rounding) for frames in candidates]
     fitted_steps = [steps for steps in fitted_steps if steps.regular]
-    rates = [1.0 / stated_rate] if stated_rate is not None and stated_rate > 0 else []
-    if stated_rate is not None and rates:
-        meant = [
+    stated_steps = (
+        [1.0 / stated_rate] if stated_rate is not None and stated_rate > 0 else []
+    )
+    if stated_rate is not None and stated_steps:
+        matching_steps = [
             steps for steps in fitted_steps if is_rate_of(stated_rate, steps, rounding)
         ]
         # Times with few decimals may also fit another rate.
-        gaps = fit_gaps(times, rates[0], rounding)
+        gaps = fit_frames_with_gaps(times, stated_steps[0], rounding)
         if gaps is not None and gaps.regular and _has_few_gaps(gaps.frames):
-            meant.append(gaps)
-        fitted_steps = [*meant, *fitted_steps]
+            matching_steps.append(gaps)
+        fitted_steps = [*matching_steps, *fitted_steps]
     if fitted_steps:
         return fitted_steps[0]
     median = median_step(times)
     intervals = np.diff(times)
     mean = float(intervals[intervals <= MAX_INTERPOLATED_GAP * median].mean())
-    gap_steps = fit_gaps(times, mean, rounding)
+    gap_steps = fit_frames_with_gaps(times, mean, rounding)
     if gap_steps is not None and gap_steps.regular:
         return gap_steps
-    line = times[0] + median * row_frames
-    candidates_ = [step for step in rates if abs(step - mean) <= RATE_TOLERANCE * mean]
-    step = candidates_[0] if candidates_ else median
-    gap_steps = fit_gaps(times, step, rounding)
+    regular_times = times[0] + median * row_frames
+    close_steps = [
+        step for step in stated_steps if abs(step - mean) <= RATE_TOLERANCE * mean
+    ]
+    step = close_steps[0] if close_steps else median
+    gap_steps = fit_frames_with_gaps(times, step, rounding)
     error = (
-        gap_steps.error if gap_steps is not None else float(np.abs(times - line).max())
+        gap_steps.error
+        if gap_steps is not None
+        else float(np.abs(times - regular_times).max())
     )
     return TimeSteps(step, row_frames, error, False)
 

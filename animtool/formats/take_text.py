@@ -1,4 +1,4 @@
-"""A take as text: a header, and rows formatted while they are written."""
+"""Writes a take as text: a header, and rows formatted on demand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.motion.take import Take
 
-ROWS_AT_ONCE = 4096
+CHUNK_ROWS = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +31,7 @@ class TakeText:
         yield from self.rows
 
 
-def number_rows(
+def format_rows(
     values: FloatArray, decimals: Sequence[int], *, tabs: bool = False
 ) -> Iterator[bytes]:
     """Yield formatted rows ``(F, C)`` in chunks, separated by blanks or tabs.
@@ -39,8 +39,8 @@ def number_rows(
     ``decimals`` are the maximum decimals of each column.
     """
     digits = np.array(decimals, np.int64)
-    for begin in range(0, len(values), ROWS_AT_ONCE):
-        block = np.ascontiguousarray(values[begin : begin + ROWS_AT_ONCE])
+    for begin in range(0, len(values), CHUNK_ROWS):
+        block = np.ascontiguousarray(values[begin : begin + CHUNK_ROWS])
         text = _kernels.format_bvh_rows(block, digits)
         yield text.replace(b" ", b"\t") if tabs else text
 
@@ -48,7 +48,7 @@ def number_rows(
 def write_text(
     take: Take,
     path: Path | str,
-    text: Callable[[Take], TakeText],
+    build_text: Callable[[Take], TakeText],
     *,
     overwrite: bool,
 ) -> list[Fault]:
@@ -57,6 +57,6 @@ def write_text(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    take_text = text(take)
+    take_text = build_text(take)
     write_parts(path, take_text.parts)
     return take_text.notices

@@ -1,4 +1,4 @@
-"""Common parts of marker readers: names, units, rates and missing positions."""
+"""Helpers of marker readers: names, units, rates and missing positions."""
 
 from __future__ import annotations
 

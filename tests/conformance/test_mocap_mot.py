@@ -9,7 +9,7 @@ import pytest
 from support.data import data_files
 
 from animtool import open_source
-from animtool.formats.mot.coordinates import coordinates_of
+from animtool.formats.mot.coordinates import list_coordinates
 from animtool.formats.mot.write import write_mot
 from animtool.maths.so3 import angle_between
 
@@ -21,7 +21,7 @@ def test_real_files(
     stream = open_source(path)
     take = stream.collect()
     assert len(take) > 1
-    count = len(coordinates_of(take.rig))
+    count = len(list_coordinates(take.rig))
     assert count == stream.details["coordinates"]
     assert write_mot(take, tmp_path / path.name) == []
     again = open_source(tmp_path / path.name).collect()

@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed
 from animtool.core.rates import rate_from_frame_time
 from animtool.core.units import LengthUnit, UpAxis, unit_name
-from animtool.formats.take_text import TakeText, number_rows, write_text
+from animtool.formats.take_text import TakeText, format_rows, write_text
 from animtool.maths.euler import axes_of
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, Rig
@@ -94,7 +94,7 @@ def build_bvh_text(take: Take) -> TakeText:
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
     return TakeText(
         _header_lines(take, offsets, children, channel_orders),
-        number_rows(rows, decimals),
+        format_rows(rows, decimals),
         _scale_notices(take) + _shape_notices(take) + _unit_notices(take.rig),
     )
 

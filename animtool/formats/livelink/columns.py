@@ -1,4 +1,4 @@
-"""Columns of a Live Link Face recording, and their values."""
+"""Reads the columns of a Live Link Face recording."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 TIMECODE_COLUMN, COUNT_COLUMN = "Timecode", "BlendShapeCount"
 # Rotations about the axes of the face: up, left, and forward.
 ANGLE_AXES = ("Yaw", "Pitch", "Roll")
-HEAD_PARTS = ("Head", "LeftEye", "RightEye")
-ANGLE_COLUMNS = tuple(part + axis for part in HEAD_PARTS for axis in ANGLE_AXES)
+FACE_PARTS = ("Head", "LeftEye", "RightEye")
+ANGLE_COLUMNS = tuple(part + axis for part in FACE_PARTS for axis in ANGLE_AXES)
 # Shapes in the order of the app.
 APP_SHAPES = (
     *(
@@ -57,8 +57,8 @@ MAX_COLUMNS = 4096
 MAX_BYTES = 1_000_000_000
 MAX_FAULTS = 100
 MAX_LISTED_COLUMNS = 12
-# Weights are about 1 and angles a few radians; larger numbers are invalid.
-MAX_VALUE = 1e18
+# Weights are about 1 and angles a few radians; larger values are missing.
+MAX_ABS_VALUE = 1e18
 _DELIMITERS = ",;\t"
 _ANGLES_BY_LOWERCASE = {name.lower(): name for name in ANGLE_COLUMNS}
 
@@ -92,12 +92,14 @@ class Recording:
 def read_recording(path: Path) -> Recording:
     """Read the rows of a recording."""
     lines = _read_lines(path)
-    header = next((i for i, line in enumerate(lines) if line.strip()), None)
-    if header is None:
+    header_index = next((i for i, line in enumerate(lines) if line.strip()), None)
+    if header_index is None:
         raise FormatError(Fault("LLF001", "is empty", str(path)))
-    table = _RecordingTable(path, lines[header], header + 1)
-    rows = [(i + 1, line) for i, line in enumerate(lines) if i > header]
-    return table.read([(n, line) for n, line in rows if line.strip(" \t,;\0")])
+    table = _RecordingTable(path, lines[header_index], header_index + 1)
+    rows = [(i + 1, line) for i, line in enumerate(lines) if i > header_index]
+    return table.read(
+        [(number, line) for number, line in rows if line.strip(" \t,;\0")]
+    )
 
 
 def _read_lines(path: Path) -> list[str]:
@@ -115,7 +117,7 @@ def _read_lines(path: Path) -> list[str]:
 
 
 class _RecordingTable:
-    """The columns named by a header."""
+    """Parses rows by the columns that a header names."""
 
     def __init__(self, path: Path, header: str, line: int) -> None:
         self.path, self.line = path, line
@@ -161,21 +163,21 @@ class _RecordingTable:
         return line.split(self.delimiter)
 
     def _fault(self, code: str, cell: int, message: str, line: int = 0) -> Fault:
-        """Return a fault of a cell; columns count from 1."""
+        """Return a fault at a cell; ``cell`` is its index in the row."""
         return Fault(
             code, message, str(self.path), (line or self.line,), column=cell + 1
         )
 
     def read(self, rows: list[tuple[int, str]]) -> Recording:
         """Parse the rows below the header."""
-        width = len(self.names)
+        column_count = len(self.names)
         notices: list[Fault] = []
         cells = [(number, self._cells(line)) for number, line in rows]
         # A comma after the last value of each row is not a column.
         for _, row in cells:
-            if len(row) == width + 1 and not row[-1].strip():
+            if len(row) == column_count + 1 and not row[-1].strip():
                 row.pop()
-        if cells and len(cells[-1][1]) < width:
+        if cells and len(cells[-1][1]) < column_count:
             number, row = cells.pop()
             message = f"the last row ends at column {len(row)}: skipped"
             notices.append(
@@ -187,12 +189,13 @@ class _RecordingTable:
         faults = [
             Fault(
                 "LLF003",
-                f"has {counted(len(row), 'column')}, but the header names {width}",
+                f"has {counted(len(row), 'column')}, but the header names "
+                f"{column_count}",
                 str(self.path),
                 (number,),
             )
             for number, row in cells
-            if len(row) != width
+            if len(row) != column_count
         ]
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
@@ -241,22 +244,22 @@ class _RecordingTable:
                 break
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
-        values[~(np.abs(values) <= MAX_VALUE)] = np.nan
+        values[~(np.abs(values) <= MAX_ABS_VALUE)] = np.nan
         return values
 
     def _count_notice(self, values: FloatArray, lines: IntArray) -> list[Fault]:
         """Return a warning about rows whose BlendshapeCount is wrong."""
         if self.count is None:
             return []
-        counts = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
+        valid_counts = {len(self.shapes) + len(self.angle_columns), len(self.shapes)}
         stated_counts = values[:, self.count]
         is_mismatched: BoolArray = np.isfinite(stated_counts) & ~np.isin(
-            stated_counts, list(counts)
+            stated_counts, list(valid_counts)
         )
         if not is_mismatched.any():
             return []
         row = int(np.flatnonzero(is_mismatched)[0])
-        values_text = counted(max(counts), "value")
+        values_text = counted(max(valid_counts), "value")
         message = (
             f"{COUNT_COLUMN} is {stated_counts[row]:g}, but the row has {values_text}"
         )

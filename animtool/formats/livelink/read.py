@@ -1,4 +1,4 @@
-"""Live Link Face reader: a recording as a take."""
+"""Reads a Live Link Face recording as a take."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import (
     ANGLE_AXES,
-    HEAD_PARTS,
+    FACE_PARTS,
     Recording,
     read_recording,
 )
@@ -38,10 +38,10 @@ from animtool.rig.parts import Shape
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
 from animtool.rig.skeleton import Joint, JointType, Rig
 
-Dropped: TypeAlias = Literal["interpolate", "hold", "close"]
-DROPPED: tuple[Dropped, ...] = ("interpolate", "hold", "close")
+DroppedFrames: TypeAlias = Literal["interpolate", "hold", "close"]
+DROPPED_FRAME_OPTIONS: tuple[DroppedFrames, ...] = ("interpolate", "hold", "close")
 MAX_LISTED_SHAPES = 12
-_JOINTS_BY_PART = dict(zip(HEAD_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+_JOINTS_BY_PART = dict(zip(FACE_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 # Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _DEFAULT_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
@@ -54,7 +54,7 @@ def read_livelink(
     rig: Path | str | None = None,
     fps: FractionLike | None = None,
     remap: Path | str | None = None,
-    dropped: Dropped = "interpolate",
+    dropped: DroppedFrames = "interpolate",
 ) -> TakeStream:
     """Open a Live Link Face recording (CSV) as a take.
 
@@ -72,43 +72,51 @@ def read_livelink(
             up.
     """
     path = Path(path)
-    if dropped not in DROPPED:
+    if dropped not in DROPPED_FRAME_OPTIONS:
         message = f"dropped is {dropped!r}"
-        hint = f"allowed: {', '.join(DROPPED)}"
+        hint = f"allowed: {', '.join(DROPPED_FRAME_OPTIONS)}"
         raise OptionError(Fault("SCN022", message, str(path), (), hint))
-    clock = None if fps is None else rate_option(fps)
+    label_rate = None if fps is None else rate_option(fps)
     recording = read_recording(path)
-    frames = row_frames(recording.labels, recording.lines, str(path), clock)
-    target = face_rig(recording) if rig is None else Rig.load(Path(rig))
+    frames = row_frames(recording.labels, recording.lines, str(path), label_rate)
+    target_rig = face_rig(recording) if rig is None else Rig.load(Path(rig))
     table = None if remap is None else load_remap(remap)
     links = link_shapes(
-        recording.shapes, [shape.name for shape in target.shapes], table
+        recording.shapes, [shape.name for shape in target_rig.shapes], table
     )
-    joints = head_joints(target)
+    joints = head_joints(target_rig)
     notices = [*recording.notices, *frames.notices]
     rotations = _part_angles(recording)
     if not links.links and not (set(rotations) & set(joints)):
-        message = f"{target.name!r} has no shape of this recording, and no head joint"
+        message = (
+            f"{target_rig.name!r} has no shape of this recording, and no head joint"
+        )
         hint = f"map the shapes of other conventions with {argument('source.remap')}"
-        if not target.shapes:
+        if not target_rig.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
     notices += _recording_notices(recording, frames, dropped)
     notices += _unmatched_notices(recording, links, rotations, joints, rig is not None)
-    motion = _build_motion(recording, frames, target, links, joints, dropped)
+    motion = _build_motion(recording, frames, target_rig, links, joints, dropped)
     details: dict[str, object] = {
         "format": "Live Link Face",
         "timecode": recording.labels[int(frames.rows[0])],
         "clock": str(frames.clock),
         "rows": len(recording.labels),
         "dropped_frames": frames.dropped.tolist(),
-        "units": unit_name(target.meters_per_unit),
+        "units": unit_name(target_rig.meters_per_unit),
     }
     if rig is not None:
         details["rig"] = str(rig)
-        notices = [*target.notices, *notices]
+        notices = [*target_rig.notices, *notices]
     return TakeStream(
-        target, frames.rate, None, Fraction(1), iter([motion]), notices, details
+        target_rig,
+        frames.rate,
+        None,
+        Fraction(1),
+        iter([motion]),
+        notices,
+        details,
     )
 
 
@@ -121,7 +129,7 @@ def face_rig(recording: Recording) -> Rig:
     """Return the default rig of a recording: shapes without meshes, head, eyes."""
     parts = [
         part
-        for part in HEAD_PARTS
+        for part in FACE_PARTS
         if part == "Head" or part in _rotated_parts(recording)
     ]
     joints = tuple(
@@ -137,19 +145,19 @@ def _rotated_parts(recording: Recording) -> list[str]:
     """Return the parts (head, eyes) that have all three angles."""
     return [
         part
-        for part in HEAD_PARTS
+        for part in FACE_PARTS
         if all(part + axis in recording.angles for axis in ANGLE_AXES)
     ]
 
 
 def _part_angles(recording: Recording) -> dict[str, FloatArray]:
     """Return yaw, pitch and roll of head and eyes by joint [deg] ``(R, 3)``."""
-    angles_of = {}
+    angles_by_joint = {}
     for part in _rotated_parts(recording):
         columns = [recording.angles.index(part + axis) for axis in ANGLE_AXES]
         angles = np.degrees(recording.rotations[:, columns])
-        angles_of[_JOINTS_BY_PART[part]] = angles
-    return angles_of
+        angles_by_joint[_JOINTS_BY_PART[part]] = angles
+    return angles_by_joint
 
 
 def _build_motion(
@@ -158,60 +166,68 @@ def _build_motion(
     rig: Rig,
     links: ShapeLinks,
     joints: dict[str, int],
-    dropped: Dropped,
+    dropped: DroppedFrames,
 ) -> Motion:
     times = frames.frames if dropped != "close" else np.arange(len(frames.frames))
-    at = np.arange(int(times[-1]) + 1)
-    raw = fill_gaps(recording.weights[frames.rows], times)
-    shape_weights = links.apply(raw, len(rig.shapes))
+    frame_numbers = np.arange(int(times[-1]) + 1)
+    filled_weights = fill_gaps(recording.weights[frames.rows], times)
+    shape_weights = links.apply(filled_weights, len(rig.shapes))
     weights = np.stack(
-        [_interpolated_rows(column, times, at, dropped) for column in shape_weights.T],
+        [_interpolated_rows(column, times, frame_numbers, dropped) 
+         for column in shape_weights.T],
         axis=-1,
-    ) if len(rig.shapes) else np.zeros((len(at), 0))  # fmt: skip
-    channel = Channel.static(rig.rest_rotations, len(at))
-    for part, angles in _part_angles(recording).items():
-        if part not in joints:
+    ) if len(rig.shapes) else np.zeros((len(frame_numbers), 0))  # fmt: skip
+    channel = Channel.static(rig.rest_rotations, len(frame_numbers))
+    for joint_key, angles in _part_angles(recording).items():
+        if joint_key not in joints:
             continue
         rotations = to_quaternion(fill_gaps(angles[frames.rows], times), "YXZ")
-        local = local_rotations(rig, joints[part], rotations)
-        values = _slerp_rows(align_signs(local), times, at, dropped)
-        joint_index = np.array([joints[part]])
+        local_rotations_of_joint = local_rotations(rig, joints[joint_key], rotations)
+        values = _slerp_rows(
+            align_signs(local_rotations_of_joint), times, frame_numbers, dropped
+        )
+        joint_index = np.array([joints[joint_key]])
         channel = channel.put(joint_index, values[:, None])
     return Motion(
-        Channel.static(rig.rest_translations, len(at)),
+        Channel.static(rig.rest_translations, len(frame_numbers)),
         channel.compact(),
         weights=Channel.from_dense(weights[..., None]) if len(rig.shapes) else None,
     )
 
 
 def _interpolated_rows(
-    values: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
+    values: FloatArray, times: IntArray, frame_numbers: IntArray, dropped: DroppedFrames
 ) -> FloatArray:
     if dropped == "hold":
-        previous: FloatArray = values[np.searchsorted(times, at, side="right") - 1]
+        previous: FloatArray = values[
+            np.searchsorted(times, frame_numbers, side="right") - 1
+        ]
         return previous
-    return np.interp(at, times, values)
+    return np.interp(frame_numbers, times, values)
 
 
 def _slerp_rows(
-    rotations: FloatArray, times: IntArray, at: IntArray, dropped: Dropped
+    rotations: FloatArray,
+    times: IntArray,
+    frame_numbers: IntArray,
+    dropped: DroppedFrames,
 ) -> FloatArray:
-    row_before = np.searchsorted(times, at, side="right") - 1
+    row_before = np.searchsorted(times, frame_numbers, side="right") - 1
     if dropped == "hold" or len(times) == 1:
         return rotations[row_before]
     row_after = np.minimum(row_before + 1, len(times) - 1)
     span = np.maximum(times[row_after] - times[row_before], 1)
-    fraction = (at - times[row_before]) / span
-    rotations_ = slerp(rotations[row_before], rotations[row_after], fraction)
-    exact: BoolArray = fraction == 0
-    rotations_[exact] = rotations[row_before[exact]]
-    return rotations_
+    fraction = (frame_numbers - times[row_before]) / span
+    interpolated = slerp(rotations[row_before], rotations[row_after], fraction)
+    is_exact: BoolArray = fraction == 0
+    interpolated[is_exact] = rotations[row_before[is_exact]]
+    return interpolated
 
 
 def _recording_notices(
-    recording: Recording, frames: TimecodeFrames, dropped: Dropped
+    recording: Recording, frames: TimecodeFrames, dropped: DroppedFrames
 ) -> list[Fault]:
-    """Return warnings about missing columns and unusual values."""
+    """Return warnings about dropped frames, missing values and unusual weights."""
     path = str(recording.path)
     notices = []
     gaps = frames.dropped
@@ -262,18 +278,18 @@ def _unmatched_notices(
     links: ShapeLinks,
     rotations: dict[str, FloatArray],
     joints: dict[str, int],
-    named: bool,
+    is_given_rig: bool,
 ) -> list[Fault]:
     """Return notices of names only in the recording or only in the rig."""
     path = str(recording.path)
     notices = []
-    if named and links.lost:
-        static = {
+    if is_given_rig and links.lost:
+        zero_shapes = {
             name
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
             if not np.nan_to_num(column).any()
         }
-        unmatched_names = [name for name in links.lost if name not in static]
+        unmatched_names = [name for name in links.lost if name not in zero_shapes]
         if unmatched_names:
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"
@@ -286,12 +302,12 @@ def _unmatched_notices(
         if part not in joints and np.nan_to_num(angles).any():
             message = f"the rig has no joint for the {part}: its rotation is skipped"
             notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
-    rig_only = {
+    incomplete_angles = {
         angle
         for angle in recording.angles
         if not any(angle.startswith(part) for part in _rotated_parts(recording))
     }
-    if rig_only:
-        message = f"{listed(sorted(rig_only))} without the two others: skipped"
+    if incomplete_angles:
+        message = f"{listed(sorted(incomplete_angles))} without the two others: skipped"
         notices.append(Fault("LLF110", message, path, (), None, Severity.NOTE))
     return notices

@@ -1,4 +1,4 @@
-"""Frame numbers of a recording's rows, from their timecodes."""
+"""Finds the frame of each row of a recording from its timecode."""
 
 from __future__ import annotations
 
@@ -86,28 +86,33 @@ def row_frames(
     """
     fields = _label_fields(labels, lines, path)
     notices: list[Fault] = []
-    drop = any(";" in label for label in labels)
+    is_drop_frame = any(";" in label for label in labels)
     rate = (
-        clock if clock is not None else _fit_timecode_rate(fields, drop, path, notices)
+        clock
+        if clock is not None
+        else _fit_timecode_rate(fields, is_drop_frame, path, notices)
     )
-    counts, fractions = _label_numbers(labels, rate, lines, path)
-    day = day_frames(rate, drop=drop)
+    label_counts, fractions = _label_numbers(labels, rate, lines, path)
+    labels_per_day = day_frames(rate, drop=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
-    steps = (np.diff(counts) + day // 2) % day - day // 2
+    steps = (
+        np.diff(label_counts) + labels_per_day // 2
+    ) % labels_per_day - labels_per_day // 2
     times = np.concatenate([[0], np.cumsum(steps)])
     order = np.argsort(times + fractions, kind="stable")
     notices += _unsorted_notice(order, lines, path)
     times, fractions = times[order] - times[order[0]], fractions[order]
-    steps_ = np.diff(times)
-    if len(steps_) and (worst := steps_.max()) > MAX_GAP_SECONDS * rate:
-        at = int(steps_.argmax())
+    time_steps = np.diff(times)
+    if len(time_steps) and (longest_gap := time_steps.max()) > MAX_GAP_SECONDS * rate:
+        gap_index = int(time_steps.argmax())
         message = (
-            f"{worst / float(rate):.6g} s without a row before {labels[order[at + 1]]}"
+            f"{longest_gap / float(rate):.6g} s without a row before "
+            f"{labels[order[gap_index + 1]]}"
         )
         hint = "split the recording there, or repair the time code"
-        line = (int(lines[order[at + 1]]),)
+        line = (int(lines[order[gap_index + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
-    step, frames = _row_frames(times, fractions)
+    step, frames = _frames_of_labels(times, fractions)
     is_first = np.concatenate([[True], np.diff(frames) > 0])
     notices += _repeated_notice(is_first, order, lines, path)
     return TimecodeFrames(rate, step, order[is_first], frames[is_first], tuple(notices))
@@ -133,13 +138,13 @@ def _label_fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray
 
 
 def _fit_timecode_rate(
-    fields: IntArray, drop: bool, path: str, notices: list[Fault]
+    fields: IntArray, is_drop_frame: bool, path: str, notices: list[Fault]
 ) -> Fraction:
     """Return the timecode rate [1/s] that fits the labels best."""
     max_label = int(fields[:, 3].max())
     seconds = fields[:, :3] @ [3600, 60, 1]
     candidates = [n for n in TIMECODE_RATES if n > max_label] or [max_label + 1]
-    if drop:
+    if is_drop_frame:
         candidates = [n for n in (30, 60) if n > max_label] or [60]
         return Fraction(candidates[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
@@ -159,10 +164,10 @@ def _fit_timecode_rate(
     if len(candidates) == 1:
         return Fraction(candidates[0])
     steps = np.diff(fields[:, 3])[np.diff(seconds) == 0]
-    typical = np.median(steps[steps > 0]) if (steps > 0).any() else 1
+    typical_step = np.median(steps[steps > 0]) if (steps > 0).any() else 1
     # A step across the end of a second equals those within it.
     wrap_steps = fields[seconds_ends + 1, 3] - fields[seconds_ends, 3]
-    misses = [np.median(np.abs(wrap_steps + n - typical)) for n in candidates]
+    misses = [np.median(np.abs(wrap_steps + n - typical_step)) for n in candidates]
     return Fraction(candidates[int(np.argmin(misses))])
 
 
@@ -186,7 +191,7 @@ def _label_numbers(
     return np.array(counts, np.int64), np.array(fractions)
 
 
-def _row_frames(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
+def _frames_of_labels(times: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
     """Return labels per frame, and the frame of each row, from 0."""
     steps = np.diff(times)
     positive_steps = steps[steps > 0]

@@ -1,4 +1,4 @@
-"""Live Link Face writer: a take as a recording (CSV)."""
+"""Writes a take as a Live Link Face recording (CSV)."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.formats.livelink.columns import (
     ANGLE_COLUMNS,
     APP_SHAPES,
     COUNT_COLUMN,
-    HEAD_PARTS,
+    FACE_PARTS,
     TIMECODE_COLUMN,
 )
 from animtool.formats.take_text import TakeText, write_text
@@ -28,13 +28,13 @@ from animtool.rig.shapes import arkit_name
 
 # Decimals, as in files of the app.
 WEIGHT_DECIMALS = 10
-_JOINTS_BY_PART = dict(zip(HEAD_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
+_JOINTS_BY_PART = dict(zip(FACE_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 
 
 def write_livelink(
     take: Take, path: Path | str, *, overwrite: bool = False
 ) -> list[Fault]:
-    """Write a take as a Live Link Face recording; see `livelink_text`.
+    """Write a take as a Live Link Face recording; see `build_livelink_text`.
 
     Args:
         take: The take.
@@ -44,10 +44,10 @@ def write_livelink(
     Returns:
         Warnings about data that the format cannot store.
     """
-    return write_text(take, path, livelink_text, overwrite=overwrite)
+    return write_text(take, path, build_livelink_text, overwrite=overwrite)
 
 
-def livelink_text(take: Take) -> TakeText:
+def build_livelink_text(take: Take) -> TakeText:
     """Return a take as CSV: ARKit's 52 weights, head and eye rotations.
 
     The first frame is 00:00:00:00 of a clock with the take's rate, drop-frame at 29.97
@@ -72,9 +72,9 @@ def livelink_text(take: Take) -> TakeText:
     channel = take.motion.weights
     all_weights = None if channel is None else channel.dense()[..., 0]
     for i, name in enumerate(APP_SHAPES):
-        at = columns.get(arkit_name(name))
-        if all_weights is not None and at is not None:
-            weights[:, i] = all_weights[:, at]
+        shape_index = columns.get(arkit_name(name))
+        if all_weights is not None and shape_index is not None:
+            weights[:, i] = all_weights[:, shape_index]
     notices = []
     if all_weights is not None:
         written_shapes = set(columns.values())
@@ -98,7 +98,7 @@ def _head_and_eye_angles(take: Take) -> FloatArray:
     """Return yaw, pitch and roll of head, left eye and right eye [rad] ``(F, 9)``."""
     angles = np.zeros((take.clock.count, len(ANGLE_COLUMNS)))
     joints = head_joints(take.rig)
-    for k, part in enumerate(HEAD_PARTS):
+    for k, part in enumerate(FACE_PARTS):
         joint = joints.get(_JOINTS_BY_PART[part])
         if joint is None:
             continue

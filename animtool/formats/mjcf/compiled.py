@@ -1,4 +1,4 @@
-"""A compiled MJCF as a robot: bodies as links with their joints."""
+"""Compiles an MJCF, and builds a robot from the compiled model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import JointEqualities
-from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, label_of
+from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, element_name_label
 from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
 from animtool.formats.robots.parts import (
     IDENTITY_ROTATION,
@@ -24,14 +24,14 @@ from animtool.formats.robots.parts import (
     float_quaternion,
     float_vector,
 )
-from animtool.formats.robots.triangles import triangles_of
+from animtool.formats.robots.triangles import triangulate_shape
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import JointType, Quaternion
 
 MAX_LISTED_JOINTS = 8
-# Frequent refusals of MuJoCo: how they begin, what is wrong, and what to do.
+# Frequent errors of MuJoCo: their start, our message, and a hint.
 _REFUSALS = (
     (
         "axis too small in joint",
@@ -57,7 +57,7 @@ HIDDEN_GROUP = 3
 _SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compile_model(reduced: ReducedModel, notes: XmlNotes) -> Any:
+def compile_model(reduced_model: ReducedModel, notes: XmlNotes) -> Any:
     """Compile a reduced MJCF with MuJoCo."""
     try:
         import mujoco
@@ -69,9 +69,9 @@ def compile_model(reduced: ReducedModel, notes: XmlNotes) -> Any:
     warning_handler = mujoco.get_mju_user_warning()
     mujoco.set_mju_user_warning(lambda _: None)
     try:
-        return mujoco.MjModel.from_xml_string(reduced.text)
+        return mujoco.MjModel.from_xml_string(reduced_model.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        _record_error(str(error), reduced, notes)
+        _record_error(str(error), reduced_model, notes)
     finally:
         mujoco.set_mju_user_warning(warning_handler)
     notes.check()
@@ -88,21 +88,21 @@ def _record_error(text: str, reduced: ReducedModel, notes: XmlNotes) -> None:
     message = _ERROR_LINE.sub("", _ERROR_PREFIX.sub("", text)).strip()
     message = re.sub(r"\s*\n\s*", ", ", message)
     message = re.sub(r",? *Element (name )?'[^']*'(, id \d+)?,?", "", message)
-    where = None if element is None else label_of(element)
+    where = None if element is None else element_name_label(element)
     if where is None and element is not None and body:
         where = f"{element.tag} of body {excerpt(body)}"
     message, hint = next(
         (
-            (ours + message.removeprefix(theirs), remedy)
-            for theirs, ours, remedy in _REFUSALS
-            if message.startswith(theirs)
+            (our_message + message.removeprefix(mujoco_start), hint_text)
+            for mujoco_start, our_message, hint_text in _REFUSALS
+            if message.startswith(mujoco_start)
         ),
         (f"MuJoCo refuses it: {message}", None),
     )
     notes.add("MJC008", element, message, hint, where=where)
 
 
-def robot_of(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
+def build_robot(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
     """Return the robot of a compiled model; record what a rig cannot store."""
     _check_sizes(model, notes)
     equalities = JointEqualities.of(model, notes)
@@ -115,7 +115,7 @@ def robot_of(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
         if name and body > 0:
             pose = (
                 float_vector(model.site_pos[site]),
-                rotation_of(model.site_quat[site]),
+                convert_quaternion(model.site_quat[site]),
             )
             links[body - 1].sites.append((name, *pose))
     _record_differences(model, reduced, equalities, notes)
@@ -138,7 +138,7 @@ def _check_sizes(model: Any, notes: XmlNotes) -> None:
             return
 
 
-def rotation_of(wxyz: FloatArray) -> Quaternion:
+def convert_quaternion(wxyz: FloatArray) -> Quaternion:
     """Return a quaternion (x, y, z, w) from MuJoCo's (w, x, y, z)."""
     w, x, y, z = np.asarray(wxyz, np.float64)
     return float_quaternion(np.array([x, y, z, w]))
@@ -149,20 +149,24 @@ def _build_link(
 ) -> Link:
     """Return the link of a body; joints pivot at positions in the body frame."""
     position = np.array(model.body_pos[body])
-    rotation = np.array(rotation_of(model.body_quat[body]))
+    rotation = np.array(convert_quaternion(model.body_quat[body]))
     name = model.body(body).name
     link = Link(name, int(model.body_parentid[body]) - 1)
     pivot = np.zeros(3)
     first_joint = int(model.body_jntadr[body])
     for joint in range(first_joint, first_joint + int(model.body_jntnum[body])):
-        at = np.array(model.jnt_pos[joint])
+        joint_pivot = np.array(model.jnt_pos[joint])
         if model.jnt_type[joint] in {_FREE, _SLIDE}:
-            at = pivot  # its position has no effect
-        translation = position + so3.rotate(rotation, at - pivot)
+            joint_pivot = pivot  # its position has no effect
+        translation = position + so3.rotate(rotation, joint_pivot - pivot)
         link.joints.append(
             _build_joint(model, joint, translation, rotation, equalities)
         )
-        position, rotation, pivot = np.zeros(3), np.array(IDENTITY_ROTATION), at
+        position, rotation, pivot = (
+            np.zeros(3),
+            np.array(IDENTITY_ROTATION),
+            joint_pivot,
+        )
     if link.joints:
         link.offset = float_vector(-pivot)
     else:
@@ -240,17 +244,17 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
         }[kind]
         position: Vector = float_vector(model.geom_pos[geom])
         solid = SimpleShape(
-            kind, tuple(size), position, rotation_of(model.geom_quat[geom])
+            kind, tuple(size), position, convert_quaternion(model.geom_quat[geom])
         )
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
             colliding_geoms.append(solid)
         if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
-            visible.append(triangles_of(solid))
+            visible.append(triangulate_shape(solid))
     return colliding_geoms, visible
 
 
 def _body_weight(model: Any, body: int, mass: float) -> LinkMass:
-    rotation = so3.to_matrix(np.array(rotation_of(model.body_iquat[body])))
+    rotation = so3.to_matrix(np.array(convert_quaternion(model.body_iquat[body])))
     inertia = np.array(model.body_inertia[body])
     return LinkMass(
         mass,
@@ -273,18 +277,23 @@ def _record_differences(
             notes.add(code, None, message, hint, severity=Severity.NOTE)
 
     scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
-    refs = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
+    joints_with_ref = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
     hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
-    add("MJC109", refs, "the file draws {} at another value (ref) than 0", hint)
-    reversed_ref = [
+    add(
+        "MJC109",
+        joints_with_ref,
+        "the file draws {} at another value (ref) than 0",
+        hint,
+    )
+    excluding_zero = [
         j
         for j in scalar
         if model.jnt_limited[j]
-        and j not in refs
+        and j not in joints_with_ref
         and not model.jnt_range[j, 0] <= 0 <= model.jnt_range[j, 1]
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
-    add("MJC109", reversed_ref, "0 is outside the limits of {}", hint)
+    add("MJC109", excluding_zero, "0 is outside the limits of {}", hint)
     balls = [
         j
         for j in range(model.njnt)

@@ -1,4 +1,4 @@
-"""Joint equality constraints: linear ones are mimics, others drivers."""
+"""Converts joint equalities: linear ones to mimics, others to drivers."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def _has_cycles(
 ) -> bool:
     """Record cycles of constrained joints; return whether there are any."""
     checked: set[int] = set()
-    has_rings = False
+    has_cycles = False
     for first_joint in rows:
         path: list[int] = []
         joint = first_joint
@@ -130,9 +130,9 @@ def _has_cycles(
                 message = f"joints are tied in a ring: {cycle_text([*names, names[0]])}"
                 hint = "remove one of these equalities"
                 notes.add("MJC010", None, message, hint, joint=names[0])
-                has_rings = True
+                has_cycles = True
                 break
             path.append(joint)
             joint = rows[joint][0]
         checked.update(path)
-    return has_rings
+    return has_cycles

@@ -1,4 +1,4 @@
-"""MJCF includes, resolved to one tree without MuJoCo opening files."""
+"""Resolves MJCF includes to one tree, so that MuJoCo opens no files."""
 
 from __future__ import annotations
 

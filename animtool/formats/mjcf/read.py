@@ -1,10 +1,10 @@
-"""MJCF reader: a rig, and a take of one frame."""
+"""Reads an MJCF as a rig, or as a take of one frame."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from animtool.formats.mjcf.compiled import compile_model, robot_of
+from animtool.formats.mjcf.compiled import build_robot, compile_model
 from animtool.formats.mjcf.includes import read_model
 from animtool.formats.mjcf.reduced import reduce_model
 from animtool.formats.robots.build import RobotCodes, build_rig
@@ -33,7 +33,7 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     reduced = reduce_model(root, folders, notes)
     notes.check()
     model = compile_model(reduced, notes)
-    robot = robot_of(model, reduced, notes)
+    robot = build_robot(model, reduced, notes)
     if not robot.links:
         notes.add("MJC004", root, "the model has no body", "bodies are what moves")
         notes.check()

@@ -1,4 +1,4 @@
-"""An MJCF reduced to bodies, joints and shapes, compiled without other files."""
+"""Reduces an MJCF to bodies, joints and shapes, to compile it without other files."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def reduce_model(
     """Return a model's moving parts; record omissions and faults."""
     _check_files(root, packages, notes)
     _name_bodies(root)
-    reduction = _Reduction(_MeshClasses(root), notes)
+    reduction = _Reduction(_MeshDefaults(root), notes)
     model = root.attributes.get("model")
     reduction.add(
         root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>"
@@ -124,7 +124,7 @@ def reduce_model(
 class _Reduction:
     """Lines of a reduced model, with the source of each."""
 
-    meshes: _MeshClasses
+    meshes: _MeshDefaults
     notes: XmlNotes
     lines: list[str] = field(default_factory=list)
     elements: list[XmlElement] = field(default_factory=list)
@@ -145,8 +145,8 @@ class _Reduction:
             for child in element.children
             if _is_kept(element, child, section, self.notes)
         ]
-        of_body = tag == "geom" and section == "worldbody"
-        if of_body and self.meshes.is_mesh(element, classes):
+        is_body_geom = tag == "geom" and section == "worldbody"
+        if is_body_geom and self.meshes.is_mesh(element, classes):
             self.notes.leave_out(["geoms of meshes"])
             self.with_unknown_mass.add(body)
             return
@@ -164,7 +164,7 @@ class _Reduction:
 def _is_kept(
     parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
 ) -> bool:
-    """Return whether a part of a section is kept; record it if not."""
+    """Return whether a child of a section is kept; record it if not."""
     tag = child.tag
     match section:
         case "worldbody":
@@ -179,17 +179,17 @@ def _is_kept(
 
 
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
-    """Return whether a part of a body is kept; record it if not."""
-    tag, left_out = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
+    """Return whether a child of a body is kept; record it if not."""
+    tag, label = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
         notes.add("MJC009", child, message, hint)
         return False
     if parent.tag == "worldbody" and tag in {"geom", "site"}:
-        left_out = "geoms and sites of the world"
-    if left_out is not None:
-        notes.leave_out([left_out])
+        label = "geoms and sites of the world"
+    if label is not None:
+        notes.leave_out([label])
         return False
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
@@ -218,7 +218,7 @@ def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) 
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
             message += f"{excerpt(text)} is not finite"
-            notes.add("MJC007", element, message, where=label_of(element))
+            notes.add("MJC007", element, message, where=element_name_label(element))
             return
 
 
@@ -231,10 +231,10 @@ def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
     if element.attributes.get("limited") != "false":
         message = f"range {excerpt(value)} is reversed: {lower:g} is above {upper:g}"
         hint = f'write range="{upper:g} {lower:g}" if they are swapped'
-        notes.add("MJC011", element, message, hint, where=label_of(element))
+        notes.add("MJC011", element, message, hint, where=element_name_label(element))
 
 
-def label_of(element: XmlElement) -> str | None:
+def element_name_label(element: XmlElement) -> str | None:
     """Return an element's label for messages; None without a name."""
     name = element.attributes.get("name")
     return None if name is None else f"{element.tag} {excerpt(name)}"
@@ -258,8 +258,8 @@ def _name_bodies(root: XmlElement) -> None:
             body.attributes["name"] = f"body_{number}"
 
 
-class _MeshClasses:
-    """Which geoms are meshes, directly or by their default class."""
+class _MeshDefaults:
+    """Finds which geoms are meshes, directly or by their default class."""
 
     def __init__(self, root: XmlElement) -> None:
         self._classes: dict[str, bool] = {}
@@ -303,17 +303,19 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
     }
     missing_count = 0
     for element, name in _file_attributes(root):
-        folder = folders.get("assetdir", "")
+        file_folder = folders.get("assetdir", "")
         key = "texturedir" if element.tag == "texture" else "meshdir"
-        folder = folders.get(key, folder)
+        file_folder = folders.get(key, file_folder)
         try:
-            if packages.find(f"{folder}/{name}" if folder else name) is None:
+            if packages.find(f"{file_folder}/{name}" if file_folder else name) is None:
                 missing_count += 1
         except OutsideError as error:
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add("MJC016", element, message, hint, where=label_of(element))
+            notes.add(
+                "MJC016", element, message, hint, where=element_name_label(element)
+            )
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"

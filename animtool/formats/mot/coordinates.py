@@ -1,4 +1,4 @@
-"""Joint coordinates of a motion file's columns, and column names of a rig."""
+"""Converts between columns of motion files and joint coordinates of a rig."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class Coordinate:
 
     @property
     def is_angle(self) -> bool:
-        """Whether it is an angle."""
+        """Whether the coordinate is an angle."""
         return self.component in {"angle", "rotation"}
 
 
-def coordinates_of(rig: Rig) -> list[Coordinate]:
+def list_coordinates(rig: Rig) -> list[Coordinate]:
     """Return the coordinates of a rig, in joint order."""
     coordinates = []
     for j, joint in enumerate(rig.joints):
@@ -49,7 +49,7 @@ def coordinates_of(rig: Rig) -> list[Coordinate]:
     return coordinates
 
 
-def accepted_names(rig: Rig) -> dict[str, Coordinate]:
+def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
     """Return all accepted column names with their coordinates.
 
     These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
@@ -58,11 +58,11 @@ def accepted_names(rig: Rig) -> dict[str, Coordinate]:
     joint's full name takes precedence over a name with a suffix.
 
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
-    >>> list(accepted_names(door))
+    >>> list(coordinates_by_name(door))
     ['hinge.angle', 'hinge']
     """
     names: dict[str, Coordinate] = {}
-    coordinates = coordinates_of(rig)
+    coordinates = list_coordinates(rig)
     for coordinate in coordinates:
         names[_dotted_name(rig, coordinate)] = coordinate
     for coordinate in sorted(
@@ -74,11 +74,11 @@ def accepted_names(rig: Rig) -> dict[str, Coordinate]:
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
-    """Return column names that `accepted_names` resolves, short ones if unambiguous."""
-    by_name = accepted_names(rig)
+    """Return names that `coordinates_by_name` has, short ones if unambiguous."""
+    accepted = coordinates_by_name(rig)
     return [
         short
-        if by_name[short := _short_name(rig, coordinate)] == coordinate
+        if accepted[short := _short_name(rig, coordinate)] == coordinate
         else _dotted_name(rig, coordinate)
         for coordinate in coordinates
     ]
@@ -99,12 +99,14 @@ def _short_name(rig: Rig, coordinate: Coordinate) -> str:
     return f"{name}{suffix}"
 
 
-def plain_name(column: str) -> str | None:
+def parse_coordinate_name(column: str) -> str | None:
     """Return the coordinate name of a states column; None if it has none.
 
-    >>> plain_name("/jointset/knee_r/knee_angle_r/value"), plain_name("knee_angle_r")
-    ('knee_angle_r', 'knee_angle_r')
-    >>> plain_name("/jointset/knee_r/knee_angle_r/speed")
+    >>> parse_coordinate_name("/jointset/knee_r/knee_angle_r/value")
+    'knee_angle_r'
+    >>> parse_coordinate_name("knee_angle_r")
+    'knee_angle_r'
+    >>> parse_coordinate_name("/jointset/knee_r/knee_angle_r/speed")
     """
     if not column.startswith("/"):
         return column
@@ -112,20 +114,20 @@ def plain_name(column: str) -> str | None:
     return segments[-2] if segments[-1] == "value" and segments[-2] else None
 
 
-def rig_of_columns(name: str, columns: list[str]) -> Rig:
+def build_rig_from_columns(name: str, columns: list[str]) -> Rig:
     """Return a rig with a joint for each column.
 
     The joint is a pin about Z, or prismatic if the name ends like a translation:
     ``pelvis_tx``, ``box_transX``.
 
-    >>> rig = rig_of_columns("run", ["knee", "pelvis_ty"])
+    >>> rig = build_rig_from_columns("run", ["knee", "pelvis_ty"])
     >>> [(joint.type.value, joint.axis) for joint in rig.joints]
     [('pin', (0.0, 0.0, 1.0)), ('prismatic', (0.0, 1.0, 0.0))]
     """
-    return Rig(name, tuple(_joint_of_column(column) for column in columns))
+    return Rig(name, tuple(_build_column_joint(column) for column in columns))
 
 
-def _joint_of_column(column: str) -> Joint:
+def _build_column_joint(column: str) -> Joint:
     for match in _SLIDE_SUFFIX.finditer(column):
         if match.end() == len(column):
             axes = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
@@ -134,7 +136,7 @@ def _joint_of_column(column: str) -> Joint:
     return Joint(column, -1, JointType.PIN)
 
 
-def rows_to_coordinates(
+def convert_columns_to_coordinates(
     rig: Rig, columns: list[Coordinate], values: FloatArray
 ) -> FloatArray:
     """Return joint coordinates ``(F, Q)`` of columns ``(F, C)`` [deg, m].
@@ -144,28 +146,30 @@ def rows_to_coordinates(
     slices = coordinate_slices(rig)
     coordinates = np.zeros((len(values), slices[-1].stop if slices else 0))
     rotations: dict[int, FloatArray] = {}
-    for joint, slice_ in zip(rig.joints, slices, strict=True):
+    for joint, joint_slice in zip(rig.joints, slices, strict=True):
         if joint.type in (JointType.BALL, JointType.FREE):
-            coordinates[:, slice_.stop - 1] = 1.0
+            coordinates[:, joint_slice.stop - 1] = 1.0
     for coordinate, column in zip(columns, values.T, strict=True):
-        slice_ = slices[coordinate.joint_index]
+        joint_slice = slices[coordinate.joint_index]
         if coordinate.component == "rotation":
             angles = rotations.setdefault(
                 coordinate.joint_index, np.zeros((len(values), 3))
             )
             angles[:, coordinate.axis] = column
         else:
-            at = slice_.start + (
+            index = joint_slice.start + (
                 coordinate.axis if coordinate.component == "translation" else 0
             )
-            coordinates[:, at] = np.radians(column) if coordinate.is_angle else column
+            coordinates[:, index] = (
+                np.radians(column) if coordinate.is_angle else column
+            )
     for j, angles in rotations.items():
         stop = slices[j].stop
         coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ROTATION_ORDER)
     return coordinates
 
 
-def rows_of_coordinates(
+def convert_coordinates_to_columns(
     rig: Rig, columns: list[Coordinate], coordinates: FloatArray
 ) -> FloatArray:
     """Return columns ``(F, C)`` [deg, m] of joint coordinates ``(F, Q)``."""
@@ -173,21 +177,21 @@ def rows_of_coordinates(
     values = np.zeros((len(coordinates), len(columns)))
     rotations: dict[int, FloatArray] = {}
     for c, coordinate in enumerate(columns):
-        slice_ = slices[coordinate.joint_index]
+        joint_slice = slices[coordinate.joint_index]
         if coordinate.component == "rotation":
             if coordinate.joint_index not in rotations:
-                quaternions = coordinates[:, slice_.stop - 4 : slice_.stop]
+                quaternions = coordinates[:, joint_slice.stop - 4 : joint_slice.stop]
                 rotations[coordinate.joint_index] = euler.from_quaternion(
                     quaternions, ROTATION_ORDER
                 )
             values[:, c] = rotations[coordinate.joint_index][:, coordinate.axis]
         else:
-            at = slice_.start + (
+            index = joint_slice.start + (
                 coordinate.axis if coordinate.component == "translation" else 0
             )
             values[:, c] = (
-                np.degrees(coordinates[:, at])
+                np.degrees(coordinates[:, index])
                 if coordinate.is_angle
-                else coordinates[:, at]
+                else coordinates[:, index]
             )
     return values

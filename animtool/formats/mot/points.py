@@ -1,4 +1,4 @@
-"""OpenSim tables of vectors (STO, DataType=Vec3) as marker trajectories."""
+"""Reads OpenSim tables of vectors (STO, DataType=Vec3) as marker trajectories."""
 
 from __future__ import annotations
 
@@ -69,27 +69,27 @@ def read_points(
     if not header.has_points:
         message = f"has DataType {header.kind or 'double'}, but markers are Vec3"
         raise FormatError(Fault("MOF009", message, str(path)))
-    width = 1 + 3 * len(header.names)
+    column_count = 1 + 3 * len(header.names)
     if header.separator != b",":
         lines[header.begin :] = [
             line.replace(b",", b"\t") for line in lines[header.begin :]
         ]
-    rows = read_rows(path, lines, header, width, file.notices)
-    values = parse_numbers(path, rows, width)
+    rows = read_rows(path, lines, header, column_count, file.notices)
+    values = parse_numbers(path, rows, column_count)
     message = f"{counted(len(header.names), 'column')} of vectors are read as positions"
     hint = "forces and other vectors are not markers"
     file.note("MOF111", f"{message}: {listed(list(header.names[:3]))}", hint)
-    length = file.unit(header.unit, unit, LengthUnit.M)
-    names, axis = file.names(header.names, subject), file.up(None, up)
+    length_unit = file.unit(header.unit, unit, LengthUnit.M)
+    names, up_axis = file.names(header.names, subject), file.up(None, up)
     positions = values[:, 1:].reshape(len(values), -1, 3).copy()
-    positions = file.clean_positions(positions, length.meters)
+    positions = file.clean_positions(positions, length_unit.meters)
     times = values[:, 0]
     check_times(path, times, rows.line_numbers)
     frames = _row_frames(file, header, times, rounding_error(rows.decimals(0)), fps)
     positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices, begin = tuple(file.notices), frames.begin
-    return Markers(names, clock, positions, axis, notices=notices, begin=begin)
+    return Markers(names, clock, positions, up_axis, notices=notices, begin=begin)
 
 
 def _row_frames(
@@ -102,8 +102,8 @@ def _row_frames(
     """Return the frames of rows; record warnings about their times."""
     stated_rate, count = header.counts.get("rate"), len(times)
     if fps is not None or count == 1:
-        rate, at = file.rate(stated_rate, fps), np.arange(count, dtype=np.float64)
-        return _rows_from_times(times, rate, at, rounding)
+        rate, frames = file.rate(stated_rate, fps), np.arange(count, dtype=np.float64)
+        return _rows_from_times(times, rate, frames, rounding)
     steps = find_steps(times, None, stated_rate, rounding)
     intervals = int(steps.frames[-1]) if steps.regular else 1
     exact_rate = rate_of_step(steps.step, rounding, intervals)
@@ -120,28 +120,29 @@ def _row_frames(
         message += f"{float(exact_rate):g}"
         file.warn("MOF101", f"{message} fps: using the times")
     with np.errstate(over="ignore"):
-        at = (times - times[0]) * float(exact_rate)
+        frames = (times - times[0]) * float(exact_rate)
     if steps.regular:
-        at = steps.frames.astype(np.float64)
-    if not has_few_empty_frames(at, len(header.names)):
-        message = f"{count} rows span {float(at[-1]) + 1:.3g} frames"
+        frames = steps.frames.astype(np.float64)
+    if not has_few_empty_frames(frames, len(header.names)):
+        message = f"{count} rows span {float(frames[-1]) + 1:.3g} frames"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise file.error("MOF006", message, hint)
     if not steps.regular:
         message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
-    elif (absent := int(at[-1]) + 1 - count) > 0:
+    elif (missing_count := int(frames[-1]) + 1 - count) > 0:
         message = (
-            f"{counted(absent, 'frame')} without a row; markers have no positions there"
+            f"{counted(missing_count, 'frame')} without a row; markers have no "
+            "positions there"
         )
         file.warn("MOF105", message)
-    return _rows_from_times(times, exact_rate, at, rounding)
+    return _rows_from_times(times, exact_rate, frames, rounding)
 
 
 def _rows_from_times(
-    times: FloatArray, rate: Fraction, at: FloatArray, rounding: float
+    times: FloatArray, rate: Fraction, frames: FloatArray, rounding: float
 ) -> RowFrames:
     first_frame = float(times[0]) * float(rate)
     start = round(first_frame) + 1 if abs(first_frame) < MAX_START_FRAME else 1
-    exact = abs(first_frame - (start - 1)) <= 3 * rounding * float(rate)
-    return RowFrames(rate, start, at, None if exact else float(times[0]))
+    is_exact = abs(first_frame - (start - 1)) <= 3 * rounding * float(rate)
+    return RowFrames(rate, start, frames, None if is_exact else float(times[0]))

@@ -1,4 +1,4 @@
-"""OpenSim motion reader: a take of joint coordinates."""
+"""Reads an OpenSim motion file as a take of joint coordinates."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import unit_name
 from animtool.formats.mot.coordinates import (
     Coordinate,
-    accepted_names,
-    plain_name,
-    rig_of_columns,
-    rows_to_coordinates,
+    build_rig_from_columns,
+    convert_columns_to_coordinates,
+    coordinates_by_name,
+    parse_coordinate_name,
 )
-from animtool.formats.mot.table import MotionTable, check_once, read_table
+from animtool.formats.mot.table import MotionTable, check_duplicates, read_table
 from animtool.formats.row_times import (
     MAX_START_FRAME,
     STEP_TOLERANCE,
@@ -62,9 +62,9 @@ def read_mot(
     """Open an OpenSim motion file (MOT, STO) as a take.
 
     Columns are coordinates of a rig by name, see
-    `animtool.formats.mot.coordinates.accepted_names`: angles in degrees or radians, as
-    header states, lengths in metres, all relative to the rest pose. Time 0 is frame 1.
-    Rows at irregular times are resampled linearly.
+    `animtool.formats.mot.coordinates.coordinates_by_name`: angles in degrees or
+    radians, as the header states, lengths in metres, all relative to the rest pose.
+    Time 0 is frame 1. Rows at irregular times are resampled linearly.
 
     Args:
         path: The file.
@@ -72,17 +72,19 @@ def read_mot(
         fps: Rows per second, if the times are wrong; None derives it from the times.
     """
     path = Path(path)
-    option = None if fps is None else rate_option(fps)
+    requested_rate = None if fps is None else rate_option(fps)
     table = read_table(path)
     notices = list(table.notices)
-    target = _default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
-    table_columns, columns, unmatched = _matched_columns(table, target)
+    take_rig = (
+        _build_default_rig(table) if rig is None else at_origin(Rig.load(Path(rig)))
+    )
+    table_columns, columns, unmatched = _match_columns(table, take_rig)
     if rig is None:
         message = "names no rig: each coordinate became a joint"
         hint = f"set the rig of its coordinates with {argument('source.rig')}"
         notices.append(Fault("MOF106", message, str(path), (), hint, Severity.NOTE))
     elif unmatched:
-        message = f"{len(unmatched)} columns are not coordinates of {target.name!r}: "
+        message = f"{len(unmatched)} columns are not coordinates of {take_rig.name!r}: "
         hint = "name columns after joints: knee.angle, lift.slide, hip_x"
         warning = Severity.WARNING
         notices.append(
@@ -100,30 +102,30 @@ def read_mot(
         ]
         notices += _degrees_notice(str(path), names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
-    rate, values, even_notices = _resampled_rows(table, values, option)
-    motion = _build_motion(target, columns, values)
+    rate, values, timing_notices = _resample_rows(table, values, requested_rate)
+    motion = _build_motion(take_rig, columns, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
         "columns": len(table.names),
         "coordinates": len(columns),
         "angles": "degrees" if table.degrees else "radians",
         "first_time": float(table.times[0]),
-        "units": unit_name(target.meters_per_unit),
+        "units": unit_name(take_rig.meters_per_unit),
     }
     if rig is not None:
         details["rig"] = str(rig)
-        notices = [*target.notices, *notices]
+        notices = [*take_rig.notices, *notices]
     first_frame = float(table.times[0]) * float(rate)
     start = (
         Fraction(round(first_frame) + 1) if abs(first_frame) < MAX_START_FRAME else None
     )
     return TakeStream(
-        target,
+        take_rig,
         rate,
         start,
         Fraction(1),
         iter([motion]),
-        [*notices, *even_notices],
+        [*notices, *timing_notices],
         details,
     )
 
@@ -140,37 +142,37 @@ def _radians_notice(table: MotionTable, path: Path) -> Fault:
 
 def read_mot_rig(path: Path) -> Rig:
     """Return a rig with a joint for each coordinate of a motion file."""
-    return _default_rig(read_table(path))
+    return _build_default_rig(read_table(path))
 
 
-def _default_rig(table: MotionTable) -> Rig:
-    names = dict.fromkeys(filter(None, map(plain_name, table.names)))
+def _build_default_rig(table: MotionTable) -> Rig:
+    names = dict.fromkeys(filter(None, map(parse_coordinate_name, table.names)))
     if not names:
         message = "has no column with a coordinate"
         raise FormatError(Fault("MOF002", message, str(table.path)))
-    return rig_of_columns(table.path.stem, list(names))
+    return build_rig_from_columns(table.path.stem, list(names))
 
 
 def _degrees_notice(path: str, names: list[str], angles: FloatArray) -> list[Fault]:
     """Return a warning about angles ``(R, A)`` [rad] that are likely degrees."""
-    largest = np.abs(angles).max(axis=0, initial=0.0)
-    if not (largest > MAX_RADIANS).any():
+    max_angles = np.abs(angles).max(axis=0, initial=0.0)
+    if not (max_angles > MAX_RADIANS).any():
         return []
-    name, value = names[int(largest.argmax())], float(largest.max())
+    name, value = names[int(max_angles.argmax())], float(max_angles.max())
     message = f"angles are read as radians, but {excerpt(name)} reaches {value:.4g}, "
     message += f"which is {value / (2 * np.pi):.3g} revolutions"
     hint = "write inDegrees=yes in the header if they are degrees"
     return [Fault("MOF112", message, path, (), hint, Severity.WARNING)]
 
 
-def _matched_columns(
+def _match_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
     """Return columns known to the rig, their coordinates, and unknown names."""
-    by_name = accepted_names(rig)
+    coordinate_by_name = coordinates_by_name(rig)
     table_columns, columns, unmatched = [], [], []
     for c, name in enumerate(table.names):
-        coordinate = by_name.get(plain_name(name) or "")
+        coordinate = coordinate_by_name.get(parse_coordinate_name(name) or "")
         if coordinate is None:
             unmatched.append(name)
         else:
@@ -180,44 +182,44 @@ def _matched_columns(
         option = argument("source.rig")
         message = f"{option}: rig {rig.name!r} has none of the "
         message += f"{counted(len(unmatched), 'coordinate')}, such as {unmatched[0]!r}"
-        similar_name = most_similar(unmatched[0], by_name)
+        similar_name = most_similar(unmatched[0], coordinate_by_name)
         hint = f"read it with the rig that it was made for, or without {option}; "
         hint += "animtool retarget transfers the take to another"
         hint = f"did you mean {similar_name}?" if similar_name else hint
         raise OptionError(Fault("MOF007", message, str(table.path), (), hint))
-    check_once(
+    check_duplicates(
         table.path, tuple(columns), tuple(table.names[c] for c in table_columns), None
     )
     return table_columns, columns, unmatched
 
 
-def _resampled_rows(
-    table: MotionTable, values: FloatArray, option: Fraction | None
+def _resample_rows(
+    table: MotionTable, values: FloatArray, requested_rate: Fraction | None
 ) -> tuple[Fraction, FloatArray, list[Fault]]:
     """Return the rate, and values resampled to constant steps."""
     times, path = table.times, str(table.path)
-    if option is not None:
-        return option, values, []
+    if requested_rate is not None:
+        return requested_rate, values, []
     if len(times) == 1:
         message, hint = (
             "has one row, which gives no rate",
             f"set the rate with {argument('source.fps')}",
         )
         raise FormatError(Fault("MOF006", message, path, (), hint))
-    span = float(times[-1] - times[0])
+    duration = float(times[-1] - times[0])
     rounding = rounding_error(table.decimals)
     steps = fit_frames(times, np.arange(len(times)), rounding)
     if steps.regular:
         return _table_rate(path, steps.step, rounding, len(times) - 1), values, []
     rate = _table_rate(path, median_step(times), rounding, 1)
-    count = span * float(rate) + 1
+    count = duration * float(rate) + 1
     if count > MAX_FRAMES_PER_ROW * len(times):
         message = f"{len(times)} rows span {count:.3g} frames at {float(rate):g} fps"
         hint = f"{argument('source.fps')} reads each row as a frame"
         raise FormatError(Fault("MOF006", message, path, (), hint))
-    at = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
+    frame_times = times[0] + np.arange(int(count + STEP_TOLERANCE)) / float(rate)
     resampled_values = np.stack(
-        [np.interp(at, times, column) for column in values.T], axis=-1
+        [np.interp(frame_times, times, column) for column in values.T], axis=-1
     )
     message = (
         f"times are uneven, up to {steps.error:.3g} s off: resampled at "
@@ -241,7 +243,7 @@ def _table_rate(path: str, step: float, rounding: float, frames: int) -> Fractio
 
 
 def _build_motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
-    coordinates = rows_to_coordinates(rig, columns, values)
+    coordinates = convert_columns_to_coordinates(rig, columns, values)
     animated_joints = {
         rig.joints[coordinate.joint_index].name for coordinate in columns
     }

@@ -1,4 +1,4 @@
-"""The table of an OpenSim motion file: named columns over time."""
+"""Reads the table of an OpenSim motion file: named columns over time."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ def read_table(path: Path) -> MotionTable:
     lines = read_lines(path)
     header = read_header(path, lines)
     names, stated_counts, degrees = header.names, header.counts, header.degrees
-    _check_kind(path, header, lines)
+    _check_data_type(path, header, lines)
     notices: list[Fault] = []
     rows = read_rows(path, lines, header, len(names) + 1, notices)
     decimals, numbers = rows.decimals(0), rows.line_numbers
@@ -156,13 +156,18 @@ class MotHeader:
 
 def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     """Return the header (MOF001) and column names (MOF002, MOF004)."""
-    at = _end_of_header(path, lines)
-    counts, degrees, texts = _parse_header(lines[:at])
+    end_line = _find_header_end(path, lines)
+    counts, degrees, texts = _parse_header(lines[:end_line])
     names_line = next(
-        (i for i in range(at + 1, len(lines)) if lines[i].strip(BLANK_CHARACTERS)), None
+        (
+            i
+            for i in range(end_line + 1, len(lines))
+            if lines[i].strip(BLANK_CHARACTERS)
+        ),
+        None,
     )
     if names_line is None:
-        raise _table_error("MOF002", path, "ends after its header", at + 1)
+        raise _table_error("MOF002", path, "ends after its header", end_line + 1)
     separator = find_separator(lines[names_line])
     names = _column_names(path, lines[names_line], separator, names_line + 1)
     kind, unit = texts.get("datatype", ""), texts.get("units")
@@ -172,7 +177,7 @@ def read_header(path: Path, lines: list[bytes]) -> MotHeader:
     )
 
 
-def _end_of_header(path: Path, lines: list[bytes]) -> int:
+def _find_header_end(path: Path, lines: list[bytes]) -> int:
     for i, line in enumerate(lines[:MAX_HEADER_LINES]):
         if line.strip(BLANK_CHARACTERS).lower() == b"endheader":
             return i
@@ -190,22 +195,22 @@ def _parse_header(
     stated_degrees = None
     for line in lines:
         text = decode_text(line).strip(" \t,;").lower()
-        key, _, value = (text_.strip() for text_ in text.partition("="))
+        key, _, value = (part.strip() for part in text.partition("="))
         if not value:
             # SIMM writes: datarows 250.
-            key, _, value = (text_.strip() for text_ in text.partition(" "))
+            key, _, value = (part.strip() for part in text.partition(" "))
             # SIMM files are in degrees.
             stated_degrees = (
                 True if key in {"datarows", "datacolumns"} else stated_degrees
             )
-        what = {
+        count_name = {
             "nrows": "rows",
             "datarows": "rows",
             "ncolumns": "columns",
             "datacolumns": "columns",
         }.get(key)
-        if what and value.isascii() and value.isdigit() and len(value) < 300:
-            counts[what] = float(value)
+        if count_name and value.isascii() and value.isdigit() and len(value) < 300:
+            counts[count_name] = float(value)
         elif key in {"datatype", "units"}:
             texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif key == "datarate" and (rate := parse_number(value)) is not None:
@@ -240,11 +245,11 @@ def _column_names(
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
         raise _table_error("MOF002", path, message, number)
     names = tuple(cells[1:])
-    check_once(path, names, names, number)
+    check_duplicates(path, names, names, number)
     return names
 
 
-def check_once(
+def check_duplicates(
     path: Path, keys: tuple[object, ...], names: tuple[str, ...], line: int | None
 ) -> None:
     """Raise for two columns with the same key (MOF004)."""
@@ -252,9 +257,9 @@ def check_once(
     for key, name in zip(keys, names, strict=True):
         if key in first_names:
             both_names = f"{excerpt(first_names[key])} and {excerpt(name)}"
-            message_start = f"duplicate column {excerpt(name)}"
+            duplicate_message = f"duplicate column {excerpt(name)}"
             message = (
-                message_start
+                duplicate_message
                 if first_names[key] == name
                 else f"{both_names} are the same coordinate"
             )
@@ -262,37 +267,39 @@ def check_once(
         first_names[key] = name
 
 
-def _check_kind(path: Path, header: MotHeader, lines: list[bytes]) -> None:
+def _check_data_type(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     """Raise for cells with several numbers (MOF009): vectors, quaternions."""
-    kind, names, begin = header.kind, header.names, header.begin
+    data_type, names, begin = header.kind, header.names, header.begin
     separator = header.separator
     row = next(
         (i for i in range(begin, len(lines)) if lines[i].strip(BLANK_CHARACTERS)),
         begin - 1,
     )
     cells = split_cells(lines[row], separator)[1:] if row >= begin else []
-    width = max((cell.count(",") + 1 for cell in cells), default=1)
-    decimal = width == 2 and b"." not in lines[row]
-    if kind.lower() in _NUMBER_TYPES and (width == 1 or separator == b"," or decimal):
+    numbers_per_cell = max((cell.count(",") + 1 for cell in cells), default=1)
+    has_decimal_commas = numbers_per_cell == 2 and b"." not in lines[row]
+    if data_type.lower() in _NUMBER_TYPES and (
+        numbers_per_cell == 1 or separator == b"," or has_decimal_commas
+    ):
         return
-    stated_kind = f"DataType {excerpt(kind)}" if kind else "no DataType"
+    stated_type = f"DataType {excerpt(data_type)}" if data_type else "no DataType"
     columns = counted(len(names), "column")
-    message = f"has {stated_kind}: {columns} of {width} numbers in a cell"
-    kind_label = _UNSUPPORTED_TYPES.get(
-        kind.lower().partition("<")[0].rstrip("0123456789_")
+    message = f"has {stated_type}: {columns} of {numbers_per_cell} numbers in a cell"
+    type_label = _UNSUPPORTED_TYPES.get(
+        data_type.lower().partition("<")[0].rstrip("0123456789_")
     )
-    message += f" ({kind_label})" if kind_label else ""
+    message += f" ({type_label})" if type_label else ""
     message += f", {listed(list(names[:3]))}"
     hint = _TYPE_HINTS.get(
-        kind.lower(), "MOT and STO are read with one number in a cell"
+        data_type.lower(), "MOT and STO are read with one number in a cell"
     )
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
-def parse_numbers(path: Path, rows: TextRows, width: int) -> FloatArray:
+def parse_numbers(path: Path, rows: TextRows, column_count: int) -> FloatArray:
     """Parse the numbers of rows ``(R, width)`` (MOF003)."""
     return rows.values(
-        width, lambda text, line: _table_error("MOF003", path, text, line)
+        column_count, lambda text, line: _table_error("MOF003", path, text, line)
     )
 
 
@@ -300,7 +307,7 @@ def read_rows(
     path: Path,
     lines: list[bytes],
     header: MotHeader,
-    width: int,
+    column_count: int,
     notices: list[Fault],
 ) -> TextRows:
     """Return rows of equal width; a truncated last row is dropped (MOF103)."""
@@ -308,14 +315,17 @@ def read_rows(
     warning = Severity.WARNING
     while len(rows.texts):
         bad_rows = np.flatnonzero(
-            (rows.value_counts > width) | (rows.cell_counts < width)
+            (rows.value_counts > column_count) | (rows.cell_counts < column_count)
         )
         if not len(bad_rows):
             break
         row = int(bad_rows[0])
-        line, is_short = int(rows.line_numbers[row]), rows.cell_counts[row] < width
+        line, is_short = (
+            int(rows.line_numbers[row]),
+            rows.cell_counts[row] < column_count,
+        )
         count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
-        message = f"has {count} values instead of {width}"
+        message = f"has {count} values instead of {column_count}"
         # The last row of a truncated file has no line end.
         is_last = row == len(rows.texts) - 1 and line == len(lines)
         if not (is_last and is_short and row):

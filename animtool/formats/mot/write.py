@@ -1,4 +1,4 @@
-"""OpenSim motion writer: a take as MOT or STO."""
+"""Writes a take as an OpenSim motion file (MOT or STO)."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from animtool.core.errors import Fault, OptionError, Severity, listed, names_fau
 from animtool.formats.mot.coordinates import (
     Coordinate,
     column_names,
-    coordinates_of,
-    rows_of_coordinates,
-    rows_to_coordinates,
+    convert_columns_to_coordinates,
+    convert_coordinates_to_columns,
+    list_coordinates,
 )
-from animtool.formats.take_text import TakeText, number_rows, write_text
+from animtool.formats.take_text import TakeText, format_rows, write_text
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.joints import (
@@ -33,7 +33,7 @@ LOSS_TOLERANCE = 1e-6
 
 
 def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
-    """Write a take as an OpenSim motion file; see `mot_text`.
+    """Write a take as an OpenSim motion file; see `build_mot_text`.
 
     Args:
         take: The take.
@@ -43,10 +43,10 @@ def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[
     Returns:
         Warnings about data that the format cannot store.
     """
-    return write_text(take, path, mot_text, overwrite=overwrite)
+    return write_text(take, path, build_mot_text, overwrite=overwrite)
 
 
-def mot_text(take: Take) -> TakeText:
+def build_mot_text(take: Take) -> TakeText:
     """Return a take as joint coordinates over time, in degrees and metres.
 
     A pin or prismatic joint has a column of its name. A ball joint has ``hip_x``,
@@ -55,15 +55,15 @@ def mot_text(take: Take) -> TakeText:
     rest offset. Frame 1 is time 0.
     """
     rig = take.rig
-    columns = coordinates_of(rig)
+    columns = list_coordinates(rig)
     if not columns:
         message = f"{rig.name!r} has no joint that moves, and a MOT holds coordinates"
         raise OptionError(Fault("MOF008", message))
     translations, rotations, scales = take.motion.dense()
     local = LocalTransforms(translations, rotations)
     coordinates = coordinates_from_local(rig, local)
-    values = rows_of_coordinates(rig, columns, coordinates)
-    static = {
+    values = convert_coordinates_to_columns(rig, columns, coordinates)
+    static_joints = {
         j
         for j in {
             coordinate.joint_index
@@ -77,19 +77,20 @@ def mot_text(take: Take) -> TakeText:
     written_columns = [
         c
         for c, coordinate in enumerate(columns)
-        if coordinate.component != "translation" or coordinate.joint_index not in static
+        if coordinate.component != "translation"
+        or coordinate.joint_index not in static_joints
     ]
     columns = [columns[c] for c in written_columns]
     values = values[:, written_columns]
     notices = _loss_warnings(take, columns, values, local, scales)
     rate = float(take.clock.rate)
-    begin = float((take.clock.start - 1) / take.clock.fps)
-    times = begin + np.arange(take.clock.count) / rate
+    first_time = float((take.clock.start - 1) / take.clock.fps)
+    times = first_time + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
     decimals = [VALUE_DECIMALS] * rows.shape[1]
     return TakeText(
         _header_lines(rig, columns, len(rows)),
-        number_rows(rows, decimals, tabs=True),
+        format_rows(rows, decimals, tabs=True),
         notices,
     )
 
@@ -126,31 +127,37 @@ def _loss_warnings(
 ) -> list[Fault]:
     """Return warnings about motion that coordinates cannot represent."""
     rig, warning = take.rig, Severity.WARNING
-    read_back = local_from_coordinates(rig, rows_to_coordinates(rig, columns, values))
-    shift = np.abs(read_back.translations - local.translations).max(
+    read_back = local_from_coordinates(
+        rig, convert_columns_to_coordinates(rig, columns, values)
+    )
+    translation_errors = np.abs(read_back.translations - local.translations).max(
         axis=(0, 2), initial=0
     )
     difference = so3.multiply(so3.conjugate(read_back.rotations), local.rotations)
-    angle = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
-    inexact = [
+    rotation_errors = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
+    inexact_joints = [
         rig.joints[j].name
-        for j in np.flatnonzero(np.maximum(shift, angle) > LOSS_TOLERANCE)
+        for j in np.flatnonzero(
+            np.maximum(translation_errors, rotation_errors) > LOSS_TOLERANCE
+        )
     ]
     notices = []
-    if inexact:
+    if inexact_joints:
         message = "motion that the joint types do not allow is skipped: "
         hint = "free joints in the rig can hold any motion"
-        notices.append(names_fault("MOF108", message, inexact, None, hint, warning))
-    warnings = []
+        notices.append(
+            names_fault("MOF108", message, inexact_joints, None, hint, warning)
+        )
+    lost_contents = []
     if scales is not None and np.abs(scales - 1.0).max(initial=0) > LOSS_TOLERANCE:
-        warnings.append("scales")
+        lost_contents.append("scales")
     weights = take.motion.weights
     if weights is not None and (weights.rest.any() or weights.values.any()):
-        warnings.append("weights of shapes")
-    warnings += [track.path for track in take.tracks]
-    warnings += list(take.motion.points)
-    if warnings:
-        message = f"a MOT cannot hold {listed(warnings)}: skipped"
+        lost_contents.append("weights of shapes")
+    lost_contents += [track.path for track in take.tracks]
+    lost_contents += list(take.motion.points)
+    if lost_contents:
+        message = f"a MOT cannot hold {listed(lost_contents)}: skipped"
         hint = "write USD too, which can hold them"
         notices.append(Fault("MOF109", message, None, (), hint, warning))
     return notices

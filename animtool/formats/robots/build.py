@@ -20,8 +20,8 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.parts import ORIGIN, Link, Robot, RobotJoint
-from animtool.formats.robots.solids import capsule_of, masses_of
-from animtool.formats.robots.triangles import merged_surfaces
+from animtool.formats.robots.solids import build_capsule, build_mass
+from animtool.formats.robots.triangles import merge_surfaces
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -41,10 +41,10 @@ class RobotCodes:
     left_out: str
 
 
-def legal_name(name: str) -> str:
+def valid_name(name: str) -> str:
     r"""Return a name without characters that text files cannot contain.
 
-    >>> legal_name("a\x1bb"), legal_name("elbow flex")
+    >>> valid_name("a\x1bb"), valid_name("elbow flex")
     ('a_b', 'elbow flex')
     """
     return _CONTROL.sub("_", name)[:MAX_NAME_LENGTH]
@@ -55,7 +55,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
 
     The rig has the notices of ``notes``, to which contents that are not read are added.
     """
-    names = _choose_names(robot, notes, codes)
+    names = _assign_names(robot, notes, codes)
     joints: list[Joint] = []
     link_joints: list[int] = []
     colliders: list[Collider] = []
@@ -67,7 +67,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         for robot_joint, name in zip(link.joints, names.joints[i], strict=True):
             joints.append(_rig_joint(robot_joint, name, parent, rig_names))
             parent = len(joints) - 1
-        carrier = parent
+        moving_joint = parent
         if not names.merged[i]:
             name = names.links[i]
             joints.append(Joint(name, parent, JointType.FIXED, link.offset))
@@ -81,14 +81,14 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
                 joints.append(
                     Joint(site_name, link_joints[i], fixed_type, position, rotation)
                 )
-        joint_name = joints[carrier if link.joints else parent].name
-        shift = link.offset if link.joints else ORIGIN
-        for solid in link.solids:
-            capsule, error = capsule_of(solid, shift)
+        joint_name = joints[moving_joint if link.joints else parent].name
+        link_offset = link.offset if link.joints else ORIGIN
+        for shape in link.solids:
+            capsule, error = build_capsule(shape, link_offset)
             largest_error = max(largest_error, error)
             colliders.append(Collider(joint_name, capsule))
         if link.weight is not None:
-            masses.append(masses_of(joint_name, link.weight, shift))
+            masses.append(build_mass(joint_name, link.weight, link_offset))
     if largest_error:
         _record_approximate(robot, notes, codes, largest_error)
     meshes = _link_meshes(robot, names, joints)
@@ -96,7 +96,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         message = f"not read: {listed(list(notes.left_out), 20)}"
         notes.add(codes.left_out, None, message, severity=Severity.NOTE)
     return Rig(
-        legal_name(robot.name) or notes.path.stem,
+        valid_name(robot.name) or notes.path.stem,
         tuple(joints),
         up=UpAxis.Z,
         meshes=meshes,
@@ -119,7 +119,7 @@ def _link_meshes(
     for link, name in zip(robot.links, names.links, strict=True):
         if not link.surfaces:
             continue
-        surface, j = merged_surfaces(link.surfaces), rest_rig.index(name)
+        surface, j = merge_surfaces(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
         bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
         count = len(surface.points)
@@ -172,7 +172,7 @@ class _JointNames:
     of_file: dict[str, str]  # name of each joint, by its name in the file
 
 
-def _choose_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
+def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
     used_names: set[str] = set()
     numbers: dict[str, int] = {}
     renamed: list[str] = []
@@ -191,30 +191,30 @@ def _choose_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
             renamed.append(f"{source!r} is {unique!r}")
         return unique
 
-    links = [unique_name(legal_name(link.name), link.name) for link in robot.links]
+    links = [unique_name(valid_name(link.name), link.name) for link in robot.links]
     joint_names: list[list[str]] = []
     merged: list[bool] = []
-    of_file: dict[str, str] = {}
+    name_of_file_joint: dict[str, str] = {}
     for link, name in zip(robot.links, links, strict=True):
         last_joint = link.joints[-1] if link.joints else None
-        is_merged = last_joint is not None and _is_link(link, last_joint)
+        is_merged = last_joint is not None and _has_frame_of_link(link, last_joint)
         merged.append(is_merged)
-        row = []
+        new_names = []
         for k, robot_joint in enumerate(link.joints):
             if is_merged and robot_joint is last_joint:
                 new_name = name
             elif robot_joint.name:
                 new_name = unique_name(
-                    legal_name(robot_joint.name), robot_joint.name, "_joint"
+                    valid_name(robot_joint.name), robot_joint.name, "_joint"
                 )
             else:
                 new_name = unique_name(f"{name}_joint_{k + 1}", "")
-            row.append(new_name)
+            new_names.append(new_name)
             if robot_joint.name:
-                of_file[robot_joint.name] = new_name
-        joint_names.append(row)
+                name_of_file_joint[robot_joint.name] = new_name
+        joint_names.append(new_names)
     sites = {
-        (i, site): unique_name(legal_name(site), site, "_site")
+        (i, site): unique_name(valid_name(site), site, "_site")
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }
@@ -222,10 +222,10 @@ def _choose_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
         message = f"{counted(len(renamed), 'name')} changed, as links and joints "
         message += f"of a rig share their names: {listed(renamed, MAX_LISTED_JOINTS)}"
         notes.add(codes.renamed, None, message, severity=Severity.NOTE)
-    return _JointNames(links, joint_names, merged, sites, of_file)
+    return _JointNames(links, joint_names, merged, sites, name_of_file_joint)
 
 
-def _is_link(link: Link, joint: RobotJoint) -> bool:
+def _has_frame_of_link(link: Link, joint: RobotJoint) -> bool:
     """Return whether a link's last joint has its name and frame."""
     return joint.name in {"", link.name} and not np.any(link.offset)
 

@@ -1,4 +1,4 @@
-"""Robot meshes: OBJ and STL as triangles."""
+"""Reads robot meshes (OBJ and STL) as triangles."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def _parse_stl(content: bytes) -> Triangles:
 
 
 def _separate_triangles(points: FloatArray) -> Triangles:
-    """Return triangles from separate corners; flat sides stay flat."""
+    """Return triangles that share no points, so that they are shaded flat."""
     return Triangles(points, np.arange(len(points), dtype=np.int64).reshape(-1, 3))
 
 

@@ -1,4 +1,4 @@
-"""Faults and notices of a robot file, collected with lines and names."""
+"""Collects faults and notices of a robot file with lines and names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Files that a robot refers to, restricted to the project's folders."""
+"""Finds files that a robot refers to, in the project's folders only."""
 
 from __future__ import annotations
 

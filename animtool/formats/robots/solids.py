@@ -1,4 +1,4 @@
-"""Link shapes and masses as rig colliders and masses."""
+"""Converts link shapes and masses to rig colliders and masses."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from animtool.rig.mass_entries import inertia_problem
 from animtool.rig.parts import Capsule, Mass, Vector
 
 
-def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
+def build_capsule(solid: SimpleShape, link_offset: Vector) -> tuple[Capsule, float]:
     """Return the capsule of a shape, and its surface error [m].
 
     A cylinder that is longer than wide becomes a capsule of its radius and length, a
     flatter one a ball of its volume; a box becomes a capsule along its longest side
-    with its cross section in area. ``shift`` is from the joint to the link.
+    with its cross section in area. ``link_offset`` is from the joint to the link.
 
     >>> rod = SimpleShape("cylinder", (0.1, 1.0))
-    >>> capsule, error = capsule_of(rod, (0.0, 0.0, 0.0))
+    >>> capsule, error = build_capsule(rod, (0.0, 0.0, 0.0))
     >>> capsule.length, capsule.axis, round(error, 4)
     (0.8, (0.0, 0.0, 1.0), 0.0414)
     """
@@ -42,7 +42,7 @@ def capsule_of(solid: SimpleShape, shift: Vector) -> tuple[Capsule, float]:
         direction = np.eye(3)[int(np.argmax(sides))]
         radius, length, error = _box_capsule(*sorted(sides.tolist()))
     axis = so3.rotate(solid.rotation, direction)
-    offset = np.array(solid.position) + np.array(shift)
+    offset = np.array(solid.position) + np.array(link_offset)
     return Capsule(radius, length, float_vector(axis), float_vector(offset)), error
 
 
@@ -64,18 +64,18 @@ def _box_capsule(
     return radius, length, max(corner - radius, radius - shortest / 2)
 
 
-def masses_of(joint: str, weight: LinkMass, shift: Vector) -> Mass:
-    """Return a rig joint's mass; ``shift`` is from joint to link."""
+def build_mass(joint: str, weight: LinkMass, link_offset: Vector) -> Mass:
+    """Return a rig joint's mass; ``link_offset`` is from joint to link."""
     principal, axes = np.linalg.eigh(weight.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]
     a, b, c = np.maximum(principal, 0.0).tolist()
-    centre = float_vector(np.array(weight.centre) + np.array(shift))
+    centre = float_vector(np.array(weight.centre) + np.array(link_offset))
     rotation = float_quaternion(so3.from_matrix(axes))
     return Mass(joint, weight.mass, centre, (a, b, c), rotation)
 
 
-def weight_problem(mass: float, inertia: FloatArray) -> str:
+def find_mass_problem(mass: float, inertia: FloatArray) -> str:
     """Return why mass and inertia ``(3, 3)`` are impossible; empty if possible."""
     if not mass > 0:
         return f"its mass is {mass:g} kg"

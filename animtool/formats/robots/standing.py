@@ -1,4 +1,4 @@
-"""Robot at its zero pose: a take of one frame for files without motion."""
+"""Builds a take of one frame from a robot file: the robot at its zero pose."""
 
 from __future__ import annotations
 
@@ -24,13 +24,15 @@ def zero_coordinates(rig: Rig) -> FloatArray:
     Mimic joints follow their leaders.
     """
     slices = coordinate_slices(rig)
-    q = np.zeros((1, slices[-1].stop if slices else 0))
-    for joint, slice_ in zip(rig.joints, slices, strict=True):
+    coordinates = np.zeros((1, slices[-1].stop if slices else 0))
+    for joint, joint_slice in zip(rig.joints, slices, strict=True):
         if joint.type in {JointType.FREE, JointType.BALL}:
-            q[0, slice_.stop - 1] = 1.0
+            coordinates[0, joint_slice.stop - 1] = 1.0
         elif isinstance(joint.limits, RangeLimit):
-            q[0, slice_] = joint.limits.clamped(q[0, slice_])
-    return with_mimics(rig, q, rig.names)
+            coordinates[0, joint_slice] = joint.limits.clamped(
+                coordinates[0, joint_slice]
+            )
+    return with_mimics(rig, coordinates, rig.names)
 
 
 def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:

@@ -1,4 +1,4 @@
-"""Primitive shapes as triangles with flat sides."""
+"""Triangulates primitive shapes with flat sides."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.maths import so3
 CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 
 
-def merged_surfaces(surfaces: list[Triangles]) -> Triangles:
+def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
     """Return several surfaces as one."""
     counts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
     faces = [
@@ -24,10 +24,10 @@ def merged_surfaces(surfaces: list[Triangles]) -> Triangles:
     )
 
 
-def triangles_of(solid: SimpleShape) -> Triangles:
+def triangulate_shape(solid: SimpleShape) -> Triangles:
     """Return the surface of a shape, placed on its link.
 
-    >>> box = triangles_of(SimpleShape("box", (1.0, 2.0, 3.0)))
+    >>> box = triangulate_shape(SimpleShape("box", (1.0, 2.0, 3.0)))
     >>> len(box.points), len(box.faces), box.points.max(axis=0).tolist()
     (24, 12, [0.5, 1.0, 1.5])
     """
@@ -52,7 +52,7 @@ def _box_faces(size: FloatArray) -> Triangles:
             other_axes = [(axis + 1) % 3, (axis + 2) % 3]
             points[:, other_axes] = square if face_side > 0 else square[::-1]
             sides.append(Triangles(points * size, np.array([[0, 1, 2], [0, 2, 3]])))
-    return merged_surfaces(sides)
+    return merge_surfaces(sides)
 
 
 def _circle_points(count: int = CIRCLE_CORNERS) -> FloatArray:
@@ -68,7 +68,7 @@ def _cylinder_faces(radius: float, length: float) -> Triangles:
     ]
     sides = Triangles(np.concatenate(rings), _side_faces(0, CIRCLE_CORNERS))
     fan = np.array([[0, k, k + 1] for k in range(1, CIRCLE_CORNERS - 1)])
-    return merged_surfaces(
+    return merge_surfaces(
         [sides, Triangles(rings[0], fan[:, ::-1]), Triangles(rings[1], fan)]
     )
 

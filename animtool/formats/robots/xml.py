@@ -1,4 +1,4 @@
-"""XML as a tree of elements with line numbers; no entities, no external files."""
+"""Parses XML to a tree with line numbers; no entities, no external files."""
 
 from __future__ import annotations
 

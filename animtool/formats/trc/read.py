@@ -1,4 +1,4 @@
-"""TRC reader: marker trajectories of a file."""
+"""Reads marker trajectories from TRC files."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from animtool.formats.delimited import (
     split_cells,
 )
 from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
-from animtool.formats.trc.timing import frames_of_rows
+from animtool.formats.trc.timing import find_row_frames
 from animtool.motion.markers import Markers
 
 # Header of a TRC file: its values and marker names.
@@ -69,19 +69,23 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     ].strip(b'"')
     if first_word.lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
-    starts = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
-    at = next((i for i, start in enumerate(starts) if start), 0)
-    lines_above = [i for i in range(1, at) if lines[i].strip(BLANK_CHARACTERS)]
+    name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
+    names_index = next(
+        (i for i, name_match in enumerate(name_matches) if name_match), 0
+    )
+    lines_above = [i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)]
     if len(lines_above) < 2:
-        missing_line = "line that starts with Frame#" if not at else "DataRate line"
+        missing_line = (
+            "line that starts with Frame#" if not names_index else "DataRate line"
+        )
         raise file.error(
             "TRC001", f"no {missing_line} in the first {MAX_HEADER_LINES} lines"
         )
     values = _header_values(lines[lines_above[-2]], lines[lines_above[-1]])
-    start = starts[at]
-    assert start is not None
-    names = _names_of_header(file, lines[at], start[1], at + 1)
-    begin, axes = at + 1, 0
+    name_match = name_matches[names_index]
+    assert name_match is not None
+    names = _read_marker_names(file, lines[names_index], name_match[1], names_index + 1)
+    begin, axes = names_index + 1, 0
     # X1 Y1 Z1 follows the names, and sometimes an empty line.
     while begin < len(lines) and _is_heading(lines[begin]):
         cells = lines[begin].replace(b",", b" ").replace(b";", b" ").split()
@@ -96,7 +100,7 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
         names,
         axes,
         begin,
-        find_row_separator(row, start[1]),
+        find_row_separator(row, name_match[1]),
     )
 
 
@@ -119,7 +123,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     return dict(zip(names, values, strict=False))
 
 
-def _names_of_header(
+def _read_marker_names(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
     """Return marker names, each above three columns or one."""
@@ -132,7 +136,7 @@ def _names_of_header(
         names = cells[2::3]
         if any(cell for i, cell in enumerate(cells[2:]) if i % 3):
             names = [cell for cell in cells[2:] if cell]  # one column per name
-            names = _stems_of_columns(names) or names
+            names = _strip_axis_suffixes(names) or names
     while names and not names[-1]:
         names.pop()
     if len(names) > MAX_MARKERS:
@@ -141,10 +145,10 @@ def _names_of_header(
     return names
 
 
-def _stems_of_columns(cells: list[str]) -> list[str]:
+def _strip_axis_suffixes(cells: list[str]) -> list[str]:
     """Return marker names of columns such as ``head_X``; else empty.
 
-    >>> _stems_of_columns(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
+    >>> _strip_axis_suffixes(["Hip_X", "Hip_Y", "Hip_Z", "kneeX", "kneeY", "kneeZ"])
     ['Hip', 'knee']
     """
     names = [cell[:-1].rstrip("_-. :") for cell in cells]
@@ -161,7 +165,7 @@ def _is_heading(line: bytes) -> bool:
     return not text or text[:1].upper() in {b"X", b"Y", b"Z"}
 
 
-def columns_of(
+def match_columns(
     file: MarkerFile, header: TrcHeader, cell_count: int
 ) -> tuple[list[str], int]:
     """Return the marker names of the rows' columns, and the count of unnamed markers.
@@ -226,17 +230,17 @@ def read_trc(
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
     names = _marker_names(file, header, rows)
-    rows = _complete_rows(
+    rows = _drop_truncated_row(
         file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names)
     )
 
-    def fault(message: str, line: int) -> FormatError:
+    def build_error(message: str, line: int) -> FormatError:
         return FormatError(Fault("TRC002", message, file.path, (line,)))
 
     if len(rows.texts) * len(names) > MAX_POSITIONS:
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
-    values = rows.values(2 + 3 * len(names), fault)
+    values = rows.values(2 + 3 * len(names), build_error)
     if rows.has_decimal_commas:
         message = "commas are read as decimal points"
         file.note(
@@ -244,21 +248,23 @@ def read_trc(
             message,
             "export it with decimal points, which other programs need",
         )
-    length = file.unit(header.unit, unit, LengthUnit.MM)
-    axis = file.up(None, up)
+    length_unit = file.unit(header.unit, unit, LengthUnit.MM)
+    up_axis = file.up(None, up)
     if header.frames not in (None, len(values)):
         message = f"the header states {header.frames:g} frames, but there are "
         file.warn("TRC101", f"{message}{len(values)}; all are read")
     positions = values[:, 2:].reshape(len(values), -1, 3).copy()
     labels = file.names(names, subject)
-    positions = file.clean_positions(positions, length.meters)
-    frames = frames_of_rows(
+    positions = file.clean_positions(positions, length_unit.meters)
+    frames = find_row_frames(
         file, values[:, :2], rows.line_numbers, decimals, header.rate, fps, len(names)
     )
     positions = frames.at_frames(positions)
     clock = Clock(frames.rate, Fraction(frames.start), Fraction(1), len(positions))
     notices = tuple(file.notices)
-    return Markers(labels, clock, positions, axis, notices=notices, begin=frames.begin)
+    return Markers(
+        labels, clock, positions, up_axis, notices=notices, begin=frames.begin
+    )
 
 
 def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
@@ -268,7 +274,7 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
             raise file.error("MKR013", "the file has no markers")
         raise file.error("MKR013", "the file has no frames")
     max_cells = int(rows.value_counts.max())
-    names, unnamed_count = columns_of(file, header, max_cells)
+    names, unnamed_count = match_columns(file, header, max_cells)
     if not names:
         raise file.error("MKR013", "the file has no markers")
     is_too_wide = rows.value_counts > 2 + 3 * len(header.names)
@@ -292,8 +298,8 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
             hint = "commas separate both cells and decimals; export with tabs or points"
-        at = (int(rows.line_numbers[row]),)
-        raise FormatError(Fault("TRC002", message, file.path, at, hint))
+        row_lines = (int(rows.line_numbers[row]),)
+        raise FormatError(Fault("TRC002", message, file.path, row_lines, hint))
     if unnamed_count:
         first_unnamed = next(i for i, name in enumerate(names) if not name)
         message = (
@@ -309,7 +315,7 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
     return names
 
 
-def _complete_rows(
+def _drop_truncated_row(
     file: MarkerFile, rows: TextRows, unterminated_line: int, width: int
 ) -> TextRows:
     """Return rows without a truncated last one; warn about it (TRC109).
@@ -334,10 +340,10 @@ def _complete_rows(
     if not len(incomplete_markers) and not is_truncated:
         return rows
     row = last_row if is_truncated else int(incomplete_markers[0])
-    cells = f"{int(rows.cell_counts[row])} of {width} values"
-    message = f"the last row is truncated ({cells}) and is skipped"
+    count_text = f"{int(rows.cell_counts[row])} of {width} values"
+    message = f"the last row is truncated ({count_text}) and is skipped"
     if not is_truncated:
-        message = f"the row ends within a marker ({cells}), which is missing there"
+        message = f"the row ends within a marker ({count_text}), which is missing there"
         if len(incomplete_markers) > 1:
             message += (
                 f", and so do {counted(len(incomplete_markers) - 1, 'other row')}"

@@ -1,4 +1,4 @@
-"""Frames of TRC rows: Time, Frame# and DataRate compared."""
+"""Finds the frames of TRC rows from Time, Frame# and DataRate."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from animtool.formats.row_times import (
 from animtool.formats.trajectories import MarkerFile
 
 
-def frames_of_rows(
+def find_row_frames(
     file: MarkerFile,
     columns: FloatArray,
     lines: IntArray,
     decimals: int,
     stated_rate: float | None,
     fps: FractionLike | None,
-    markers: int,
+    marker_count: int,
 ) -> RowFrames:
     """Return the frames of rows; warn about contradictions of their times.
 
@@ -42,7 +42,7 @@ def frames_of_rows(
         decimals: Number of decimals of the times.
         stated_rate: DataRate [1/s]; None without one.
         fps: Requested rate; Time is then ignored.
-        markers: Number of markers, to limit the memory of frames without a row.
+        marker_count: Number of markers, to limit the memory of frames without a row.
     """
     numbers, times = columns[:, 0], columns[:, 1]
     counted_frames = _counted_frames(numbers)
@@ -53,7 +53,7 @@ def frames_of_rows(
             file.warn("TRC107", message, "write Time, which other programs need")
         if counted_frames is None:
             _warn_numbers(file, numbers, lines, "each row is one frame")
-        at = np.arange(len(times)) if counted_frames is None else counted_frames
+        frames = np.arange(len(times)) if counted_frames is None else counted_frames
         start, begin = _start_frame(numbers[0]), None
     else:
         _check_times(file, numbers, times, lines)
@@ -62,16 +62,18 @@ def frames_of_rows(
         rate = _rate_of_times(file, steps, stated_rate, rounding)
         if not steps.regular:
             with np.errstate(over="ignore"):
-                at_times = (times - times[0]) * float(rate)
-            _check_gaps(file, at_times, markers, lines)
+                time_frames = (times - times[0]) * float(rate)
+            _check_gaps(file, time_frames, marker_count, lines)
             _warn_irregular(file, steps, times, rate, lines)
             start = _start_frame(numbers[0])
-            return RowFrames(rate, start, at_times, float(times[0]))
-        at = steps.frames
-        start, begin = _first_frame_and_time(file, columns, at, lines, rate, rounding)
-    _check_gaps(file, at, markers, lines)
-    _warn_gaps(file, at, lines, float(rate))
-    return RowFrames(rate, start, at.astype(np.float64), begin)
+            return RowFrames(rate, start, time_frames, float(times[0]))
+        frames = steps.frames
+        start, begin = _first_frame_and_time(
+            file, columns, frames, lines, rate, rounding
+        )
+    _check_gaps(file, frames, marker_count, lines)
+    _warn_gaps(file, frames, lines, float(rate))
+    return RowFrames(rate, start, frames.astype(np.float64), begin)
 
 
 def _counted_frames(numbers: FloatArray) -> IntArray | None:
@@ -157,34 +159,43 @@ def _rate_of_times(
 
 
 def _check_gaps(
-    file: MarkerFile, at: FloatArray | IntArray, markers: int, lines: IntArray
+    file: MarkerFile,
+    row_frames: FloatArray | IntArray,
+    marker_count: int,
+    lines: IntArray,
 ) -> None:
     """Raise if frames far outnumber rows (TRC003)."""
-    if has_few_empty_frames(at, markers):
+    if has_few_empty_frames(row_frames, marker_count):
         return
-    frames = float(at[-1]) + 1
-    row = int(np.diff(at).argmax()) + 1
+    frame_count = float(row_frames[-1]) + 1
+    row = int(np.diff(row_frames).argmax()) + 1
     message = (
-        f"{len(at)} rows span {frames:.6g} frames; the largest gap is before this row"
+        f"{len(row_frames)} rows span {frame_count:.6g} frames; the largest gap is "
+        "before this row"
     )
     hint = "repair Frame# and Time of the row, or end the file there"
     raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
 
 
-def _warn_gaps(file: MarkerFile, at: IntArray, lines: IntArray, rate: float) -> None:
+def _warn_gaps(
+    file: MarkerFile, frames: IntArray, lines: IntArray, rate: float
+) -> None:
     """Warn about frames without a row (TRC105)."""
-    absent = int(at[-1]) + 1 - len(at)
-    if not absent:
+    missing_count = int(frames[-1]) + 1 - len(frames)
+    if not missing_count:
         return
-    rows = np.flatnonzero(np.diff(at) > 1)
+    rows = np.flatnonzero(np.diff(frames) > 1)
     row = int(rows[0])
-    missing = int(at[row + 1] - at[row]) - 1
+    first_gap = int(frames[row + 1] - frames[row]) - 1
     message = (
-        f"{counted(missing, 'missing frame')} ({missing / rate:.4g} s) before line "
+        f"{counted(first_gap, 'missing frame')} ({first_gap / rate:.4g} s) before line "
         f"{lines[row + 1]}"
     )
     if len(rows) > 1:
-        message += f", and {absent - missing} in {counted(len(rows) - 1, 'other gap')}"
+        message += (
+            f", and {missing_count - first_gap} in "
+            f"{counted(len(rows) - 1, 'other gap')}"
+        )
     hint = "mocap fill computes positions in gaps"
     file.warn(
         "TRC105", f"{message}; markers are missing there", hint, int(lines[row + 1])
@@ -234,7 +245,7 @@ def _warn_numbers(
 def _first_frame_and_time(
     file: MarkerFile,
     columns: FloatArray,
-    at: IntArray,
+    frames: IntArray,
     lines: IntArray,
     rate: Fraction,
     rounding: float,
@@ -245,20 +256,20 @@ def _first_frame_and_time(
     """
     numbers, times = columns[:, 0], columns[:, 1]
     start = _start_frame(numbers[0])
-    by_time = times[0] * float(rate) + 1
+    frame_by_time = times[0] * float(rate) + 1
     if _counted_frames(numbers) is None:
         _warn_numbers(file, numbers, lines, "rows are placed by Time")
         return start, float(times[0])
-    mismatched_rows = np.flatnonzero(numbers - numbers[0] != at)
+    mismatched_rows = np.flatnonzero(numbers - numbers[0] != frames)
     if len(mismatched_rows):
         row = int(mismatched_rows[0])
         message = (
             f"frame {numbers[row]:g} is {times[row] - times[0]:.6g} s after frame "
             f"{numbers[0]:g}; at {float(rate):g} fps it would be "
-            f"{numbers[0] + at[row]:g}; rows are placed by Time"
+            f"{numbers[0] + frames[row]:g}; rows are placed by Time"
         )
         file.warn("TRC107", message, None, int(lines[row]))
-    elif abs(by_time - start) > STEP_TOLERANCE + 3 * rounding * float(rate):
+    elif abs(frame_by_time - start) > STEP_TOLERANCE + 3 * rounding * float(rate):
         message = (
             f"frame {start} is at {times[0]:.6g} s; a TRC keeps that, but in a MOT "
             f"it would be {(start - 1) / float(rate):.6g} s, as frame 1 is at 0 s"

@@ -1,4 +1,4 @@
-"""TRC writer: marker trajectories to a file."""
+"""Writes marker trajectories as TRC files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from animtool.motion.markers import Markers
 
 # Decimals [mm]: finer than any camera resolves.
 POSITION_DECIMALS = 6
-ROWS_AT_ONCE = 4096
+CHUNK_ROWS = 4096
 
 
 def write_trc(
@@ -39,16 +39,16 @@ def write_trc(
         message = "a TRC needs at least one marker and one frame"
         raise OptionError(Fault("TRC010", message, str(path)))
     write_parts(path, _file_chunks(markers, path.name))
-    warnings = []
+    lost_contents = []
     if markers.filled is not None and markers.filled.any():
-        warnings.append("which positions were filled")
+        lost_contents.append("which positions were filled")
     if markers.up is not UpAxis.Y:
-        warnings.append(f"that {markers.up} is up")
+        lost_contents.append(f"that {markers.up} is up")
     if markers.residuals is not None:
-        warnings.append("residuals")
-    if not warnings:
+        lost_contents.append("residuals")
+    if not lost_contents:
         return []
-    message = f"a TRC cannot store {' and '.join(warnings)}"
+    message = f"a TRC cannot store {' and '.join(lost_contents)}"
     return [Fault("TRC102", message, str(path), (), "write .npz", Severity.NOTE)]
 
 
@@ -72,13 +72,13 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
     if markers.begin is not None:
         seconds = markers.begin + np.arange(frames) / float(markers.clock.rate)
     decimals = np.array([0, 9, *[POSITION_DECIMALS] * (3 * count)], np.int64)
-    for begin in range(0, frames, ROWS_AT_ONCE):
-        frames_ = slice(begin, begin + ROWS_AT_ONCE)
-        block = markers.positions[frames_].reshape(-1, 3 * count) * 1000.0
+    for begin in range(0, frames, CHUNK_ROWS):
+        chunk = slice(begin, begin + CHUNK_ROWS)
+        block = markers.positions[chunk].reshape(-1, 3 * count) * 1000.0
         is_missing = np.isnan(block)
         numbers = np.arange(begin, begin + len(block)) + start
         rows = np.column_stack(
-            [numbers, seconds[frames_], np.where(is_missing, 0.0, block)]
+            [numbers, seconds[chunk], np.where(is_missing, 0.0, block)]
         )
         text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
         yield _blank_missing(text, is_missing)

@@ -1,4 +1,4 @@
-"""Records of URDF links and joints, and readers of common elements."""
+"""Data classes of URDF links and joints, and readers of common elements."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class UrdfFile:
     has_actuators: bool  # whether there are transmissions or controllers
 
 
-def single_child(
+def find_single_child(
     element: XmlElement, tag: str, where: str, notes: XmlNotes, *, needed: bool = False
 ) -> XmlElement | None:
     """Return the child with a tag; the first of several, None if missing."""
@@ -100,7 +100,7 @@ def single_child(
     return elements[0] if elements else None
 
 
-def text_of(
+def require_text(
     element: XmlElement, name: str, where: str | None, notes: XmlNotes, hint: str = ""
 ) -> str:
     """Return a required attribute; empty if missing, with a fault."""
@@ -113,11 +113,11 @@ def text_of(
     return text
 
 
-def pose_of(
+def read_pose(
     element: XmlElement, where: str, notes: XmlNotes
 ) -> tuple[Vector, Quaternion]:
     """Return the origin of an element."""
-    origin = single_child(element, "origin", where, notes)
+    origin = find_single_child(element, "origin", where, notes)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)
     x, y, z = notes.numbers(origin, "xyz", 3, ORIGIN, where)

@@ -1,4 +1,4 @@
-"""URDF parsing: links and joints, and notices about other contents."""
+"""Parses a URDF: links and joints, and notices about other contents."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
     if not links and not notes.faults:
         message = "the robot has no link"
         notes.add("URD006", root, message, "a robot is links, and joints between them")
-    _warn_of_degrees(root, notes)
-    actuated_joints, drives = _actuated_joints(root)
-    notes.leave_out(_unread_labels(root))
+    _warn_about_degrees(root, notes)
+    actuated_joints, has_actuators = _actuated_joints(root)
+    notes.leave_out(_ignored_labels(root))
     name = root.attributes.get("name", "")
-    return UrdfFile(name, links, joints, actuated_joints, drives)
+    return UrdfFile(name, links, joints, actuated_joints, has_actuators)
 
 
 def _check_root(root: XmlElement, notes: XmlNotes) -> None:
     """Record roots other than <robot>, and xacro files."""
     for element in root.walk():
         texts = element.attributes.values()
-        macro = element.tag.startswith("xacro:")
-        if macro or any(start in text for text in texts for start in _XACRO_MARKERS):
+        is_macro = element.tag.startswith("xacro:")
+        if is_macro or any(start in text for text in texts for start in _XACRO_MARKERS):
             macro_text = next(
                 (
                     text
@@ -57,9 +57,9 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
                 ),
                 "",
             )
-            root_text = f"<{element.tag}>" if macro else excerpt(macro_text)
+            macro_label = f"<{element.tag}>" if is_macro else excerpt(macro_text)
             message = (
-                f"is a xacro file: it holds {root_text}, which a URDF is made from"
+                f"is a xacro file: it holds {macro_label}, which a URDF is made from"
             )
             notes.add("URD005", element, message, EXPAND_HINT)
             return
@@ -80,7 +80,7 @@ MAX_RADIANS = 4 * math.pi
 MAX_DEGREES = 720.0
 
 
-def _warn_of_degrees(root: XmlElement, notes: XmlNotes) -> None:
+def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     """Record a warning about angles that are likely degrees, with the first of them."""
     texts: list[tuple[XmlElement, str, str]] = []
     for joint in root.all("joint"):
@@ -121,7 +121,7 @@ _JOINT_CONTENTS = {
 }
 
 
-def _unread_labels(root: XmlElement) -> Iterator[str]:
+def _ignored_labels(root: XmlElement) -> Iterator[str]:
     """Yield labels of contents that a rig cannot store."""
     for element in root.children:
         if element.tag == "material":
@@ -138,11 +138,11 @@ def _unread_labels(root: XmlElement) -> Iterator[str]:
 
 def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
     """Return joints named by transmissions or controllers, and if any exist."""
-    drives = [*root.all("transmission"), *root.all("ros2_control")]
+    actuators = [*root.all("transmission"), *root.all("ros2_control")]
     names = {
         joint.attributes.get("name", "")
-        for drive in drives
-        for joint in drive.walk()
+        for actuator in actuators
+        for joint in actuator.walk()
         if joint.tag == "joint"
     }
-    return frozenset(names), bool(drives)
+    return frozenset(names), bool(actuators)

@@ -1,4 +1,4 @@
-"""URDF joints: type, links, origin, axis, limits and mimic."""
+"""Reads URDF joints: type, links, origin, axis, limits and mimic."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from animtool.formats.urdf.elements import (
     SCALAR_KINDS,
     UrdfJoint,
     UrdfJointKind,
-    pose_of,
-    single_child,
-    text_of,
+    find_single_child,
+    read_pose,
+    require_text,
 )
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
@@ -33,7 +33,7 @@ def add_joint(
     element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
 ) -> None:
     """Add a joint to the file's joints; record faults."""
-    name = text_of(element, "name", None, notes)
+    name = require_text(element, "name", None, notes)
     if not name:
         return
     where = element_label("joint", name)
@@ -44,24 +44,26 @@ def add_joint(
         notes.add("URD009", element, message, hint, joint=name)
         return
     kind_names = ", ".join(UrdfJointKind)
-    text = text_of(element, "type", where, notes, f"allowed: {kind_names}")
-    if text not in list(UrdfJointKind):
-        if text:
-            message = f"unknown joint type {excerpt(text)}"
-            hint = nearest(text, [kind.value for kind in UrdfJointKind])
+    type_name = require_text(element, "type", where, notes, f"allowed: {kind_names}")
+    if type_name not in list(UrdfJointKind):
+        if type_name:
+            message = f"unknown joint type {excerpt(type_name)}"
+            hint = nearest(type_name, [kind.value for kind in UrdfJointKind])
             notes.add("URD008", element, message, hint, where=where, joint=name)
-        text = UrdfJointKind.FIXED
+        type_name = UrdfJointKind.FIXED
     link_names = []
     for tag in ("parent", "child"):
-        link_element = single_child(element, tag, where, notes, needed=True)
+        link_element = find_single_child(element, tag, where, notes, needed=True)
         link_names.append(
-            "" if link_element is None else text_of(link_element, "link", where, notes)
+            ""
+            if link_element is None
+            else require_text(link_element, "link", where, notes)
         )
-    position, rotation = pose_of(element, where, notes)
+    position, rotation = read_pose(element, where, notes)
     joint = UrdfJoint(
         element,
         name,
-        UrdfJointKind(text),
+        UrdfJointKind(type_name),
         link_names[0],
         link_names[1],
         position,
@@ -75,7 +77,7 @@ def add_joint(
 
 
 def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
-    element = single_child(joint.element, "axis", joint.where, notes)
+    element = find_single_child(joint.element, "axis", joint.where, notes)
     if element is None:
         return (1.0, 0.0, 0.0)
     values = notes.numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.where)
@@ -83,8 +85,8 @@ def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
         text = element.attributes.get("xyz", "")
         message = f"axis {excerpt(text)} has no length, and so no direction"
         hint = "write the axis of rotation or the direction of travel"
-        at = joint.where
-        notes.add("URD013", element, message, hint, where=at, joint=joint.name)
+        where = joint.where
+        notes.add("URD013", element, message, hint, where=where, joint=joint.name)
         return (1.0, 0.0, 0.0)
     return unit_direction(np.array(values))
 
@@ -97,7 +99,7 @@ def unit_direction(values: FloatArray) -> Vector:
 
 def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
     where, name = joint.where, joint.name
-    element = single_child(joint.element, "limit", where, notes)
+    element = find_single_child(joint.element, "limit", where, notes)
     if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
@@ -129,13 +131,13 @@ def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
 
 def _read_mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
     where = joint.where
-    element = single_child(joint.element, "mimic", where, notes)
+    element = find_single_child(joint.element, "mimic", where, notes)
     if element is None:
         return None
     if joint.kind is UrdfJointKind.FIXED:
         notes.leave_out(["mimics of fixed joints"])
         return None
-    leader = text_of(element, "joint", where, notes)
+    leader = require_text(element, "joint", where, notes)
     gain = notes.number(element, "multiplier", 1.0, where)
     offset = notes.number(element, "offset", 0.0, where)
     if joint.kind not in SCALAR_KINDS:

@@ -1,4 +1,4 @@
-"""URDF meshes: OBJ and STL files inside the project."""
+"""Reads URDF meshes: OBJ and STL files inside the project."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from animtool.formats.robots.mesh_files import SUFFIXES, read_mesh
 from animtool.formats.robots.notes import XmlNotes, element_label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
-from animtool.formats.robots.triangles import triangles_of
+from animtool.formats.robots.triangles import triangulate_shape
 from animtool.formats.urdf.elements import CODES, UrdfFile, Visual
 from animtool.maths import so3
 
@@ -20,7 +20,7 @@ MAX_LISTED_FILES = 8
 MAX_TRIANGLES = 1_000_000
 
 
-def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
+def find_mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
     """Return mesh paths by name; raise for files outside the project.
 
     Missing files are only noted, since motion does not need them.
@@ -62,7 +62,7 @@ def mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
     return files
 
 
-def visible_surfaces(
+def read_visible_surfaces(
     file: UrdfFile, files: dict[str, Path], notes: XmlNotes
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record what is not shown."""
@@ -72,7 +72,9 @@ def visible_surfaces(
     total = 0
     for link in file.links.values():
         for visual in link.visuals:
-            surface = _visible_surface(visual, files, cache, unreadable_files, notes)
+            surface = _read_visible_surface(
+                visual, files, cache, unreadable_files, notes
+            )
             if surface is None:
                 continue
             total += len(surface.faces)
@@ -88,7 +90,7 @@ def visible_surfaces(
     return surfaces
 
 
-def _visible_surface(
+def _read_visible_surface(
     visual: Visual,
     files: dict[str, Path],
     cache: dict[Path, Triangles | None],
@@ -97,7 +99,7 @@ def _visible_surface(
 ) -> Triangles | None:
     """Return a visual's surface in its link frame; None if not shown."""
     if visual.mesh is None:
-        return triangles_of(visual.solid)
+        return triangulate_shape(visual.solid)
     name = visual.mesh.attributes["filename"]
     path = files.get(name)
     if path is None:

@@ -1,11 +1,11 @@
-"""URDF reader: a rig, and a take of one frame."""
+"""Reads a URDF as a rig, or as a take of one frame."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from animtool.formats.robots.standing import zero_pose_stream
-from animtool.formats.urdf.rig import rig_of_urdf
+from animtool.formats.urdf.rig import build_urdf_rig
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
@@ -20,7 +20,7 @@ def read_urdf_rig(path: Path | str) -> Rig:
     Args:
         path: A .urdf file.
     """
-    return rig_of_urdf(Path(path))
+    return build_urdf_rig(Path(path))
 
 
 def read_urdf(path: Path | str) -> TakeStream:

@@ -1,4 +1,4 @@
-"""A URDF as a robot: ordered links, and joints as rig joints."""
+"""Builds a rig from a URDF: ordered links, and joints as rig joints."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from animtool.formats.urdf.elements import (
     UrdfJointKind,
 )
 from animtool.formats.urdf.file import read_file
-from animtool.formats.urdf.meshes import mesh_paths, visible_surfaces
+from animtool.formats.urdf.meshes import find_mesh_paths, read_visible_surfaces
 from animtool.formats.urdf.tree import check_tree, resolve_mimics
 from animtool.maths import so3
 from animtool.rig.skeleton import JointType, Mimic, Rig
@@ -38,20 +38,20 @@ _JOINT_TYPES = {
     UrdfJointKind.FIXED: JointType.FIXED,
 }
 # Rounding error by which a mimic may exceed its limits [rad], [m].
-ROUNDING = 1e-9
+LIMIT_TOLERANCE = 1e-9
 
 
-def rig_of_urdf(path: Path) -> Rig:
+def build_urdf_rig(path: Path) -> Rig:
     """Return the rig of a URDF."""
     notes = XmlNotes(path, "URD007")
     file = read_file(path, notes)
     check_tree(file, notes)
     mimics = resolve_mimics(file, notes)
-    paths = mesh_paths(file, path, notes)
+    paths = find_mesh_paths(file, path, notes)
     notes.check()
     _record_unactuated(file, notes)
     _record_ranges(file, mimics, notes)
-    surfaces = visible_surfaces(file, paths, notes)
+    surfaces = read_visible_surfaces(file, paths, notes)
     robot = Robot(file.name or path.stem, _links_depth_first(file, mimics, surfaces))
     return build_rig(robot, notes, _CODES)
 
@@ -62,9 +62,9 @@ def _links_depth_first(
     """Return links depth-first, parents before children."""
     child_joints: dict[str, list[UrdfJoint]] = {name: [] for name in file.links}
     children = set()
-    for joint_ in file.joints.values():
-        child_joints[joint_.parent].append(joint_)
-        children.add(joint_.child)
+    for each_joint in file.joints.values():
+        child_joints[each_joint.parent].append(each_joint)
+        children.add(each_joint.child)
     root = next(name for name in file.links if name not in children)
     links: list[Link] = []
     stack: list[tuple[str, int, UrdfJoint | None]] = [(root, -1, None)]
@@ -72,10 +72,12 @@ def _links_depth_first(
         name, parent, joint = stack.pop()
         source = file.links[name]
         rig_joints = (
-            [] if joint is None else _rig_joints_of(joint, mimics.get(joint.name))
+            [] if joint is None else _build_rig_joints(joint, mimics.get(joint.name))
         )
-        visible = surfaces.get(name, [])
-        link = Link(name, parent, rig_joints, solids=source.solids, surfaces=visible)
+        link_surfaces = surfaces.get(name, [])
+        link = Link(
+            name, parent, rig_joints, solids=source.solids, surfaces=link_surfaces
+        )
         link.weight = source.weight
         links.append(link)
         index = len(links) - 1
@@ -86,7 +88,7 @@ def _links_depth_first(
     return links
 
 
-def _rig_joints_of(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
+def _build_rig_joints(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]:
     """Return the rig joints that represent a joint."""
     if joint.kind is UrdfJointKind.PLANAR:
         return _planar_joints(joint)
@@ -118,16 +120,16 @@ def _record_unactuated(file: UrdfFile, notes: XmlNotes) -> None:
     """Record joints without transmissions if other joints have them."""
     if not file.has_actuators:
         return
-    idle = [
+    unactuated = [
         joint.name
         for joint in file.joints.values()
         if joint.kind in SCALAR_KINDS
         and joint.mimic is None
         and joint.name not in file.driven
     ]
-    if idle:
-        message = f"no transmission drives {counted(len(idle), 'joint')}: "
-        message += listed([excerpt(name) for name in idle], MAX_LISTED_JOINTS)
+    if unactuated:
+        message = f"no transmission drives {counted(len(unactuated), 'joint')}: "
+        message += listed([excerpt(name) for name in unactuated], MAX_LISTED_JOINTS)
         hint = "in a rig they move as all others do"
         notes.add("URD105", None, message, hint, severity=Severity.NOTE)
 
@@ -152,17 +154,22 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
         follower, leader = file.joints[name], file.joints[mimic.joint]
         if follower.limits is None or leader.limits is None:
             continue
-        reach = [
+        follower_range = [
             mimic.gain * end + mimic.offset
             for end in (leader.limits.low, leader.limits.high)
         ]
-        lower, upper = follower.limits.low - ROUNDING, follower.limits.high + ROUNDING
-        if min(reach) < lower or max(reach) > upper:
+        lower, upper = (
+            follower.limits.low - LIMIT_TOLERANCE,
+            follower.limits.high + LIMIT_TOLERANCE,
+        )
+        if min(follower_range) < lower or max(follower_range) > upper:
             message = (
-                f"where it mimics {leader.where}, it goes from {min(reach):.4g} to "
+                f"where it mimics {leader.where}, it goes from "
+                f"{min(follower_range):.4g} to "
             )
             message += (
-                f"{max(reach):.4g}, beyond its limits {follower.limits.low:.4g} to "
+                f"{max(follower_range):.4g}, beyond its limits "
+                f"{follower.limits.low:.4g} to "
             )
             message += f"{follower.limits.high:.4g}"
             hint = (

@@ -1,4 +1,4 @@
-"""URDF tree checks: one root, one parent joint per link, acyclic mimics."""
+"""Checks a URDF's tree: one root, one parent joint per link, acyclic mimics."""
 
 from __future__ import annotations
 
@@ -23,9 +23,12 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
                 hint = nearest(name, file.links)
                 _add_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
-            first = parents[joint.child]
+            first_joint = parents[joint.child]
             message = f"link {excerpt(joint.child)} has two parents, "
-            message += f"{excerpt(first.parent)} by joint {excerpt(first.name)} and "
+            message += (
+                f"{excerpt(first_joint.parent)} by joint {excerpt(first_joint.name)} "
+                "and "
+            )
             message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
@@ -117,13 +120,13 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         mimic, names = joint.mimic, [joint.name]
         if mimic is None:
             continue
-        while (further := file.joints[mimic.joint].mimic) is not None:
+        while (leader_mimic := file.joints[mimic.joint].mimic) is not None:
             names.append(mimic.joint)
-            if mimic.joint in names[:-1] or further.joint == mimic.joint:
+            if mimic.joint in names[:-1] or leader_mimic.joint == mimic.joint:
                 break
-            gain = mimic.gain * further.gain
-            offset = mimic.gain * further.offset + mimic.offset
-            mimic = Mimic(further.joint, gain, offset)
+            gain = mimic.gain * leader_mimic.gain
+            offset = mimic.gain * leader_mimic.offset + mimic.offset
+            mimic = Mimic(leader_mimic.joint, gain, offset)
         else:
             resolved[joint.name] = mimic
             continue

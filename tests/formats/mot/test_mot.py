@@ -17,9 +17,9 @@ from support.faults import raises
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.formats.mot.coordinates import (
-    accepted_names,
     column_names,
-    coordinates_of,
+    coordinates_by_name,
+    list_coordinates,
 )
 from animtool.formats.mot.read import read_mot, read_mot_rig
 from animtool.formats.mot.write import write_mot
@@ -330,11 +330,11 @@ def test_commands_read_and_write_it(
 
 
 def test_names_that_clash_are_spelled_out() -> None:
-    names = column_names(RIG, coordinates_of(RIG))
+    names = column_names(RIG, list_coordinates(RIG))
     assert "hip.rotation.x" in names
     assert names.count("hip_x") == 1
-    known = accepted_names(RIG)
-    assert [known[name] for name in names] == coordinates_of(RIG)
+    known = coordinates_by_name(RIG)
+    assert [known[name] for name in names] == list_coordinates(RIG)
 
 
 def test_what_the_format_cannot_hold(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from numpy.testing import assert_allclose
 
 from animtool.formats.robots.mesh_files import read_mesh
 from animtool.formats.robots.parts import SimpleShape, Triangles
-from animtool.formats.robots.solids import capsule_of
-from animtool.formats.robots.triangles import triangles_of
+from animtool.formats.robots.solids import build_capsule
+from animtool.formats.robots.triangles import triangulate_shape
 
 TURN = (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5))
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 2, 0]], "<f4")
@@ -36,7 +36,7 @@ def volume(mesh: Triangles) -> float:
 def test_shapes_have_their_volume_and_place(
     kind: str, size: tuple[float, ...], whole: float
 ) -> None:
-    mesh = triangles_of(SimpleShape(kind, size, (5.0, 6.0, 7.0), TURN))
+    mesh = triangulate_shape(SimpleShape(kind, size, (5.0, 6.0, 7.0), TURN))
     centred = Triangles(mesh.points - (5.0, 6.0, 7.0), mesh.faces)
     assert whole * 0.95 <= volume(centred) <= whole * (1 + 1e-9)
     assert_allclose(centred.points.max(axis=0), -centred.points.min(axis=0), atol=1e-9)
@@ -57,9 +57,9 @@ def test_capsules_are_no_farther_off_than_is_said(
     kind: str, size: tuple[float, ...]
 ) -> None:
     solid = SimpleShape(kind, size, (0.1, 0.2, 0.3), TURN)
-    capsule, off = capsule_of(solid, (0.0, 0.0, 1.0))
+    capsule, off = build_capsule(solid, (0.0, 0.0, 1.0))
     # The surface of the shape, with the middle of each side.
-    mesh = triangles_of(solid)
+    mesh = triangulate_shape(solid)
     points = np.concatenate([mesh.points, mesh.points[mesh.faces].mean(axis=1)])
     points = points + np.array([0.0, 0.0, 1.0]) - np.array(capsule.offset)
     half = capsule.length / 2

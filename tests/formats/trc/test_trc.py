@@ -54,7 +54,7 @@ def test_rows_at_once_do_not_show(
     whole = path.read_bytes()
     assert len(whole.splitlines()) == 6 + 7
     path.unlink()
-    monkeypatch.setattr("animtool.formats.trc.write.ROWS_AT_ONCE", 3)
+    monkeypatch.setattr("animtool.formats.trc.write.CHUNK_ROWS", 3)
     write_trc(markers, path)
     assert path.read_bytes() == whole
 
