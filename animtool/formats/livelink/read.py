@@ -173,7 +173,7 @@ def _build_motion(
     filled_weights = fill_gaps(recording.weights[frames.rows], times)
     shape_weights = links.apply(filled_weights, len(rig.shapes))
     weights = np.stack(
-        [_interpolated_rows(column, times, frame_numbers, dropped) 
+        [_interpolated_rows(column, times, frame_numbers, dropped)
          for column in shape_weights.T],
         axis=-1,
     ) if len(rig.shapes) else np.zeros((len(frame_numbers), 0))  # fmt: skip
@@ -278,12 +278,12 @@ def _unmatched_notices(
     links: ShapeLinks,
     rotations: dict[str, FloatArray],
     joints: dict[str, int],
-    is_given_rig: bool,
+    has_rig_option: bool,
 ) -> list[Fault]:
     """Return notices of names only in the recording or only in the rig."""
     path = str(recording.path)
     notices = []
-    if is_given_rig and links.lost:
+    if has_rig_option and links.lost:
         zero_shapes = {
             name
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
