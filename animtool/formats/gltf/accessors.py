@@ -191,7 +191,7 @@ class Accessors:
             return np.zeros(shape, dtype)
         view = self._require_view(accessor.view, accessor.where)
         start = view.offset + accessor.offset
-        content = self.buffers.read_bytes(view.buffer)
+        content = self.buffers.buffer_bytes(view.buffer)
         stride = view.stride or accessor.width * dtype.itemsize
         return _strided_elements(
             content, start, accessor.count, accessor.width, stride, dtype
@@ -205,7 +205,7 @@ class Accessors:
         value_view = self._require_view(sparse.value_view, f"{where}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
         indices = _strided_elements(
-            self.buffers.read_bytes(index_view.buffer),
+            self.buffers.buffer_bytes(index_view.buffer),
             index_view.offset + sparse.index_offset,
             sparse.count,
             1,
@@ -217,7 +217,7 @@ class Accessors:
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
         values[indices] = _strided_elements(
-            self.buffers.read_bytes(value_view.buffer),
+            self.buffers.buffer_bytes(value_view.buffer),
             value_view.offset + sparse.value_offset,
             sparse.count,
             accessor.width,

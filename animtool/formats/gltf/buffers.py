@@ -42,7 +42,7 @@ class Buffers:
         is_glb_chunk = index == 0 and self.container.binary is not None
         return "uri" in self.items[index].values or is_glb_chunk
 
-    def read_bytes(self, index: int) -> memoryview:
+    def buffer_bytes(self, index: int) -> memoryview:
         """Return the bytes of a buffer, opened on first use."""
         if index not in self._opened:
             self._opened[index] = self._open_buffer(index)
@@ -127,7 +127,7 @@ class Buffers:
                     )
                     self.notes.warn("GLT101", buffer.pointer, message)
         elif uri.startswith("data:"):
-            self.read_bytes(index)
+            self.buffer_bytes(index)
         else:
             self._find_file(uri, buffer)
 
