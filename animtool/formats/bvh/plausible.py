@@ -28,7 +28,10 @@ def stated_rate_notice(header: BvhHeader, rate: Fraction, path: str) -> list[Fau
     """Return a note if the stated rate differs from a plausible Frame Time."""
     assert header.rate is not None
     file_rate, frame_count = header.rate.fps, header.declared_frames
-    is_same_rate = abs(rate - file_rate) <= RATE_TOLERANCE * file_rate or rate in header.rate.ambiguous_rates
+    is_same_rate = (
+        abs(rate - file_rate) <= RATE_TOLERANCE * file_rate
+        or rate in header.rate.ambiguous_rates
+    )
     if is_same_rate or header.rate.kind is RateKind.PRINTED or rate_warning(file_rate):
         return []
     option_text = argument("source.fps", f"{float(rate):g}")

@@ -252,9 +252,7 @@ def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatEr
     """Return the error for a file whose size fits no combination of counts."""
     if len(result.ambiguous_rates) == 1:
         (rival,) = result.ambiguous_rates
-        message = (
-            f"its counts do not match its size of {size} bytes: {rival} end at "
-        )
+        message = f"its counts do not match its size of {size} bytes: {rival} end at "
         message += f"{rival.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
     if result.ambiguous_rates:

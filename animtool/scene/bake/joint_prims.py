@@ -192,7 +192,9 @@ class _JointTake:
             props=self._run.props,
             rig_from_take=None if joint_map is None else joint_map.rig_from_take,
             is_reduced=self._reduce_samples is not None,
-            rest_record=build_rest_record(plan.stream.rig, rig) if joint_map is None else {},
+            rest_record=build_rest_record(plan.stream.rig, rig)
+            if joint_map is None
+            else {},
         )
         return take, blocks
 

@@ -296,7 +296,9 @@ def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
     faults = []
     written_systems = [system for system in scene.systems if system.written]
     for system, path in zip(written_systems, job.paths, strict=True):
-        owners = [owner for prim, owner in owner_by_path.items() if paths_overlap(path, prim)]
+        owners = [
+            owner for prim, owner in owner_by_path.items() if paths_overlap(path, prim)
+        ]
         if not owners and target is not None and _is_foreign_prim(target, path):
             owners = ["the rig layer"]
         if owners:

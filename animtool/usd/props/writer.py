@@ -153,7 +153,9 @@ def _clamped_notice(
     message = (
         f"{path} is constant at frames {', '.join(spans)}: its file has none there"
     )
-    hint = "write `frame:` with the first frame of its file" if is_clamped.all() else None
+    hint = (
+        "write `frame:` with the first frame of its file" if is_clamped.all() else None
+    )
     return track.note("SCN107", message, hint=hint, severity=Severity.WARNING)
 
 
