@@ -93,12 +93,12 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
         return False
     lengths = np.linalg.norm(offsets[children], axis=1)
     bones = np.linalg.norm(offsets[children] - offsets[parents[children]], axis=1)
-    ratio = bones.sum() / max(float(lengths.sum()), np.finfo(float).tiny)
+    total = float(lengths.sum())
     has_branches = len({*parents[children].tolist()}) < len(children)
-    if ratio > MAX_BODY_RATIO or (bones < MIN_WORLD_BONE * lengths).any():
+    if bones.sum() > MAX_BODY_RATIO * total or (bones < MIN_WORLD_BONE * lengths).any():
         return False
     if not has_branches or (
-        ratio > MAX_WORLD_RATIO
+        bones.sum() > MAX_WORLD_RATIO * total
         and not (_stands(rig, offsets) and not _stands(rig, positions))
     ):
         return False

@@ -363,7 +363,7 @@ class SpringSystem(SecondOrder):
         result = copy(self)
         result.body = replace(self.body, springs=self.body.springs.select(~is_removed))
         result._cached_stage = None
-        for name in ("spring_order", "whole"):
+        for name in ("spring_order", "untorn_flags"):
             result.__dict__.pop(name, None)
         return result
 

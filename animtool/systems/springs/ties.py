@@ -27,8 +27,6 @@ MIN_REBUILD_CORRECTION = 1e-7
 # Largest accepted correction at the end, in the same unit [1].
 MAX_RESIDUAL = 1e-4
 MAX_CORRECTIONS = 24
-# Largest ratio of a correction to the last one: slack ropes have kinks [1].
-GROWTH = 2.0
 # Ratio of corrections above which the Jacobian is rebuilt [1].
 REBUILD_RATIO = 0.25
 MAX_HALVINGS = 6
