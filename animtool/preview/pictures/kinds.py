@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
 from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
@@ -75,6 +77,10 @@ KINDS: dict[str, PictureKind] = {
 }
 
 
+# Numbers of frames in file names, as other tools write them.
+_NUMBERED = re.compile(r"%\d*d|#{2,}|\$F\d?")
+
+
 def picture_kind(path: Path) -> PictureKind | None:
     """Return the picture format of a path; None for a page.
 
@@ -87,5 +93,12 @@ def picture_kind(path: Path) -> PictureKind | None:
     if suffix not in KINDS:
         message = f"{suffix_text(path)} is neither a page nor a picture"
         hint = f"allowed: .html, {', '.join(KINDS)}"
+        raise OptionError(Fault("PRV002", message, str(path), (), hint))
+    if match := _NUMBERED.search(path.name):
+        message = f"{match[0]!r} stands for no number: one picture shows all its frames"
+        hint = (
+            "write a film, such as walk.mp4, or name one frame with "
+            f"{argument('frame_range', '12')}"
+        )
         raise OptionError(Fault("PRV002", message, str(path), (), hint))
     return KINDS[suffix]

@@ -161,6 +161,8 @@ def test_a_turntable_goes_round_and_comes_back(tmp_path: Path) -> None:
     ("name", "asked", "frames", "code"),
     [
         ("a.ply", {}, None, "PRV002"),
+        ("a.%04d.png", {}, None, "PRV002"),
+        ("a.####.png", {}, None, "PRV002"),
         ("a.html", {}, None, "PRV002"),
         ("a.png", {"size": "12"}, None, "PRV006"),
         ("a.png", {"size": "9x9"}, None, "PRV006"),
