@@ -32,7 +32,7 @@ class GltfContents:
     skins: int
     animations: int
     scenes: int
-    find_characters: list[str]  # paths; empty if the file is one character
+    characters: list[str]  # paths; empty if the file is one character
     clips: list[GltfClip]
     bones: dict[str, str]  # humanoid bones of a VRM, and the names of their nodes
     not_read: list[str]  # contents that are not read

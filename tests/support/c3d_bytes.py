@@ -56,7 +56,7 @@ class C3dFile:
     first: int = 1
     residuals: Any = None  # (F, M) in units of the scale
     masks: Any = None  # (F, M) bits
-    declare_option: int | None = None  # frames that the header claims
+    declared: int | None = None  # frames that the header claims
     used: int | None = None  # points that the header claims
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
     analog: Any = None  # (F, A) numbers behind the points of a frame
@@ -112,7 +112,7 @@ class C3dFile:
         frames, count = np.shape(self.points)[:2]
         last = (
             self.first
-            + (frames if self.declare_option is None else self.declare_option)
+            + (frames if self.declared is None else self.declared)
             - 1
         )
         used = count if self.used is None else self.used

@@ -103,7 +103,7 @@ def max_pin_hops(network: Network) -> int:
 
     Without pinned particles it is counted from the first.
 
-    >>> reach(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
+    >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
     neighbours: list[list[int]] = [[] for _ in range(network.count)]
@@ -135,7 +135,7 @@ def coincident_link_count(network: Network, points: FloatArray) -> int:
 
     >>> line = np.array([[0, 1], [1, 2]])
     >>> network = Network(np.eye(3), np.array([0]), line)
-    >>> lost_links(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
+    >>> coincident_link_count(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
     1
     """
     i, j = network.sides.T
@@ -149,7 +149,7 @@ def surface_defects(network: Network) -> list[str]:
 
     >>> fan = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]])
     >>> network = Network(np.eye(5, 3), np.array([0]), fan[:, :2], triangles=fan)
-    >>> surface_problems(network)
+    >>> surface_defects(network)
     ['1 edge of more than two triangles']
     """
     corners = network.triangles
@@ -174,7 +174,7 @@ def surface_defects(network: Network) -> list[str]:
 def quad_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     """Return both diagonals of each quadrangle ``(L, 2)``.
 
-    >>> diagonals_of_faces(np.array([4]), np.array([0, 1, 2, 3])).tolist()
+    >>> quad_diagonals(np.array([4]), np.array([0, 1, 2, 3])).tolist()
     [[0, 2], [1, 3]]
     """
     corners = indices[np.repeat(counts == 4, counts)].reshape(-1, 4)
@@ -187,7 +187,7 @@ def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     For two triangles these are the opposite corners, for two quadrangles the neighbours
     of both ends. An edge of three faces bends between each two of them.
 
-    >>> folds_of_faces(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
+    >>> fold_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
     first_corners, sizes = np.repeat(

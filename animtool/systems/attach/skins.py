@@ -111,7 +111,7 @@ def triangulate_capped(
         Triangles ``(T, 3)``, with border middles numbered after the points; border
         points ``(P,)``; and the border index of each.
 
-    >>> triangles, points, borders = capped(np.array([4]), np.array([0, 1, 2, 3]), 4)
+    >>> triangles, points, borders = triangulate_capped(np.array([4]), np.array([0, 1, 2, 3]), 4)
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
     ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
     """
@@ -143,7 +143,7 @@ def skin_margin(edge: float, radius: float) -> float:
 
     Long edges need it: they cut into a round limb even if their ends are outside.
 
-    >>> round(margin_for(0.04, 0.005), 6), margin_for(0.01, 0.005)
+    >>> round(skin_margin(0.04, 0.005), 6), skin_margin(0.01, 0.005)
     (0.005, 0.0)
     """
     return max(0.0, MIN_CLEARANCE * edge - radius)

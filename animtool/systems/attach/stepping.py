@@ -85,7 +85,7 @@ def check_motion(motion: FloatArray) -> None:
 def cells_and_substeps(steps: int) -> tuple[int, int]:
     """Return the cells of a frame, and the steps in each, for at least some steps.
 
-    >>> cells_of(3), cells_of(10), cells_of(46)
+    >>> cells_and_substeps(3), cells_and_substeps(10), cells_and_substeps(46)
     ((3, 1), (5, 2), (8, 6))
     """
     if steps <= MAX_CELLS:

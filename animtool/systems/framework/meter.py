@@ -212,7 +212,7 @@ def surface_depths(surface: ClosedSurface, points: FloatArray) -> FloatArray:
     >>> corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     >>> faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
     >>> points = np.array([[0.1, 0.2, 0.2], [2.0, 0.0, 0.0]])
-    >>> depths_in(ClosedSurface(corners, faces), points).round(3).tolist()
+    >>> surface_depths(ClosedSurface(corners, faces), points).round(3).tolist()
     [0.1, 0.0]
     """
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
