@@ -110,11 +110,7 @@ class C3dFile:
 
     def _header(self, start: int) -> bytes:
         frames, count = np.shape(self.points)[:2]
-        last = (
-            self.first
-            + (frames if self.declared is None else self.declared)
-            - 1
-        )
+        last = self.first + (frames if self.declared is None else self.declared) - 1
         used = count if self.used is None else self.used
         p = self.processor
         analog = 0 if self.analog is None else np.shape(self.analog)[1]

@@ -106,7 +106,7 @@ class LayoutResult:
 
     layout: Layout | None
     truncated: Layout | None = None
-    ambiguous_rates: tuple[Layout, ...] = ()
+    ambiguous_layouts: tuple[Layout, ...] = ()
 
 
 def choose_layout(

@@ -250,14 +250,14 @@ def _data_ends(sections: Sections, size: int) -> list[int]:
 
 def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatError:
     """Return the error for a file whose size fits no combination of counts."""
-    if len(result.ambiguous_rates) == 1:
-        (rival,) = result.ambiguous_rates
+    if len(result.ambiguous_layouts) == 1:
+        (rival,) = result.ambiguous_layouts
         message = f"its counts do not match its size of {size} bytes: {rival} end at "
         message += f"{rival.end}, and are not positions"
         return file.error("C3D003", message, "export it again")
-    if result.ambiguous_rates:
+    if result.ambiguous_layouts:
         message = "its header, parameters and size disagree, and nothing resolves it: "
-        message += f"between {' or '.join(map(str, result.ambiguous_rates))}"
+        message += f"between {' or '.join(map(str, result.ambiguous_layouts))}"
         return file.error("C3D003", message, "export it again")
     truncated = result.truncated
     if truncated is None or not truncated.points or not truncated.frames:
