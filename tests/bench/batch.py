@@ -118,14 +118,14 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
             ledger.add(
                 ItemRecord(
                     key,
-                    planner.how(item),
+                    planner.settings_digest(item),
                     planner.versions,
                     (records[0],),
                     (records[1],),
                     2 * 10**18,
                 )
             )
-        ledger.settle(lambda _: True)
+        ledger.merge_records(lambda _: True)
     size = (found.records / "batch-batch.jsonl").stat().st_size
     done = [batch(folder, "-n") for _ in range(runs)]
     assert all(one.report["skipped"] == count for one in done)

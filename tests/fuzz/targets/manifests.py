@@ -104,7 +104,7 @@ class _Recorded:
                     )
                     for path in (item.file.path, item.output)
                 ]
-                key, how = planner.key(item), planner.how(item)
+                key, how = planner.key(item), planner.settings_digest(item)
                 ledger.claim([key])
                 made = ItemRecord(
                     key, how, planner.versions, *files, 2 * 10**18, SCORES
@@ -142,7 +142,7 @@ class _Recorded:
         batch = self.batch
         with locked_ledger(batch.records, batch.name) as ledger:
             ledger.failed("another.usdc", "why")
-            ledger.settle(lambda _: True)
+            ledger.merge_records(lambda _: True)
             made = ledger.history.manifest.items
         again = read_history(batch.records, batch.name)
         assert again.manifest.items == made

@@ -96,7 +96,7 @@ def _read(path: Path) -> set[str]:
                 values = archives.load(path, key)
                 assert values.shape == header.shape
                 assert np.isfinite(values).all()
-                assert archives.stored(path, key).nbytes < 1_000_000
+                assert archives.load_stored(path, key).nbytes < 1_000_000
                 words.add("read")
             except (ValueError, AnimtoolError) as error:
                 words.add(type(error).__name__)
