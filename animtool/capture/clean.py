@@ -48,6 +48,10 @@ MAX_SPIKE_SEARCHES = 3
 BRIDGE_CUTOFF = 0.2
 # Noise of good captures is below this [rad].
 TYPICAL_NOISE = math.radians(0.2)
+# A cut-off that removes more of the power of the motion than this is too low.
+MAX_REMOVED = 0.5
+# A change of more than this many times the noise is motion.
+NOISE_FACTOR = 5.0
 MAX_LISTED_JOINTS = 6
 
 
@@ -60,18 +64,20 @@ class CleanedSignal:
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
     cutoff: float | None  # [Hz]; None if it was not filtered
+    motion: float = 0.0  # deviation from the mean, root mean square [m] or [rad]
+    change: float = 0.0  # change by the filter, root mean square
+    max_change: float = 0.0  # and its maximum
 
     @property
     def part(self) -> str:
         """Joint and channel, as text."""
         return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
 
-    @property
-    def noise_text(self) -> str:
-        """The noise with its unit."""
+    def text(self, value: float) -> str:
+        """Return a value of the signal with its unit."""
         if self.rotation:
-            return angle_text(math.degrees(self.noise))
-        return length_text(self.noise)
+            return angle_text(math.degrees(value))
+        return length_text(value)
 
 
 @dataclass(slots=True)
@@ -97,14 +103,17 @@ class _JointCleaner:
             tolerance = noise / 2 if rotation else noise
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
             cutoff = self._cutoff(signal, rotation=rotation) if is_noisy else None
-            if cutoff is not None:
-                run = lowpass_rotations if rotation else lowpass
-                signal = run(signal, cutoff, self.rate)
-            values[:, i] = signal
             frames = tuple(np.flatnonzero(is_spike).tolist())
             cleaned_signal = CleanedSignal(
                 self.names[joint], rotation, frames, noise, cutoff
             )
+            if cutoff is not None:
+                run = lowpass_rotations if rotation else lowpass
+                filtered = run(signal, cutoff, self.rate)
+                if self.options.cutoff is not None:
+                    cleaned_signal = _with_change(cleaned_signal, signal, filtered)
+                signal = filtered
+            values[:, i] = signal
             self.signals.append(cleaned_signal)
         return replace(channel, values=values).compact()
 
@@ -114,6 +123,25 @@ class _JointCleaner:
         if self.options.cutoff is not None:
             return self.options.cutoff
         return best_cutoff(signal, self.rate, rotation=rotation)
+
+
+def _with_change(
+    cleaned: CleanedSignal, signal: FloatArray, filtered: FloatArray
+) -> CleanedSignal:
+    """Return a cleaning result with its motion and the change by the filter."""
+    mean = signal.mean(axis=0)
+    if cleaned.rotation:
+        deviation = so3.angle_between(signal, so3.normalize(mean))
+        change = so3.angle_between(signal, filtered)
+    else:
+        deviation = np.linalg.norm(signal - mean, axis=-1)
+        change = np.linalg.norm(signal - filtered, axis=-1)
+    return replace(
+        cleaned,
+        motion=float(np.sqrt(np.mean(deviation**2))),
+        change=float(np.sqrt(np.mean(change**2))),
+        max_change=float(change.max()),
+    )
 
 
 def beyond_nyquist(options: CleanOptions, rate: float) -> bool:
@@ -278,6 +306,15 @@ def cleaning_notices(
             f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body motion"
         )
         faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
+    removed = _removed_motion(filtered_signals)
+    if removed is not None:
+        message = (
+            f"a cut-off of {options.cutoff:g} Hz removes motion, not only noise: "
+            f"{removed.part} changes by up to {removed.text(removed.max_change)}, its "
+            f"noise is {removed.text(removed.noise)}"
+        )
+        hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
+        faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
     if spiky:
         frames = sum(len(s.spikes) for s in signals)
         names = listed(spiky, MAX_LISTED_JOINTS)
@@ -287,6 +324,19 @@ def cleaning_notices(
     if signal_parts:
         faults.append(Fault("CAP101", "; ".join(signal_parts), severity=Severity.NOTE))
     return faults
+
+
+def _removed_motion(signals: list[CleanedSignal]) -> CleanedSignal | None:
+    """Return the signal that lost most, if the cut-off removes most of the motion.
+
+    Rotations decide where there are any: the root often moves slowly.
+    """
+    signals = [s for s in signals if s.rotation] or signals
+    affected = [s for s in signals if s.change > NOISE_FACTOR * s.noise]
+    removed = sum(s.change**2 for s in affected)
+    if not affected or removed <= MAX_REMOVED * sum(s.motion**2 for s in signals):
+        return None
+    return max(affected, key=lambda s: s.max_change)
 
 
 def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
@@ -314,7 +364,7 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
         "filtered": tuple(
-            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.noise_text}"
+            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
             for s in filtered_signals
         ),
         "spikes": tuple(f"{s.part} in {len(s.spikes)}" for s in spiky),

@@ -161,6 +161,35 @@ def test_options_that_make_no_sense(options: dict[str, float]) -> None:
     assert error.value.code == "CAP001"
 
 
+@pytest.mark.parametrize("cutoff", [0.1, 0.5, 15.0, 40.0])
+def test_cutoffs_that_remove_motion_or_nothing_are_reported(
+    walk: Path, cutoff: float
+) -> None:
+    (warning,) = (
+        notice
+        for notice in clean(read_bvh(walk).collect(), cutoff=cutoff).notices
+        if notice.code == "CAP106"
+    )
+    assert f"{cutoff:g} Hz" in warning.message
+    assert ("RightLeg" in warning.message) == (cutoff < 1)
+
+
+@pytest.mark.parametrize("cutoff", [1.0, 3.0, 6.0, 14.0, None])
+def test_cutoffs_that_keep_the_motion_are_silent(
+    walk: Path, cutoff: float | None
+) -> None:
+    take = read_bvh(walk).collect()
+    for dirty in (take, noisy(take, 0.1, 0.002)):
+        cleaned = clean(dirty, cutoff=cutoff)
+        assert {"CAP101"} >= {n.code for n in cleaned.notices[len(dirty.notices) :]}
+
+
+def test_a_low_cutoff_on_a_still_and_noisy_take_is_silent() -> None:
+    take = noisy(small(240), 0.02, 0.002)
+    codes = {notice.code for notice in clean(take, cutoff=0.2).notices}
+    assert "CAP106" not in codes
+
+
 def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     """Large spikes in four frames of fourteen hide small ones in as many others.
 

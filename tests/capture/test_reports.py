@@ -241,8 +241,8 @@ def test_what_was_cleaned_is_counted() -> None:
         CleanedSignal("b", True, (), 0.03, 3.0),
     ]
     assert [s.part for s in signals] == ["a translation", "a rotation", "b rotation"]
-    assert signals[0].noise_text.endswith("mm")
-    assert "1.7" in signals[2].noise_text
+    assert signals[0].text(signals[0].noise).endswith("mm")
+    assert "1.7" in signals[2].text(signals[2].noise)
     found = noise_scores(10, signals)
     values = [(s.value, s.usual) for s in found.scores]
     assert values == [(0.002, 1e-3), (0.03, np.radians(0.2)), (0.2, 0.01)]

@@ -21,6 +21,7 @@ from animtool.capture.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
+from animtool.capture.cameras.plausible import warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, excerpt, listed
@@ -102,7 +103,9 @@ def parse_calibration(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
     """Return another program's calibration document as cameras."""
-    scale = (unit or _stated_unit(document)).meters
+    stated_unit = _stated_unit(document)
+    unit = unit or stated_unit or LengthUnit.M
+    scale = unit.meters
     entries = list(_camera_entries(document.value))
     if not entries:
         message = "holds no cameras"
@@ -118,23 +121,25 @@ def parse_calibration(
             document.add("CAM002", location, message)
         cameras.append(camera)
     document.check()
+    source: Location = () if stated_unit is None else ("units",)
+    warn_of_spread(document, source, cameras, unit, stated=stated_unit is not None)
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
 
-def _stated_unit(document: Document) -> LengthUnit:
-    """Return the unit that a document states; report an unknown one."""
+def _stated_unit(document: Document) -> LengthUnit | None:
+    """Return the unit that a document states, if any; report an unknown one."""
     location: Location = ("units",)
     stated_unit = document.value.get("units")
     if isinstance(stated_unit, dict) and "length" in stated_unit:
         stated_unit, location = stated_unit["length"], ("units", "length")
     if stated_unit is None or isinstance(stated_unit, dict):
-        return LengthUnit.M
+        return None
     if isinstance(stated_unit, str) and stated_unit in set(LengthUnit):
         return LengthUnit(stated_unit)
     hint = f"allowed: {', '.join(LengthUnit)}"
     document.add("CAM003", location, f"unknown unit {excerpt(str(stated_unit))}", hint)
-    return LengthUnit.M
+    return None
 
 
 def _camera_entries(

@@ -17,6 +17,7 @@ from animtool.capture.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
+from animtool.capture.cameras.plausible import warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
@@ -103,11 +104,18 @@ class CamerasModel(FileModel):
     )
 
 
-def parse_cameras(document: Document) -> Cameras:
-    """Return a document as cameras."""
+def parse_cameras(
+    document: Document, unit: LengthUnit | None = None, up: UpAxis | None = None
+) -> Cameras:
+    """Return a document as cameras; see `load_cameras`."""
     check_version(document, "cameras")
     model = validate_document(document, CamerasModel)
-    scale = LengthUnit(model.units.length).meters
+    states_unit = "length" in model.units.model_fields_set
+    if unit is None or states_unit:
+        unit = LengthUnit(model.units.length)
+    if up is None or "up" in model.model_fields_set:
+        up = UpAxis(model.up)
+    scale = unit.meters
     cameras: list[Camera] = []
     names: dict[str, int] = {}
     for i, view in enumerate(model.views):
@@ -135,8 +143,10 @@ def parse_cameras(document: Document) -> Cameras:
             )
         )
     document.check()
+    location = ("units", "length") if states_unit else ("views", 0, "translation")
+    warn_of_spread(document, location, cameras, unit, stated=states_unit)
     notices = tuple(document.notices)
-    return Cameras(tuple(cameras), UpAxis(model.up), str(document.path), notices)
+    return Cameras(tuple(cameras), up, str(document.path), notices)
 
 
 def _rotation_of(value: list[list[float]] | list[float]) -> FloatArray | None:
@@ -172,7 +182,7 @@ def load_cameras(
 
     document = read_camera_document(Path(path))
     if isinstance(document.value.get("cameras"), str):
-        return parse_cameras(document)
+        return parse_cameras(document, unit, up)
     return parse_calibration(document, unit, up)
 
 

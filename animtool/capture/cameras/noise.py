@@ -125,6 +125,15 @@ def measure_noise(
     return ObservationNoise(noise, stale)
 
 
+def sampled_initial_noise(
+    observations: Observations, cameras: Sequence[Camera]
+) -> float:
+    """Return the `initial_noise` of a sample of frames [px]."""
+    frames, _, markers = observations.stored.shape[:3]
+    step = max(1, frames * markers // SAMPLE_POINTS)
+    return initial_noise(observations.pixels(0, frames, step), camera_numbers(cameras))
+
+
 def _lengths(residuals: Float32Array) -> Any:
     """Return the lengths of residuals ``(F, C, M)`` [px]."""
     return np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))

@@ -14,7 +14,8 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.capture.cameras.camera import Cameras, camera_numbers
-from animtool.capture.cameras.noise import USED, measure_noise
+from animtool.capture.cameras.conventions import better_convention
+from animtool.capture.cameras.noise import USED, measure_noise, sampled_initial_noise
 from animtool.capture.cameras.observations import Observations, match_cameras
 from animtool.capture.cameras.report import (
     ObservationCounts,
@@ -145,15 +146,37 @@ class _TriangulationRun:
             c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
         ]
         width = max(1.0, float(np.median(widths)))
+        limit = SUSPECT_NOISE * width
+        if noise.stale or not noise.agree or middle > limit:
+            self._refuse_other_convention(limit)
         if middle > MAX_NOISE * width:
             message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
             self._warn_of_disagreement(message)
-        if not noise.agree or middle > SUSPECT_NOISE * width:
+        if not noise.agree or middle > limit:
             message = f"rays of the cameras miss each other by {middle:.1f} px"
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
             self._warn("CAM108", message, hint)
         return noise.stale
+
+    def _refuse_other_convention(self, limit: float) -> None:
+        """Refuse poses that fit in another convention, such as quaternions w last."""
+        better = better_convention(
+            self.cameras.cameras,
+            lambda cameras: sampled_initial_noise(self.observations, cameras),
+            limit,
+        )
+        if better is None:
+            return
+        convention, noise, noise_as_read = better
+        written, remedy = convention.texts
+        message = (
+            f"rays of the cameras miss each other by {noise_as_read:.1f} px, but by "
+            f"{noise:.1f} px if {written}"
+        )
+        hint = f"{remedy}: x_camera = rotation * x_world + translation"
+        path = self.cameras.path or None
+        raise OptionError(Fault("CAM014", message, path, hint=hint))
 
     @property
     def _condition(self) -> float:
@@ -365,8 +388,12 @@ class _TriangulationRun:
             notices=tuple(notices),
         )
         path = self.cameras.path or None
+        # The markers are as wrong as the cameras.
+        is_unit_known = all(notice.code != "CAM113" for notice in notices)
         notices += [
-            replace(notice, path=path) for notice in plausibility_warnings(markers)
+            replace(notice, path=path)
+            for notice in plausibility_warnings(markers)
+            if is_unit_known or notice.code != "MKR117"
         ]
         return Triangulation(
             markers,

@@ -112,7 +112,8 @@ def open_cameras(document: Document) -> CheckedFile:
     """Return the subject of a camera file."""
     from animtool.capture.cameras.file import parse_cameras
 
-    return CheckedFile(Kind.CAMERAS, [], parse_cameras(document))
+    cameras = parse_cameras(document)
+    return CheckedFile(Kind.CAMERAS, list(document.notices), cameras)
 
 
 _DOCUMENTS = {kind for kind in Kind if kind in MIGRATION_STEPS}

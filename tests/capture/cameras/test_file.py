@@ -283,3 +283,41 @@ def test_a_quaternion_that_is_nearly_of_length_1_is_a_rotation(tmp_path: Path) -
         found = load_cameras(path).cameras[0].rotation
         np.testing.assert_allclose(found @ found.T, np.eye(3), atol=1e-12)
         np.testing.assert_allclose(found, to_matrix(np.roll(unit, -1)), atol=1e-12)
+
+
+def spread_warnings(path: Path, unit: LengthUnit | None = None) -> list[str]:
+    notices = load_cameras(path, unit=unit).notices
+    assert {notice.code for notice in notices} <= {"CAM113"}
+    return [f"{notice.message}; {notice.hint}" for notice in notices]
+
+
+def test_cameras_too_far_apart_are_in_another_unit(tmp_path: Path) -> None:
+    """Theirs are 4.5 m from the middle."""
+    far = [Camera(c.name, c.focal, c.centre, c.rotation, 1000 * c.translation)
+           for c in STAGE.cameras]  # fmt: skip
+    path = written(tmp_path / "a.cameras.yaml", cameras_text(Cameras(tuple(far))))
+    (text,) = spread_warnings(path)
+    assert "in mm it would be 7.8" in text or "in mm it would be 7.9" in text
+    assert "write units: {length: mm} in the file" in text
+    # An argument is the unit of a file that states none.
+    assert not spread_warnings(path, LengthUnit.MM)
+    read = load_cameras(path, unit=LengthUnit.MM).cameras[1]
+    np.testing.assert_allclose(read.position, STAGE.cameras[1].position, atol=1e-9)
+    stated = path.read_text("utf-8").replace("views:", "units: {length: m}\nviews:")
+    (text,) = spread_warnings(written(path, stated), LengthUnit.MM)
+    assert text.endswith("write units: {length: mm} in the file")
+    close = path.read_text("utf-8").replace("length: m}", "length: mm}")
+    assert not spread_warnings(written(path, close))
+    entries = [{"K": matrix(c), "R": c.rotation.tolist(), "t": c.translation.tolist()}
+               for c in far]  # fmt: skip
+    path = written(tmp_path / "a.json", json.dumps({"cameras": entries}))
+    assert len(spread_warnings(path)) == 1
+    assert not spread_warnings(path, LengthUnit.MM)
+
+
+def test_a_stadium_and_a_pair_of_lenses_are_plausible(tmp_path: Path) -> None:
+    for scale in (0.01, 30.0):
+        cameras = [Camera(c.name, c.focal, c.centre, c.rotation, scale * c.translation)
+                   for c in STAGE.cameras]  # fmt: skip
+        text = cameras_text(Cameras(tuple(cameras)))
+        assert not spread_warnings(written(tmp_path / "a.cameras.yaml", text))
