@@ -265,6 +265,32 @@ def rate_label(fps: Fraction) -> str:
     return f"{float(fps):.7g} fps"
 
 
+def is_common_rate(fps: Fraction) -> bool:
+    """Return whether a rate is one of film, broadcast, displays or captures.
+
+    >>> is_common_rate(Fraction(24000, 1001)), is_common_rate(Fraction(31))
+    (True, False)
+    """
+    return fps in COMMON_RATES or fps in _BROADCAST_RATES.values()
+
+
+def rate_of_milliseconds(text: str) -> Fraction | None:
+    """Return the common rate of a printed frame time in milliseconds, if it is one.
+
+    A number that is a common rate itself is not taken for milliseconds.
+
+    >>> str(rate_of_milliseconds("33.3333")), rate_of_milliseconds("50")
+    ('30', None)
+    """
+    try:
+        if is_common_rate(rate_from_float(float(text))):
+            return None
+        rate = rate_from_frame_time(str(Decimal(text).scaleb(-3))).fps
+    except ValueError:
+        return None
+    return rate if is_common_rate(rate) else None
+
+
 def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
     """Return a warning about an implausible number of frames a second (TAKE009).
 
@@ -278,4 +304,9 @@ def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
         f"{rate_text} is implausible; film has 24 frames a second, captures up to 1000"
     )
     hint = "use the number of frames in one second, not their total or a frame time"
+    if LOWEST_WRITTEN_RATE <= fps < 1:
+        inverse = rate_from_frame_time(f"{float(fps):.12g}").fps
+        if is_common_rate(inverse):
+            hint = f"it looks like the frame time of {rate_label(inverse)}; "
+            hint += f"write {inverse}"
     return [Fault("TAKE009", message, hint=hint, severity=Severity.WARNING)]

@@ -315,6 +315,34 @@ def test_a_rate_that_the_file_contradicts(
 
 
 @pytest.mark.parametrize(
+    ("fps", "rate"), [("0.0333", "30"), ("0.0417083", "24000/1001"), ("0.5", "")]
+)
+def test_a_frame_time_as_the_rate_of_a_source(
+    fps: str, rate: str, tmp_path: Path
+) -> None:
+    few = shorter(tmp_path / "few.bvh", 3)
+    scene = tmp_path / "a.scene.yaml"
+    text = "scene: animtool/1\nsource: {file: few.bvh, fps: %s}\noutput: {file: %s}\n"
+    scene.write_text(text % (fps, "a.usda"), "utf-8")
+    for command in (
+        ("validate", scene),
+        ("bake", scene),
+        ("bake", few, "-o", tmp_path / "b.usda", "--source-fps", fps),
+    ):
+        done = animtool(*command)
+        lines = f"{done.stdout}\n{done.stderr}".splitlines()
+        found = [line for line in lines if "TAKE0" in line]
+        assert len(found) == 1, found
+        assert f"fps {fps} is implausible" in found[0]
+        assert found[0].endswith(f"write {rate}") == bool(rate)
+        if command[1] is scene:
+            assert "a.scene.yaml:2:" in found[0]
+    for plausible in ("24", "120", "12.5"):
+        scene.write_text(text % (plausible, "a.usda"), "utf-8")
+        assert "TAKE009" not in animtool("validate", scene).stdout
+
+
+@pytest.mark.parametrize(
     ("joint", "found"), [("Hips", True), ("hero:Hips", False), ("a:b:Hips", False)]
 )
 def test_a_namespace_that_no_joint_has(joint: str, found: bool, tmp_path: Path) -> None:

@@ -9,7 +9,13 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
 from animtool.core.names import most_similar
 from animtool.core.quantities import CONTROL
-from animtool.core.rates import RateChoice, RateKind, rate_from_frame_time, rate_label
+from animtool.core.rates import (
+    RateChoice,
+    RateKind,
+    rate_from_frame_time,
+    rate_label,
+    rate_of_milliseconds,
+)
 from animtool.core.record import dataclass
 from animtool.formats.bvh.lines import FLOAT32_MAX, HeaderLines
 from animtool.rig.skeleton import CHANNEL_NAMES
@@ -337,7 +343,12 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     if not slowest <= rate.fps <= fastest:
         code = "BVH105"
         message = f"Frame Time {text} is {rate_label(rate.fps)}, which is implausible"
-        if slowest <= float(text) <= fastest:
+        milliseconds = rate_of_milliseconds(text)
+        if milliseconds is not None:
+            label = rate_label(milliseconds)
+            hint = f"it looks like milliseconds: {float(text) / 1000:g} s are {label}; "
+            hint += f"set {argument('source.fps', label.split()[0])}"
+        elif slowest <= float(text) <= fastest:
             hint = (
                 "is it a rate instead of a time? then set "
                 f"{argument('source.fps', text)}"

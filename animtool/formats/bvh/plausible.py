@@ -34,6 +34,8 @@ def stated_rate_notice(header: BvhHeader, rate: Fraction, path: str) -> list[Fau
     )
     if is_same_rate or header.rate.kind is RateKind.PRINTED or rate_warning(file_rate):
         return []
+    if rate_warning(rate):
+        return []
     option_text = argument("source.fps", f"{float(rate):g}")
     message = (
         f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not {option_text}"

@@ -12,7 +12,7 @@ from typing import Any
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, OptionError
 from animtool.core.plugins import load_object
-from animtool.core.rates import parse_rate
+from animtool.core.rates import FractionLike, RateError, parse_rate, rate_warning
 from animtool.core.record import dataclass
 from animtool.core.writers import writes_stage
 from animtool.documents.check import (
@@ -347,6 +347,7 @@ class _SceneReader:
     ) -> SceneSource:
         path = self.keys.read_file((*location, "file"), model.file)
         keys = option_keys(SourceOptions, model, "scene", location, self.keys)
+        self._warn_of_rate(location, keys.get("fps"))
         tracks = None
         if model.tracks is not None:
             tracks = TrackNames(
@@ -362,6 +363,15 @@ class _SceneReader:
                 (*location, "timecode_fps"), model.timecode_fps, parse_rate
             ),
         )
+
+    def _warn_of_rate(self, location: Location, fps: FractionLike | None) -> None:
+        """Warn of an implausible rate of a source (TAKE009)."""
+        try:
+            warnings = [] if fps is None else rate_warning(parse_rate(fps), None)
+        except RateError:
+            return
+        for fault in warnings:
+            self.document.warn(fault.code, (*location, "fps"), fault.message, fault.hint)
 
 
 @dataclass(frozen=True, slots=True)

@@ -303,6 +303,19 @@ def test_a_rate_in_place_of_a_frame_time_is_taken_for_one(write, text: str) -> N
     assert notice.hint == f"is it a rate instead of a time? then set fps={text}"
 
 
+@pytest.mark.parametrize(
+    ("text", "rate"),
+    [("33.3333", "30"), ("8.333", "120"), ("41.7083", "24000/1001"), ("20", "50")],
+)
+def test_a_frame_time_in_milliseconds_is_named(  # type: ignore[no-untyped-def]
+    write, text: str, rate: str
+) -> None:
+    (notice,) = read_bvh(write(small_bvh(random_rows(2), frame_time=text))).notices
+    assert notice.code == "BVH105"
+    assert notice.hint is not None
+    assert notice.hint.endswith(f"set fps={rate}" if "/" not in rate else rate + '"')
+
+
 def test_byte_order_mark_and_no_final_newline(write) -> None:  # type: ignore[no-untyped-def]
     rows = random_rows(3)
     text = small_bvh(rows).rstrip("\n")
