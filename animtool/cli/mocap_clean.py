@@ -62,7 +62,9 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
 
     Filters have no lag. The report lists what was removed, and the frequencies.
     """
+    from animtool.core.errors import Fault, OptionError
     from animtool.core.writers import take_writer
+    from animtool.formats.marker_files import is_marker_file
     from animtool.motion.passes import find_pass
     from animtool.scene.convert.takes import convert_with_passes
 
@@ -74,6 +76,11 @@ def clean(console: Console, /, source: Path, output: Path, **params: Any) -> Non
         lambda: take_writer(output).files(output),
     ):
         return
+    if source.exists() and is_marker_file(source):
+        message = "holds markers, not joints"
+        hint = f"to repair markers: animtool mocap fill {source}; to solve them onto a "
+        hint += f"rig first: animtool mocap solve {source}"
+        raise OptionError(Fault("SOL007", message, str(source), (), hint))
     options = CleanOptions(**read_values(CleanOptions, params))
     passes: list[tuple[Any, Any]] = [(find_pass("clean"), options)]
     pass_switches = {

@@ -25,9 +25,10 @@ from animtool.core.files.reading import InputFile, open_input
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
-    from zipfile import ZipInfo
+    from zipfile import ZipFile, ZipInfo
 
 NPY_MAGIC = b"\x93NUMPY"
+ZIP_MAGIC = b"PK\x03\x04"
 # The same limits as numpy.load.
 MAX_HEADER_BYTES = 10_000
 MAX_DIMENSIONS = 8
@@ -196,14 +197,13 @@ class Archive:
         self._path = path
         self._file = open_input(path, None)
         try:
-            if self._file.read(len(NPY_MAGIC)) == NPY_MAGIC:
+            head = self._file.read(len(NPY_MAGIC))
+            if head == NPY_MAGIC:
                 message = f"{path.name} is a single array, as numpy.save writes, not "
                 message += "an archive of named ones, as numpy.savez does"
                 raise ArrayError(message)  # noqa: TRY301
             bounded_file = _DirectoryLimitedFile(self._file)
-            from zipfile import ZipFile
-
-            self._zip = ZipFile(cast(Any, bounded_file))
+            self._zip = _open_zip(bounded_file, head, path)
             bounded_file.limit = None
             self._members, self._duplicates = self._read_directory()
         except BaseException:
@@ -350,6 +350,21 @@ class Archive:
             f"{message}; max_array_mb = {needed_mb} in animtool.toml, or "
             f"{ARRAY_LIMIT_VARIABLE}={needed_mb}, allows it"
         )
+
+
+def _open_zip(file: _DirectoryLimitedFile, head: bytes, path: Path) -> ZipFile:
+    """Return an archive; refuse a file that has no directory at its end."""
+    from zipfile import ZipFile, is_zipfile
+
+    if is_zipfile(cast(Any, file)):
+        return ZipFile(cast(Any, file))
+    if not head:
+        raise ArrayError(f"{path.name} is empty; copy or write it again")
+    if head.startswith(ZIP_MAGIC):
+        message = "is incomplete: its end is missing; copy or write it again"
+        raise ArrayError(f"{path.name} {message}")
+    message = "is not an archive of arrays, as numpy.savez writes it"
+    raise ArrayError(f"{path.name} {message}")
 
 
 def _configured_limit(path: Path) -> int | None:

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.arguments import flag
 from animtool.core.clock import Clock, time_fraction
-from animtool.core.errors import Fault, listed
+from animtool.core.errors import Fault, counted, faults_in, listed
 from animtool.core.files.reading import open_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
@@ -24,6 +25,13 @@ from animtool.motion.markers import Markers
 _UNIT_SUFFIX = re.compile(r"_(mm|cm|m|in)")
 # Prefix of the default array of positions.
 DEFAULT_PREFIX = "markers"
+# The array of marker names, and names that others give it.
+NAMES_ARRAY = "marker_names"
+OTHER_NAMES_ARRAYS = frozenset(
+    {"names", "labels", "marker_labels", "markers_names", "point_names", "point_labels"}
+)
+# Arrays of the pixels of cameras.
+PIXEL_ARRAYS = frozenset({"uv", "uv8"})
 
 
 @expects_format("MKR012", "an archive of arrays")
@@ -106,6 +114,8 @@ def _read_arrays(
     )
     length_unit = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
+    is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
+
     def read_number(name: str) -> float | None:
         return (
             float(archives.load_stored(path, name).ravel()[0])
@@ -114,33 +124,73 @@ def _read_arrays(
         )
 
     def read_point_array(name: str) -> npt.NDArray[Any] | None:
-        if (
-            name not in array_names
-            or positions_name.partition("_")[0] != DEFAULT_PREFIX
-        ):
+        if name not in array_names or not is_default:
             return None
         return archives.load_stored(path, name)
 
     rate = file.rate(read_number("fs"), fps)
     up_text = archives.text(path, "up") if "up" in array_names else None
     up_axis = file.up(UpAxis(up_text) if up_text in {"Y", "Z"} else None, up)
-    names = (
-        archives.texts(path, "marker_names") if "marker_names" in array_names else []
-    )
+    shape = (frames, point_count)
+    names = _marker_names(file, archives, path, array_names, positions_name, shape)
     labels = names if len(names) == point_count else [""] * point_count
     positions = np.array(archives.load_stored(path, positions_name), np.float64)
     residuals, cameras = read_point_array("residuals_m"), read_point_array("cameras")
     filled, start = read_point_array("filled"), read_number("start")
-    return Markers(
-        file.names(labels, subject),
-        Clock(rate, _start_frame(start), Fraction(1), frames),
-        file.clean_positions(positions, length_unit.meters),
-        up_axis,
-        None if cameras is None else cameras.astype(np.int64),
-        None if residuals is None else residuals.astype(np.float64),
-        None if filled is None else filled.astype(bool),
-        tuple(file.notices),
-    )
+    with faults_in(path):
+        return Markers(
+            file.names(labels, subject),
+            Clock(rate, _start_frame(start), Fraction(1), frames),
+            file.clean_positions(positions, length_unit.meters),
+            up_axis,
+            None if cameras is None else cameras.astype(np.int64),
+            None if residuals is None else residuals.astype(np.float64),
+            None if filled is None else filled.astype(bool),
+            tuple(file.notices),
+        )
+
+
+def _marker_names(
+    file: MarkerFile,
+    archives: Archives,
+    path: Path,
+    array_names: list[str],
+    positions_name: str,
+    shape: tuple[int, int],
+) -> list[str]:
+    """Return the names of the points of an array of frames and points.
+
+    Refuse swapped dimensions (MKR012); warn of names that do not apply (MKR106).
+    """
+    frames, count = shape
+    is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
+    if NAMES_ARRAY in array_names:
+        names = archives.texts(path, NAMES_ARRAY)
+        if not is_default or not names or len(names) == count:
+            return names
+        message = (
+            f"{positions_name!r} has {counted(frames, 'frame')} of {counted(count, 'point')}, "
+            f"but {NAMES_ARRAY!r} has {counted(len(names), 'name')}"
+        )
+        if len(names) == frames:
+            hint = "transpose it to (frames, markers, 3)"
+            raise file.error("MKR012", message, hint)
+        hint = f"the points are unlabelled: write one name for each in {NAMES_ARRAY!r}"
+        file.warn("MKR106", message, hint)
+        return names
+    for name in array_names:
+        if not is_default or name not in OTHER_NAMES_ARRAYS:
+            continue
+        try:
+            texts = archives.texts(path, name)
+        except ValueError:
+            continue
+        if len(texts) == count:
+            message = f"there is no array {NAMES_ARRAY!r}: the points are unlabelled"
+            hint = f"{name!r} has a text for each: rename it to {NAMES_ARRAY!r}"
+            file.warn("MKR106", message, hint)
+            break
+    return []
 
 
 def _find_positions_array(
@@ -158,6 +208,14 @@ def _find_positions_array(
     candidates = [key for key in array_names if key.partition("_")[0] == DEFAULT_PREFIX]
     if not candidates:
         with_unit = [key for key in array_names if _UNIT_SUFFIX.search(key)]
+        if not PIXEL_ARRAYS.isdisjoint(array_names):
+            message = "holds pixels of cameras, not positions"
+            pixels_hint = (
+                f"run first: animtool mocap triangulate {path} "
+                f"{flag('cameras', 'FILE')} -o markers.npz; or animtool bake {path} "
+                f"{flag('cameras', 'FILE')}"
+            )
+            raise file.error("MKR012", message, pixels_hint)
         message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"
         hint = f"name one: {path.name}#{with_unit[0]}" if with_unit else None
         raise file.error(

@@ -178,3 +178,11 @@ def test_a_suffix_that_no_markers_are_written_to(tmp_path: Path) -> None:
     done = animtool("mocap", "fill", source, "-o", tmp_path / "a.usda")
     assert done.code == 2
     assert "OUT004" in done.stderr
+
+
+def test_markers_are_not_cleaned_but_filled(tmp_path: Path) -> None:
+    write_marker_arrays(captured(moving(20, 100, 3)).markers, tmp_path / "take.npz")
+    done = animtool("mocap", "clean", "take.npz", "-o", "a.usda", cwd=tmp_path)
+    assert done.code == 2
+    assert "SOL007" in done.stderr
+    assert "animtool mocap fill take.npz" in done.stderr

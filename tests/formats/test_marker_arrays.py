@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from animtool.core.clock import Clock
-from animtool.core.errors import FormatError
+from animtool.core.errors import FormatError, OptionError
 from animtool.core.units import UpAxis
 from animtool.formats.marker_arrays import read_markers, write_marker_arrays
 from animtool.motion.markers import Markers
@@ -38,6 +38,10 @@ def save(path: Path, **arrays: Any) -> Path:
     return path
 
 
+def codes(markers: Markers) -> list[str]:
+    return [notice.code for notice in markers.notices]
+
+
 def test_an_array_is_named_and_its_unit_with_it(tmp_path: Path) -> None:
     path = save(
         tmp_path / "a.npz",
@@ -61,6 +65,7 @@ def test_an_array_is_named_and_its_unit_with_it(tmp_path: Path) -> None:
         ("MKR010", {"markers_mm": np.ones((2, 1, 3))}),
         ("MKR010", {"fs": np.nan, "markers_mm": np.ones((2, 1, 3))}),
         ("MKR013", {"fs": 120, "markers_mm": np.ones((0, 1, 3))}),
+        ("MKR012", {"fs": 120, "uv": np.ones((2, 2, 1, 2))}),
     ],
 )
 def test_what_is_no_file_of_markers(
@@ -69,3 +74,66 @@ def test_what_is_no_file_of_markers(
     with pytest.raises(FormatError) as caught:
         read_markers(save(tmp_path / "a.npz", **arrays))
     assert caught.value.code == code
+    assert caught.value.faults[0].path == str(tmp_path / "a.npz")
+
+
+def test_swapped_frames_and_markers_are_refused(tmp_path: Path) -> None:
+    names = np.array(["A", "B", "C"])
+    take = {"fs": 120, "marker_names": names}
+    with pytest.raises(FormatError) as caught:
+        read_markers(save(tmp_path / "a.npz", markers_mm=np.ones((3, 7, 3)), **take))
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == (
+        "MKR012",
+        "transpose it to (frames, markers, 3)",
+    )
+    for shape in ((7, 3, 3), (3, 3, 3)):
+        found = read_markers(
+            save(tmp_path / "a.npz", markers_mm=np.ones(shape), **take)
+        )
+        assert found.names == ("A", "B", "C")
+        assert "MKR106" not in codes(found)
+    # A cloud besides the markers may have as many frames as there are names.
+    arrays = take | {"markers_mm": np.ones((3, 3, 3)), "cloud_mm": np.ones((3, 7, 3))}
+    save(tmp_path / "a.npz", **arrays)
+    assert "MKR106" not in codes(read_markers(f"{tmp_path / 'a.npz'}#cloud_mm"))
+
+
+@pytest.mark.parametrize(
+    ("arrays", "code"),
+    [
+        ({"names": np.array(["A", "B"])}, "MKR106"),
+        ({"labels": np.array(["A", "B"])}, "MKR106"),
+        ({"marker_names": np.array(["A"])}, "MKR106"),
+        ({"names": np.array(["A", "B", "C"])}, ""),
+        ({"names": np.array([1.0, 2.0])}, ""),
+        ({"names": np.array(["A", "B"]), "marker_names": np.array(["C", "D"])}, ""),
+        ({}, ""),
+    ],
+)
+def test_names_in_another_array(
+    tmp_path: Path, arrays: dict[str, Any], code: str
+) -> None:
+    path = save(tmp_path / "a.npz", fs=120, markers_mm=np.ones((5, 2, 3)), **arrays)
+    found = read_markers(path)
+    assert [one for one in codes(found) if one != "MKR103"] == ([code] if code else [])
+    assert found.names[0] == ("C" if len(arrays) == 2 else "*0")
+
+
+def test_an_incomplete_archive(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", fs=120, markers_mm=np.ones((5, 2, 3)))
+    path.write_bytes(path.read_bytes()[:-40])
+    with pytest.raises(FormatError, match="is incomplete") as caught:
+        read_markers(path)
+    assert caught.value.code == "MKR012"
+    path.write_bytes(b"walk")
+    with pytest.raises(FormatError, match="not an archive of arrays"):
+        read_markers(path)
+
+
+def test_arrays_that_do_not_match_name_the_file(tmp_path: Path) -> None:
+    arrays = {"fs": 120, "markers_mm": np.ones((2, 1, 3)), "cameras": np.ones((1, 2))}
+    with pytest.raises(OptionError) as caught:
+        read_markers(save(tmp_path / "a.npz", **arrays))
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("MKR001", str(tmp_path / "a.npz"))

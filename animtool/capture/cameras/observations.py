@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -16,6 +17,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, counted, listed
 from animtool.core.files.reading import open_input
+from animtool.core.files.signatures import signature_of
 from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_from_float, rate_option
 from animtool.core.record import dataclass
@@ -31,6 +33,7 @@ LAYOUT_HINT = (
     f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
 )
+_POSITIONS = "holds positions of markers"
 # Bytes read to identify another file type.
 HEAD_BYTES = 4096
 # Valid rates of a capture [Hz].
@@ -109,12 +112,28 @@ def read_observations(
         raise FormatError(Fault("CAM010", message, str(path), hint=hint)) from error
 
 
-def _not_npz_error(path: Path, message: str) -> tuple[str, str]:
+def _solve_hint(path: Path) -> str:
+    """Return the hint for a file of positions."""
+    return f"they are triangulated already: animtool mocap solve {path}"
+
+
+def _positions_hint(message: str, path: Path) -> str:
+    """Return the hint for an npz without pixels, which may have positions."""
+    return _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
+
+
+def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
         first_bytes = file.read(HEAD_BYTES)
+    if not first_bytes:
+        return "the file is empty", "export or copy it again"
     if first_bytes[:2] == b"PK":
-        return message, LAYOUT_HINT
+        is_damaged = message.startswith("is incomplete")
+        return message, None if is_damaged else _positions_hint(message, path)
+    signature = signature_of(first_bytes)
+    if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
+        return f"is {signature.about}, not pixels of cameras", _solve_hint(path)
     text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
         return "is not an npz file of pixels", LAYOUT_HINT
@@ -142,6 +161,8 @@ def _read_arrays(
     key = next((name for name in _PIXEL_ARRAYS if name in array_names), None)
     if key is None:
         arrays = listed(array_names) or "nothing"
+        if any(re.match(r"markers(_|$)", name) for name in array_names):
+            raise ValueError(f"{_POSITIONS}, not pixels; its arrays are {arrays}")
         raise ValueError(
             f"has no array 'uv' or 'uv8' of pixels; its arrays are {arrays}"
         )

@@ -168,7 +168,7 @@ class _CalibrationState:
             )
             hint = f"a calibration needs {MIN_FRAMES}"
             raise OptionError(Fault("SOL006", message, hint=hint))
-        check_units(self.model, self.positions)
+        check_units(self.model, self.positions, self.model.template)
         self.bones = _scalable_bones(self.model.rig)
         self.base = self.model.rig.rest_translations
         self.offsets0 = self.model.offsets

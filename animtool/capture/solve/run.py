@@ -6,7 +6,7 @@ import itertools
 import math
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -30,7 +30,14 @@ from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    counted,
+    listed,
+    with_notices,
+)
 from animtool.core.names import most_similar
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -214,15 +221,16 @@ def solve_markers(
     limb that reappears after a long gap is found if enough of its markers agree.
     """
     options = options or SolveOptions()
-    match = match_markers(template, markers.names, options.subject)
+    with with_notices(markers.notices):
+        match = match_markers(template, markers.names, options.subject)
     model = marker_model(rig, template, match.columns)
     positions = to_world_of(model.rig, markers)[:, model.columns]
     sample = positions[sampled_frames(positions, NOISE_SAMPLES)]
     if not len(sample):
         message = f"no frame has {MIN_MARKERS} markers of the template"
         raise OptionError(Fault("SOL004", message, hint="see animtool info"))
-    check_units(model, sample)
-    notices = []
+    check_units(model, sample, template)
+    notices = [] if template.document is None else list(template.document.notices)
     if match.missing:
         message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
         message += f"template: {listed(match.missing, 8)}"
@@ -231,7 +239,8 @@ def solve_markers(
     notices += static_notices(model.template.names, positions)
     noise = sampled_noise(model, sample, options.noise)
     swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
-    notices += swapped or _residual_notices(model.template.names, noise)
+    if all(notice.code != "MKT003" for notice in notices):
+        notices += swapped or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 
@@ -346,8 +355,13 @@ def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
     )
 
 
-def check_units(model: MarkerProblem, sample: FloatArray) -> None:
-    """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005)."""
+def check_units(
+    model: MarkerProblem, sample: FloatArray, template: MarkerTemplate | None = None
+) -> None:
+    """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005).
+
+    The template is to blame if its offsets are suspicious (MKT003).
+    """
     rest_points_all = model.points(model.starts(sample[:1]))[0]
     ratios = []
     for frame in sample:
@@ -367,6 +381,15 @@ def check_units(model: MarkerProblem, sample: FloatArray) -> None:
         (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
     )
     message = f"the markers are {times:.3g} times {comparison} than those on the rig"
+    document = None if template is None else template.document
+    for notice in () if document is None else document.notices:
+        if notice.code == "MKT003":
+            message = f"{notice.message}; captured markers are {times:.3g} times "
+            message += f"{comparison} than those on the rig"
+            error = replace(
+                notice, code="SOL005", message=message, severity=Severity.ERROR
+            )
+            raise OptionError(error)
     written, read = _confused_units(ratio)
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"

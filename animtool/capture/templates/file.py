@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -12,6 +14,7 @@ from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
 from animtool.core.config import project_roots
 from animtool.core.files.reading import exists
 from animtool.core.options import key
+from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
@@ -20,6 +23,11 @@ from animtool.documents.references import missing_hint, resolve_reference
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
 MAX_OFFSET = 10.0
+# If so many markers are off their joints, but none farther than this, the unit is
+# another, too [m].
+MIN_OFFSET, MIN_OFFSETS = 0.001, 4
+# Largest offset on a body [m].
+TYPICAL_OFFSET = 0.3
 
 
 class MarkerUnitsModel(FileModel):
@@ -101,10 +109,6 @@ def parse_template(document: Document) -> MarkerTemplate:
                 document.add("MKT002", ("marker_set", i, *key_path), message, hint)
             entry_of_name.setdefault(name, i)
         x, y, z = (value * unit for value in entry.offset)
-        if max(abs(x), abs(y), abs(z)) > MAX_OFFSET:
-            message = f"{entry.name!r} is more than {MAX_OFFSET:g} m off its joint"
-            hint = "units: {length: mm} says that the file is in millimetres"
-            document.warn("MKT003", ("marker_set", i, "offset"), message, hint)
         markers.append(
             TemplateMarker(
                 entry.name,
@@ -120,7 +124,46 @@ def parse_template(document: Document) -> MarkerTemplate:
         document.add("MKT004", ("marker_set",), message, "leave out some weights")
     rig = _referred_rig(document, model.rig)
     document.check()
+    _warn_of_offsets(document, markers, LengthUnit(model.units.length))
     return MarkerTemplate(tuple(markers), rig, document)
+
+
+def _warn_of_offsets(
+    document: Document, markers: Sequence[TemplateMarker], unit: LengthUnit
+) -> None:
+    """Warn once of offsets that are far too large, or all far too small (MKT003)."""
+    sizes = [max(map(abs, marker.offset)) for marker in markers]
+    i = max(range(len(sizes)), key=lambda i: sizes[i])
+    largest = sizes[i]
+    likely = min(
+        LengthUnit,
+        key=lambda other: (
+            abs(math.log(_in_unit(largest, unit, other) / TYPICAL_OFFSET))
+            if largest
+            else 0.0
+        ),
+    )
+    expected = length_text(_in_unit(largest, unit, likely))
+    hint = f"write units: {{length: {likely}}} in the template: then it is {expected}"
+    if largest > MAX_OFFSET:
+        message = f"{markers[i].name!r} is {length_text(largest)} off its joint"
+        count = sum(size > MAX_OFFSET for size in sizes)
+        if count > 1:
+            message += f"; {count} markers are more than {MAX_OFFSET:g} m off theirs"
+        if likely is unit:
+            hint = f"are the offsets in {unit}?"
+    elif largest < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSETS:
+        message = f"all markers are within {length_text(largest)} of their joints"
+        if likely is unit:
+            hint = f"offsets are in {unit}: were they divided by 1000 twice?"
+    else:
+        return
+    document.warn("MKT003", ("marker_set", i, "offset"), message, hint)
+
+
+def _in_unit(size: float, unit: LengthUnit, other: LengthUnit) -> float:
+    """Return a size [m] as it would be if its number were in another unit."""
+    return size * other.meters / unit.meters
 
 
 def _referred_rig(document: Document, name: str | None) -> Path | None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from animtool.core.errors import Fault, FormatError
-from animtool.core.files.reading import open_input
+from animtool.core.files.reading import FileState, open_input
 from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
 
@@ -142,6 +142,17 @@ def format_mismatch(
     return Fault(code, message, str(path), (), hint) if hint else None
 
 
+def empty_error(code: str, path: Path | str) -> FormatError:
+    """Return the error of an empty file."""
+    hint = "export or copy it again"
+    return FormatError(Fault(code, "the file is empty", str(path), hint=hint))
+
+
+def _is_empty(path: Path | str) -> bool:
+    state = FileState.of(Path(path))
+    return state is not None and state.size == 0
+
+
 def expects_format(
     code: str, expected: str, hint: str = ""
 ) -> Callable[[_ReaderT], _ReaderT]:
@@ -156,6 +167,8 @@ def expects_format(
             try:
                 return read(path, *args, **options)
             except FormatError as error:
+                if error.code != "IO001" and expected != DOCUMENT and _is_empty(path):
+                    raise empty_error(error.code, path) from error
                 fault = format_mismatch(code, path, expected, hint)
                 if fault is None:
                     raise

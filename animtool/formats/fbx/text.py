@@ -67,7 +67,7 @@ class _TextParser:
 
     def fail(self, offset: int, message: str) -> NoReturn:
         line = self.content.count(b"\n", 0, offset) + 1
-        self.notes.fail("FBX001", f"line {line}", message, "export the file again")
+        self.notes.fail("FBX001", f"line {line}", message, "copy or export it again")
 
     def parse(self) -> Element:
         root = self.stack[0]
@@ -78,14 +78,16 @@ class _TextParser:
         while offset < size:
             token = _TOKEN.match(self.content, offset)
             if token is None:
-                excerpt_text = self.content[offset : offset + 12].decode(
-                    "utf-8", "replace"
-                )
-                self.fail(offset, f"unexpected {excerpt(repr(excerpt_text))}")
+                rest = self.content[offset:]
+                if rest[:1] == b'"':
+                    # A text without a closing quote goes on to the end.
+                    self.fail(offset, "the file ends in the middle of a text")
+                excerpt_text = rest[:12].decode("utf-8", "replace")
+                self.fail(offset, f"unexpected {excerpt(excerpt_text)}")
             self._handle_token(token, offset)
             offset = token.end()
         if len(self.stack) > 1:
-            self.fail(size, f"the braces of {self.stack[-1].name} are not closed")
+            self.fail(size, f"the file ends in the middle of {self.stack[-1].name}")
         for element in _elements_with_arrays(root):
             _join_arrays(element)
         return root
@@ -149,7 +151,7 @@ class _TextParser:
         except (ValueError, OverflowError):
             pass
         excerpt_text = text[:40].decode("utf-8", "replace")
-        self.fail(offset, f"{excerpt(repr(excerpt_text))} is not a list of numbers")
+        self.fail(offset, f"{excerpt(excerpt_text)} is not a list of numbers")
 
 
 def _add_numbers(element: Element, text: bytes, texts: list[bytes]) -> None:

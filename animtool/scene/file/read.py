@@ -371,7 +371,9 @@ class _SceneReader:
         except RateError:
             return
         for fault in warnings:
-            self.document.warn(fault.code, (*location, "fps"), fault.message, fault.hint)
+            self.document.warn(
+                fault.code, (*location, "fps"), fault.message, fault.hint
+            )
 
 
 @dataclass(frozen=True, slots=True)

@@ -184,3 +184,26 @@ def test_a_json_file_in_place_of_observations_is_told_what_it_is(
     assert fault.code == "CAM010"
     assert message in fault.message
     assert hint in (fault.hint or "")
+
+
+def test_positions_are_triangulated_already(tmp_path: Path) -> None:
+    path = tmp_path / "take.npz"
+    np.savez(path, fs=120, markers_m=np.ones((4, 2, 3)))
+    c3d = tmp_path / "take.c3d"
+    c3d.write_bytes(b"\x02\x50" + bytes(600))
+    for file in (path, c3d):
+        with pytest.raises(FormatError) as caught:
+            read_observations(file)
+        (fault,) = caught.value.faults
+        assert fault.code == "CAM010"
+        assert fault.hint is not None
+        assert fault.hint.endswith(f"animtool mocap solve {file}")
+    np.savez(path, fs=120, points=np.ones((4, 2, 3)))
+    with pytest.raises(FormatError) as caught:
+        read_observations(path)
+    assert "uv (frames, cameras, markers, 2)" in str(caught.value.faults[0].hint)
+    for content, hint in ((b"", "export or copy it again"), (b"PK\x03\x04 ab", None)):
+        path.write_bytes(content)
+        with pytest.raises(FormatError) as caught:
+            read_observations(path)
+        assert caught.value.faults[0].hint == hint

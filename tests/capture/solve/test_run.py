@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from support.marked import FIGURE, TEMPLATE, Captured, captured, column, moving
 
 from animtool.capture.solve import SolveOptions, solve_markers
 from animtool.capture.solve import run as run_module
+from animtool.capture.templates.file import load_template
+from animtool.capture.templates.template import template_text
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.motion.markers import Markers
@@ -154,6 +157,37 @@ def test_what_cannot_be_solved_is_refused(spoil: object, code: str) -> None:
     with pytest.raises(OptionError) as caught:
         solve_markers(spoil(markers), FIGURE, TEMPLATE)  # type: ignore[operator]
     assert caught.value.code == code
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "code"),
+    [(1000, "m", "SOL005"), (1000, "mm", ""), (1, "m", ""), (0.001, "m", "MKT003")],
+)
+def test_offsets_of_a_template_in_another_unit(
+    tmp_path: Path, scale: float, unit: str, code: str
+) -> None:
+    markers = captured(moving(30, FPS, 1), FPS).markers
+    far = tuple(
+        replace(m, offset=tuple(scale * (x or 0.01) for x in m.offset))
+        for m in TEMPLATE.markers
+    )
+    text = template_text(replace(TEMPLATE, markers=far), "far")
+    path = tmp_path / "a.markers.yaml"
+    path.write_text(
+        text.replace("marker_set", f"units: {{length: {unit}}}\nmarker_set")
+    )
+    template = load_template(path)
+    if code == "SOL005":
+        with pytest.raises(OptionError) as caught:
+            solve_markers(markers, FIGURE, template)
+        (fault,) = caught.value.faults
+        assert (fault.code, fault.path) == (code, str(path))
+        assert fault.hint is not None
+        assert "units: {length: mm}" in fault.hint
+        return
+    codes = [n.code for n in solve_markers(markers, FIGURE, template).notices]
+    assert [one for one in codes if one != "SOL107"] == ([code] if code else [])
+    assert not (code and "SOL107" in codes)
 
 
 def test_a_prefix_and_missing_markers_are_no_hindrance() -> None:

@@ -82,6 +82,33 @@ def test_offsets_in_another_unit_are_pointed_out(tmp_path: Path) -> None:
         assert len(document.notices) == count
 
 
+@pytest.mark.parametrize(
+    ("unit", "offsets", "hint"),
+    [
+        ("m", [70, 420, 30, 90], "{length: mm} in the template: then it is 420 mm"),
+        ("mm", [0.07, 0.42, 0.03, 0.09], "{length: m} in the template: then it is 420"),
+        ("m", [7e-5, 4.2e-4, 3e-5, 9e-5], "divided by 1000 twice?"),
+        ("mm", [70, 420, 30, 90], ""),
+        ("m", [0.07, 0.0005, 0.0, 0.09], ""),
+        ("m", [0, 0, 0, 0], ""),
+        ("m", [0, 0, 0, 1e-4], ""),
+        ("in", [2.8, 16, 1, 3], ""),
+    ],
+)
+def test_offsets_are_pointed_out_once(
+    tmp_path: Path, unit: str, offsets: list[float], hint: str
+) -> None:
+    text = f"units: {{length: {unit}}}\nmarker_set:\n"
+    for i, offset in enumerate(offsets):
+        text += f"- {{name: M{i}, joint: b, offset: [0, {offset:f}, 0]}}\n"
+    document = load_template(written(tmp_path, text)).document
+    assert document is not None
+    assert len(document.notices) == bool(hint)
+    for notice in document.notices:
+        assert (notice.code, notice.where) == ("MKT003", "marker_set[1].offset")
+        assert hint in (notice.hint or "")
+
+
 def test_a_joint_that_the_rig_lacks_is_named_with_its_line(tmp_path: Path) -> None:
     path = written(
         tmp_path, "marker_set:\n- {name: A, joint: arm_x, offset: [0, 0, 0]}\n"

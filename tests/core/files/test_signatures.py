@@ -70,6 +70,21 @@ def test_a_file_with_the_name_of_another_format(
     assert error.value.faults[0].hint == f"rename it to walk{true}"
 
 
+@pytest.mark.parametrize("suffix", READERS)
+def test_an_empty_file_is_called_empty(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"walk{suffix}"
+    path.touch()
+    with pytest.raises(FormatError, match="empty") as error:
+        animtool.describe(path)
+    (fault,) = error.value.faults
+    assert fault.path == str(path)
+    if suffix not in {".yaml", ".yml", ".json"}:
+        assert (fault.message, fault.hint) == (
+            "the file is empty",
+            "export or copy it again",
+        )
+
+
 def test_a_web_page_and_a_pointer_say_what_to_do(tmp_path: Path) -> None:
     path = tmp_path / "walk.fbx"
     path.write_bytes(b"<!DOCTYPE html>\n<html>")

@@ -489,3 +489,22 @@ def test_a_take_of_days_is_refused_with_its_frames(tmp_path: Path) -> None:
     code, _ = code_of(tmp_path, as_binary(trees))
     assert code == "FBX013"
     assert read_fbx(written(tmp_path, as_binary(trees)), fps=1).rig.names
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('Objects: {\n Model: 1, "Model::mixa', "ends in the middle of a text"),
+        ("Objects: {\n Model: 1 {\n", "ends in the middle of Model"),
+        ("Objects: {\n Model: 1, 5 ~ }\n}\n", "unexpected '~ }"),
+    ],
+)
+def test_incomplete_text(tmp_path: Path, text: str, message: str) -> None:
+    path = tmp_path / "half.fbx"
+    path.write_text(f"; FBX 7.4.0 project file\nFBXVersion: 7400\n{text}", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        read_fbx(path)
+    (fault,) = caught.value.faults
+    assert fault.code == "FBX001"
+    assert message in fault.message
+    assert fault.hint == "copy or export it again"

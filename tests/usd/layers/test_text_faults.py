@@ -17,7 +17,7 @@ HEAD = "#usda 1.0\n"
     [
         ("#usda 1\n", (1, 1), None, "#usda 1.0"),
         ('def Xform "a" {}\n', (1, 1), None, "#usda 1.0"),
-        ("", (1, 1), None, "#usda 1.0"),
+        ("\n", (1, 1), None, "#usda 1.0"),
         ("#usda 9.0\n", (1, 1), None, "usd-core"),
         (HEAD + 'def Xform "a" {\n', (3, 1), "/a", "add '}'"),
         (HEAD + "def Xform a {}\n", (2, 1), None, 'def Xform "a"'),
