@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from fractions import Fraction
 
 from animtool.core.arguments import argument
@@ -51,9 +52,48 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
         last = clock.start + (clock.count - 1) * clock.step
         raise frame_refusal(
             f"{name} is frame {frame:g}, but the take has "
-            f"{float(clock.start):g}-{float(last):g}"
+            f"{float(clock.start):g}-{float(last):g}",
+            seconds_hint({name: frame}, clock.start, clock.fps, last),
         )
     return index
+
+
+def seconds_hint(
+    options: Mapping[str, float],
+    start: Fraction,
+    fps: Fraction,
+    last: Fraction | None = None,
+) -> str | None:
+    """Return which frames options mean if they are in seconds, or None.
+
+    Args:
+        options: Values of options by name; some must be fractions.
+        start: First time code of the take.
+        fps: Frames per second.
+        last: Last time code; None if it is unknown.
+    """
+    values = list(options.values())
+    if all(value == round(value) for value in values) or min(values) < 0:
+        return None
+    codes = [float(start) + value * float(fps) for value in values]
+    if last is not None and max(codes) > float(last) + 1:
+        return None
+    rounding = {"first": math.ceil, "last": math.floor}
+    frames = [
+        rounding.get(name, round)(code - 1e-9 if name == "first" else code + 1e-9)
+        for name, code in zip(options, codes, strict=True)
+    ]
+    if frames != sorted(frames):
+        return None
+    seconds_text = " to ".join(f"{value:g}" for value in values)
+    codes_text = " to ".join(f"{code:.4g}" for code in codes)
+    subject = "frame" if len(codes) == 1 else "frames"
+    verb = "is" if len(codes) == 1 else "are"
+    names = [argument(name, frame) for name, frame in zip(options, frames, strict=True)]
+    return (
+        f"are these seconds? {seconds_text} s {verb} {subject} {codes_text}: write "
+        f"{' and '.join(names)}"
+    )
 
 
 def check_count(count: int) -> None:

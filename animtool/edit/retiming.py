@@ -17,7 +17,13 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
 from animtool.edit.combine import align_signs
-from animtool.edit.frames import check_count, check_range, exact_fraction, frame_refusal
+from animtool.edit.frames import (
+    check_count,
+    check_range,
+    exact_fraction,
+    frame_refusal,
+    seconds_hint,
+)
 from animtool.edit.straight import interpolation_notices
 from animtool.edit.travel import FramePositions, even_positions, nearby_positions
 from animtool.motion.keyed import (
@@ -104,7 +110,8 @@ def _run_trim(
     if last_index is not None and last_index < first_index:
         raise frame_refusal(
             f"there is no frame from {_frame_text(options.first, first_code)} to "
-            f"{options.last:g}"
+            f"{options.last:g}; the take begins at {float(first_code):g}",
+            _trim_hint(options, first_code, stream.fps),
         )
     new_start = (
         stream.start if first_index == 0 else first_code + first_index * stream.step
@@ -116,6 +123,12 @@ def _run_trim(
             stream, first_index, last_index, first_code, in_shot=in_shot
         ),
     )
+
+
+def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | None:
+    ends = {"first": options.first, "last": options.last}
+    stated_ends = {name: end for name, end in ends.items() if end is not None}
+    return seconds_hint(stated_ends, start, fps)
 
 
 def _trim_checks(options: TrimOptions) -> OptionChecks:
@@ -388,7 +401,13 @@ def _check_curve_range(clock: Clock, values: FloatArray) -> None:
     outside_values = values[(values < first - tolerance) | (values > last + tolerance)]
     if len(outside_values):
         message = f"the curve maps to frame {outside_values[0]:g}, but the take has "
-        raise frame_refusal(f"{message}{first:g}-{last:g}")
+        hint = None
+        seconds = float(np.max(values))
+        code = float(clock.start) + seconds * float(clock.fps)
+        has_fractions = bool((values != np.round(values)).any())
+        if np.min(values) >= 0 and has_fractions and code <= last + 1:
+            hint = f"a curve has frames, not seconds: {seconds:g} s is frame {code:g}"
+        raise frame_refusal(f"{message}{first:g}-{last:g}", hint)
 
 
 def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -> Take:

@@ -169,7 +169,8 @@ def _marker_names(
         if not is_default or not names or len(names) == count:
             return names
         message = (
-            f"{positions_name!r} has {counted(frames, 'frame')} of {counted(count, 'point')}, "
+            f"{positions_name!r} has {counted(frames, 'frame')} of "
+            f"{counted(count, 'point')}, "
             f"but {NAMES_ARRAY!r} has {counted(len(names), 'name')}"
         )
         if len(names) == frames:

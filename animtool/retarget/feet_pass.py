@@ -58,7 +58,14 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     except OptionError as error:
         context.notices.append(no_body_warning(error))
         return take
-    context.notices.extend(notices)
+    # A stated up axis that is wrong was reported when the take was read.
+    is_known = any(
+        notice.code == "MOT214" and notice.severity is Severity.WARNING
+        for notice in take.notices
+    )
+    context.notices.extend(
+        notice for notice in notices if not (is_known and notice.code == "MAP009")
+    )
     if retargeting.standing.placed is None:
         return take
     motion = Motion.concatenate(list(retargeting.blocks()))

@@ -315,6 +315,9 @@ def lying_notice(
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
+    if up is rig.up:
+        stated = argument("source.up", up)
+        message = f"the body stands along {sign}{axis}, but {stated} was given"
     if up not in {None, rig.up}:
         chosen = argument("source.up", up)
         message = (

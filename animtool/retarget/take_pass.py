@@ -225,7 +225,8 @@ def retarget_stream(
     source = at_origin(stream.rig)
     stance_axis = standing_axis(source, first_block, joint_map.source.roles)
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
-        message = f"the body stands along {stance_axis}, but the up axis is {source.up}"
+        stated = argument("source.up", source.up)
+        message = f"the body stands along {stance_axis}, but {stated} was given"
         hint = f"read it with {argument('source.up', stance_axis)}"
         notices.append(Fault("MOT214", message, hint=hint, severity=Severity.WARNING))
     elif stance_axis is not None:

@@ -63,7 +63,7 @@ def test_a_cut_off_above_half_the_rate(tmp_path: Path) -> None:
     assert not warnings(*command, str(int(rate / 4)), "--overwrite")
 
 
-@pytest.mark.parametrize("command", ["clean", "retarget", "loop", "bake"])
+@pytest.mark.parametrize("command", ["clean", "feet", "retarget", "loop", "bake"])
 @pytest.mark.parametrize("right", ["Y", "Z"])
 def test_an_up_axis_that_the_body_contradicts(
     command: str, right: str, tmp_path: Path
@@ -73,13 +73,14 @@ def test_an_up_axis_that_the_body_contradicts(
     wrong = "Z" if right == "Y" else "Y"
     words: tuple[str | Path, ...] = {
         "clean": ("mocap", "clean", walk, "-o", tmp_path / "a.usdc"),
+        "feet": ("mocap", "clean", walk, "-o", tmp_path / "a.usdc", "--feet", "hold"),
         "retarget": ("retarget", walk, "--to", CHILD),
         "loop": ("loop", walk),
         "bake": ("bake", walk, "-o", tmp_path / "a.usdc"),
     }[command]
-    lines = [line for line in warnings(*words, "--up", wrong) if "MOT214" in line]
-    (line,) = lines
-    assert f"the body stands along {right}, but the up axis is {wrong}" in line
+    found = warnings(*words, "--up", wrong)
+    (line,) = [line for line in found if "MOT214" in line or "MAP009" in line]
+    assert f"the body stands along {right}, but --up {wrong} was given" in line
     assert line.endswith(f"read it with --up {right}")
     again = () if command in {"retarget", "loop"} else ("--overwrite",)
     assert "MOT214" not in "".join(warnings(*words, "--up", right, *again))

@@ -16,6 +16,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.cycle import _PoseView, find_cycle, measure_cycle
+from animtool.edit.frames import frame_index
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -56,6 +57,17 @@ def test_the_search_stays_where_it_is_asked_to() -> None:
     cycle = find_cycle(take, 150, 220, shortest=1.5)
     assert (cycle.first >= 150, cycle.last <= 220) == (True, True)
     assert cycle.last - cycle.first == 60
+
+
+@pytest.mark.parametrize(
+    ("first", "hint"),
+    [(0.07, "write first=4"), (0.0, None), (-0.5, None), (99.5, None)],
+)
+def test_a_first_frame_in_seconds(first: float, hint: str | None) -> None:
+    with pytest.raises(OptionError) as error:
+        frame_index(Clock(Fraction(30), Fraction(1), Fraction(1), 64), first, "first")
+    (fault,) = error.value.faults
+    assert (fault.hint or "").endswith(hint) if hint else fault.hint is None
 
 
 @pytest.mark.parametrize(

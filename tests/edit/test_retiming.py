@@ -105,6 +105,54 @@ def test_a_curve_leaves_a_take_by_a_rounding_at_most(
     assert found == pytest.approx([0, 1, 2, 3, 4], abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("first", "last", "hint"),
+    [
+        (0.2, 0.9, "write first=6 and last=22"),
+        (None, 0.9, "write last=22"),
+        (0.0, 0.5, "write first=1 and last=13"),
+        (7.2, 7.9, "write first=174 and last=190"),
+        (-3.0, -1.0, ""),
+        (-0.9, -0.2, ""),
+    ],
+)
+def test_a_trim_in_seconds_is_answered_with_frames(
+    first: float | None, last: float | None, hint: str
+) -> None:
+    take = numbered(24)
+    take = replace(take, clock=replace(take.clock, fps=Fraction(24)))
+    with pytest.raises(OptionError) as caught:
+        trim(take, first, last)
+    (fault,) = caught.value.faults
+    assert fault.code == "SCN013"
+    assert (fault.hint or "").endswith(hint) if hint else fault.hint is None
+
+
+def test_fractions_of_frames_that_the_take_has_are_frames() -> None:
+    take = numbered(24)
+    assert trim(take, 1.5, 3.5).clock.count == 2
+
+
+@pytest.mark.parametrize(
+    ("keys", "hint"),
+    [
+        ([(0, 0), (1, 0.5), (2, 1)], "1 s is frame 25"),
+        ([(1, 0), (24, 24)], None),
+        ([(1, -0.5), (24, 0.5)], None),
+        ([(1, 1), (24, 24.5)], None),
+    ],
+)
+def test_a_curve_in_seconds_is_answered_with_a_frame(
+    keys: list[tuple[float, float]], hint: str | None
+) -> None:
+    take = numbered(24)
+    take = replace(take, clock=replace(take.clock, fps=Fraction(24)))
+    with pytest.raises(OptionError) as caught:
+        time_warp(take, keys)
+    (fault,) = caught.value.faults
+    assert (fault.hint or "").endswith(hint) if hint else fault.hint is None
+
+
 def test_another_take_runs_at_its_own_rate_and_begins_later() -> None:
     """At 30 a second, seen at 60 and at 20, and late by three frames of these."""
     take = numbered(5)

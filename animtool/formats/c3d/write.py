@@ -266,7 +266,8 @@ def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
     losses = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        losses.append(f"a point has more than {MAX_CAMERAS} cameras")
+        most = int(markers.cameras.max())
+        losses.append(f"more than {MAX_CAMERAS} cameras per point, here up to {most}")
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         losses.append(f"the first frame {markers.clock.start}")
     is_out_of_range = (np.abs(markers.positions) * 1000.0 > FLOAT32_MAX).any(axis=-1)
@@ -276,4 +277,5 @@ def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     if not losses:
         return []
     message = f"a C3D cannot hold {' and '.join(losses)}"
-    return [Fault("C3D104", message, path, (), "write .npz", Severity.WARNING)]
+    hint = "write .npz to keep it"
+    return [Fault("C3D104", message, path, (), hint, Severity.WARNING)]

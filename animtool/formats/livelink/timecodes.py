@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.timecode import day_frames, parse_timecode
+from animtool.core.timecode import count_rate, day_frames, parse_timecode
 
 # Clock rates of recorders [1/s], and the app's default.
 TIMECODE_RATES = (24, 25, 30, 48, 50, 60, 90, 100, 120, 240)
@@ -27,6 +27,8 @@ MAX_CLOCK_JITTER = 0.1
 # Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
 MAX_LISTED_LINES = 12
+# If more than this fraction of labels exceed a stated rate, the rate is wrong.
+MIN_BEYOND_FRACTION = 0.1
 _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 
@@ -87,6 +89,8 @@ def row_frames(
     fields = _label_fields(labels, lines, path)
     notices: list[Fault] = []
     is_drop_frame = any(";" in label for label in labels)
+    if clock is not None:
+        _check_stated_rate(fields, lines, path, clock, is_drop_frame)
     rate = (
         clock
         if clock is not None
@@ -135,6 +139,28 @@ def _label_fields(labels: Sequence[str], lines: IntArray, path: str) -> IntArray
     if faults:
         raise FormatError(faults[:100])
     return np.array([[int(m[i]) for i in (1, 2, 3, 5)] for m in matches if m], np.int64)
+
+
+def _check_stated_rate(
+    fields: IntArray, lines: IntArray, path: str, clock: Fraction, is_drop_frame: bool
+) -> None:
+    """Refuse a stated rate that many labels exceed (LLF005)."""
+    try:
+        limit = count_rate(clock)
+    except ValueError:
+        return  # reported where labels are counted
+    is_beyond = fields[:, 3] >= limit
+    if is_beyond.sum() < max(2, MIN_BEYOND_FRACTION * len(fields)):
+        return
+    message = (
+        f"its time codes count frames up to {fields[:, 3].max()}; the largest is "
+        f"{limit - 1} at {rate_label(clock)}"
+    )
+    fitting_rate = _fit_timecode_rate(fields, is_drop_frame, path, [])
+    hint = f"set {argument('source.fps', fitting_rate)}, or leave it out: the time "
+    hint += "codes show it"
+    line = (int(lines[int(is_beyond.argmax())]),)
+    raise FormatError(Fault("LLF005", message, path, line, hint, column=1))
 
 
 def _fit_timecode_rate(

@@ -221,9 +221,12 @@ def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
         return cameras[0]
     if job.camera_name not in names:
         message = f"unknown camera {job.camera_name!r}"
+        hint = f"choose one of {', '.join(names)}"
         if job.camera_name is None:
             message = f"has {len(names)} cameras"
-        hint = f"{argument('camera_name')}: {', '.join(names)}"
+            example = argument("camera_name", names[0])
+            hint = f"choose that of the helmet with {example}; all are "
+            hint += ", ".join(names)
         raise OptionError(Fault("FAC010", message, str(job.camera), (), hint))
     return cameras[names.index(job.camera_name)]
 

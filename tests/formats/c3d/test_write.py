@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -128,3 +129,14 @@ def test_positions_beyond_float32_are_not_written(tmp_path: Path) -> None:
     back = read_c3d(path)
     assert back.visible.sum() == 7
     np.testing.assert_allclose(back.positions[0], markers.positions[0], rtol=1e-6)
+
+
+@pytest.mark.parametrize(("cameras", "lost"), [(8, True), (7, False)])
+def test_more_cameras_than_a_c3d_holds(
+    tmp_path: Path, cameras: int, lost: bool
+) -> None:
+    markers = long_take(4, count=2)
+    markers = replace(markers, cameras=np.full((4, 2), cameras))
+    faults = write_c3d(markers, tmp_path / "a.c3d")
+    assert [fault.code for fault in faults] == ["C3D104"] * lost
+    assert all("here up to 8" in fault.message for fault in faults)

@@ -280,3 +280,25 @@ def test_values_that_no_pose_has_are_missing(write: Write, value: str) -> None:
     assert codes.count("LLF102") == 2
     assert blinks(take) == [0.01, 0.02, 0.03]
     assert np.isfinite(take.motion.rotations.values).all()
+
+
+@pytest.mark.parametrize("stated", [24, 30, 25])
+def test_a_stated_rate_below_the_time_codes_is_one_fault(
+    write: Write, stated: int
+) -> None:
+    path = write(rows(*range(0, 60, 2)))
+    with pytest.raises(FormatError) as caught:
+        read_livelink(path, fps=stated)
+    (fault,) = caught.value.faults
+    assert fault.code == "LLF005"
+    assert "up to 58" in fault.message or "up to 59" in fault.message
+    assert fault.hint is not None
+    assert fault.hint.startswith("set fps=60, or leave it out")
+    assert read_livelink(path, fps=60).collect().clock.count == 30
+
+
+def test_one_damaged_time_code_is_its_own_fault(write: Write) -> None:
+    text = rows(*range(2, 22)).replace("12:00:00:05", "12:00:00:75")
+    with pytest.raises(FormatError, match="the largest is 59") as caught:
+        read_livelink(write(text), fps=60)
+    assert len(caught.value.faults) == 1
