@@ -111,7 +111,8 @@ def triangulate_capped(
         Triangles ``(T, 3)``, with border middles numbered after the points; border
         points ``(P,)``; and the border index of each.
 
-    >>> triangles, points, borders = triangulate_capped(np.array([4]), np.array([0, 1, 2, 3]), 4)
+    >>> corners = np.array([0, 1, 2, 3])
+    >>> triangles, points, borders = triangulate_capped(np.array([4]), corners, 4)
     >>> triangles[2:].tolist(), points.tolist(), borders.tolist()
     ([[1, 0, 4], [2, 1, 4], [3, 2, 4], [0, 3, 4]], [0, 1, 2, 3], [0, 0, 0, 0])
     """
