@@ -201,7 +201,7 @@ def test_what_is_cut_short_is_refused(
 
 def test_counts_that_leave_much_and_give_no_positions(tmp_path: Path) -> None:
     noise = np.random.default_rng(1).normal(size=(FRAMES, POINTS, 3))
-    file = C3dFile(noise, [], declare_option=FRAMES // 2)
+    file = C3dFile(noise, [], declared=FRAMES // 2)
     file.groups["POINT"] = {"FRAMES": number(FRAMES // 2)}
     with pytest.raises(FormatError) as caught:
         read(tmp_path, file)

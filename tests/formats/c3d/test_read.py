@@ -156,7 +156,7 @@ def test_a_long_take_has_its_length_in_the_trial(tmp_path: Path) -> None:
             "ACTUAL_END_FIELD": np.array([70_000 - 65_536, 1], np.int64),
         }
     }
-    file = C3dFile(values, ["A"], declare_option=65_535, groups=groups)
+    file = C3dFile(values, ["A"], declared=65_535, groups=groups)
     assert len(read_c3d(written(tmp_path, file))) == 70_000
 
 
