@@ -9,9 +9,11 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
+from animtool.clip.suspicious_positions import root_translations, warn_of_positions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text
+from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.documents.document import Document, Location
 from animtool.maths.curves import Interp
@@ -60,16 +62,13 @@ SPEED_INTERVAL = 0.25
 # Number of fast steps in a row of keys that are no teleports.
 MIN_FAST = 3
 SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
-# Fraction of a rig by which a joint rests away from its parent, or else is at it.
-MIN_REST = 0.05
-# Keys on average this near to the rest position, and never farther, are written from
-# the parent; a move of that length from rest and back passes 0. In rest lengths.
-NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
 # Keys on a driven joint that are smaller than this fraction of what a control adds
 # adjust it.
 MIN_LAYER = 0.25
 # Smallest scale at all keys that may be a percentage [1].
 MIN_PERCENT = 10.0
+# Largest weight of a shape beyond which weights are percentages [1].
+PERCENT_WEIGHT = 10.0
 # Frames at which controls are evaluated.
 MAX_TIMES = 64
 
@@ -95,10 +94,11 @@ def warn_of_numbers(
     """
     _warn_of_order(document, channels)
     _warn_of_angles(document, channels, units, rig)
+    _warn_of_weights(document, channels)
     if rig is not None:
         _warn_of_metres(document, channels, units, rig, has_unit)
         _warn_of_speed(document, channels, fps, units, rig)
-        _warn_of_rest(document, channels, rig)
+        warn_of_positions(document, channels, units, rig)
         _warn_of_scale(document, channels, rig)
         _warn_of_controls(document, channels, rig)
 
@@ -115,7 +115,7 @@ def _warn_of_speed(
     has_limbs = any(HINGE_NAMES.search(name) for name in rig.names)
     if not (has_limbs and CHARACTER_SIZES[0] <= rig_size <= CHARACTER_SIZES[1]):
         return
-    for i, channel in _translations(channels, rig):
+    for i, channel in root_translations(channels, rig):
         steps = np.diff(channel.times) / float(fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
         # A single fast step, or one without frames between, is a cut or a teleport.
@@ -182,22 +182,55 @@ def _warn_of_angles(
     rig: Rig | None,
 ) -> None:
     """Warn of keys in radians where degrees are declared, and vice versa (CLIP107)."""
-    angles = [(i, values / units.angle) for i, values in _angles(channels)]
-    angles = [(i, values) for i, values in angles if values.any()]
+    curves = [
+        AngleCurve(("channels", i), channels[i].target, values)
+        for i, values in _angles(channels)
+    ]
+    warn_of_angle_keys(document, curves, "rotation keys of", "channel", units, rig)
+
+
+@dataclass(frozen=True, slots=True)
+class AngleCurve:
+    """Keyed angles of a file."""
+
+    location: Location  # of the curve, whose ``keys`` are below
+    name: str  # target or effector
+    values: FloatArray  # ``(K, D)`` [rad]
+
+
+def warn_of_angle_keys(
+    document: Document,
+    curves: Sequence[AngleCurve],
+    label: str,
+    noun: str,
+    units: ClipUnits,
+    rig: Rig | None,
+) -> None:
+    """Warn of keys in radians where degrees are declared, and vice versa (CLIP107).
+
+    Args:
+        document: The file.
+        curves: Its angles.
+        label: What the keys are called, such as ``rotation keys of``.
+        noun: What has them, such as ``channel``.
+        units: Units of the file's numbers.
+        rig: Rig whose limits show units of pins, if it is known.
+    """
+    angles = [(curve, curve.values / units.angle) for curve in curves]
+    angles = [(curve, values) for curve, values in angles if values.any()]
     if not angles:
         return
     in_degrees = units.angle != 1.0
-    named = [(channels[i].target, values) for i, values in angles]
+    named = [(curve.name, values) for curve, values in angles]
     if not (_in_radians(named) if in_degrees else _in_degrees(named, rig)):
         return
-    i, values = max(angles, key=lambda angle_channel: np.abs(angle_channel[1]).max())
+    curve, values = max(angles, key=lambda row: np.abs(row[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
     largest = values[k][np.abs(values[k]).argmax()]
     file_unit = "deg" if in_degrees else "rad"
     likely_unit, factor = OTHER_ANGLE_UNITS[file_unit]
     message = (
-        f"rotation keys of {counted(len(angles), 'channel')} look like "
-        f"{ANGLE_NAMES[likely_unit]}, "
+        f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
         f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
     hint = (
@@ -205,7 +238,7 @@ def _warn_of_angles(
         f"{ANGLE_NAMES[file_unit]}: "
         f"{largest * factor:.4g}"
     )
-    document.warn("CLIP107", (*_at(i, k), "v"), message, hint)
+    document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 
 
 def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
@@ -258,17 +291,6 @@ def _exceeds(values: FloatArray) -> bool:
     return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
 
-def _translations(
-    channels: Sequence[ClipChannel], rig: Rig
-) -> Iterator[tuple[int, ClipChannel]]:
-    """Yield the translation channels of roots."""
-    roots = {rig.names[j] for j in rig.roots}
-    for i, channel in enumerate(channels):
-        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        if part in {"translation", "local_translation"} and name in roots:
-            yield i, channel
-
-
 def _warn_of_metres(
     document: Document,
     channels: Sequence[ClipChannel],
@@ -289,7 +311,7 @@ def _warn_of_metres(
         return
     if not strides:
         return
-    for i, channel in _translations(channels, rig):
+    for i, channel in root_translations(channels, rig):
         largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
         net = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
         in_metres = largest_distance / units.length
@@ -341,32 +363,6 @@ def _warn_of_small_lengths(
     return True
 
 
-def _warn_of_rest(
-    document: Document, channels: Sequence[ClipChannel], rig: Rig
-) -> None:
-    """Warn of translations from the parent, which rest is added to again (CLIP112)."""
-    size = rest_size(rig)
-    for i, channel in enumerate(channels):
-        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        if part != "translation" or not channel.target.startswith("joint/"):
-            continue
-        rest = np.array(rig.joints[rig.index(name)].translation)
-        length = float(np.linalg.norm(rest))
-        if length <= MIN_REST * size or not _from_parent(channel.values, rest):
-            continue
-        shown, both = (
-            length_text(float(np.linalg.norm(place)))
-            for place in (rest, rest + channel.values[0])
-        )
-        message = (
-            f"{channel.target!r} is keyed near its rest position, {shown} from its "
-            f"parent; keys are added to rest, so it is at {both}"
-        )
-        hint = f"write the move from rest, or key joint/{name}.local_translation"
-        document.warn("CLIP112", (*_at(i, 0), "v"), message, hint)
-        return
-
-
 def _warn_of_scale(
     document: Document, channels: Sequence[ClipChannel], rig: Rig
 ) -> None:
@@ -388,14 +384,21 @@ def _warn_of_scale(
         return
 
 
-def _from_parent(values: FloatArray, rest: FloatArray) -> bool:
-    """Return whether translations stay near a rest position."""
-    length = float(np.linalg.norm(rest))
-    if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
-        return True
-    along = values @ rest / length**2
-    near = abs(float(along.mean()) - 1) <= NEAR_REST
-    return len(values) > 1 and near and bool((abs(along - 1) <= ABOUT_REST).all())
+def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> None:
+    """Warn of shape weights that look like percentages (CLIP121)."""
+    weights = [
+        (float(channel.values.max()), i)
+        for i, channel in enumerate(channels)
+        if channel.target.startswith("shape/")
+    ]
+    largest, i = max(weights, default=(0.0, 0))
+    if largest < PERCENT_WEIGHT:
+        return
+    name = channels[i].target.removeprefix("shape/")
+    message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
+    hint = f"for {largest:.4g}% write {largest / 100:.4g}"
+    k = int(channels[i].values[:, 0].argmax())
+    document.warn("CLIP121", (*_at(i, k), "v"), message, hint)
 
 
 def _warn_of_controls(

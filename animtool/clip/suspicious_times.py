@@ -8,12 +8,12 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
-from animtool.core.array_types import IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths.curves import Extrapolation
-from animtool.motion.key_times import in_seconds
+from animtool.motion.key_times import full_seconds, in_seconds
 
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
@@ -33,30 +33,53 @@ def warn_of_times(
         message = f"the range from {float(first):g} to {float(last):g} holds one frame"
         hint = "frames run from the first in steps of 1: widen the range"
         document.warn("TAKE010", ("range",), message, hint)
-    if not _warn_of_seconds(document, channels, fps):
+    frames = (float(first), float(last)) if "range" in document.value else None
+    if not _warn_of_seconds(document, channels, fps, frames):
         _warn_of_range(document, channels, float(first), float(last))
 
 
 def _warn_of_seconds(
-    document: Document, channels: Sequence[ClipChannel], fps: Fraction
+    document: Document,
+    channels: Sequence[ClipChannel],
+    fps: Fraction,
+    frames: tuple[float, float] | None,
 ) -> bool:
     """Warn of key times in seconds, and return whether they are (CLIP110)."""
-    if not channels or not in_seconds([channel.times for channel in channels], fps):
+    texts = seconds_texts([channel.times for channel in channels], fps, frames)
+    if texts is None:
         return False
-    first, last = (
-        pick(float(channel.times[end]) for channel in channels)
-        for pick, end in ((min, 0), (max, -1))
-    )
-    rate = float(fps)
-    message = (
-        f"key times from {first:g} to {last:g} look like seconds: as frames at "
-        f"{rate:g} fps they last {(last - first) / rate:.3g} s"
-    )
-    hint = f"write frames: {last:g} s is frame {last * rate:g}"
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
     at = ("channels", i, "keys", len(channels[i].times) - 1, "t")
-    document.warn("CLIP110", at, message, hint)
+    document.warn("CLIP110", at, f"key times from {texts[0]}", texts[1])
     return True
+
+
+def seconds_texts(
+    times: Sequence[FloatArray], fps: Fraction, frames: tuple[float, float] | None
+) -> tuple[str, str] | None:
+    """Return a message about times in seconds and a hint, or None (CLIP110).
+
+    Args:
+        times: Ascending times of each curve.
+        fps: Frames per second.
+        frames: First and last frame of the file's range; None without a range.
+    """
+    if not times:
+        return None
+    rate, in_range = float(fps), frames and full_seconds(times, *frames, float(fps))
+    if not in_range and not in_seconds(times, fps):
+        return None
+    first = min(float(row[0]) for row in times)
+    last = max(float(row[-1]) for row in times)
+    message = (
+        f"{first:g} to {last:g} look like seconds: as frames at {rate:g} fps they last "
+        f"{(last - first) / rate:.3g} s"
+    )
+    start = 0.0
+    if frames and in_range:
+        start = frames[0]
+        message += f" of the range from {frames[0]:g} to {frames[1]:g}"
+    return message, f"write frames: {last:g} s is frame {start + last * rate:g}"
 
 
 def _warn_of_range(

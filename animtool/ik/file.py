@@ -23,12 +23,17 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
+from animtool.ik.suspicions import (
+    warn_of_angles,
+    warn_of_offsets,
+    warn_of_order,
+    warn_of_seconds,
+    warn_of_stretch,
+)
 from animtool.ik.tracks import DEFAULT_RATE, GoalTrack, TargetTracks
-from animtool.ik.values import Constant, Keyed, Value, ValueReader
-from animtool.motion.key_times import in_seconds
+from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicions import HALF_CIRCLE_Z, warn_of_quaternion
 
 # A shorter direction is a typing error and is refused.
 MIN_DIRECTION = 1e-9
@@ -84,13 +89,21 @@ class _TargetsReader:
 
     def tracks(self) -> TargetTracks:
         fps = self._fps()
-        self._warn_of_order()
+        warn_of_order(self.document)
         goals = [
             track
             for i, goal in enumerate(self.model.goals)
             if (track := self._goal(("goals", i), goal)) is not None
         ]
-        self._warn_of_seconds(fps or DEFAULT_RATE, goals)
+        frames = None
+        if self.first is not None and self.last is not None:
+            frames = float(self.first), float(self.last)
+        warn_of_seconds(self.document, fps or DEFAULT_RATE, frames, goals)
+        units, rig = self.values.units, self.rig
+        warn_of_angles(self.document, goals, units, rig)
+        warn_of_stretch(self.document, self.model.goals)
+        if rig is not None:
+            warn_of_offsets(self.document, self.model.goals, units, rig)
         return TargetTracks(
             self.document.path,
             fps,
@@ -100,49 +113,6 @@ class _TargetsReader:
             tuple(self.document.notices),
             self.document.position(("fps",)),
         )
-
-    def _warn_of_order(self) -> None:
-        """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
-        rows: list[tuple[Location, list[float]]] = []
-        for i, goal in enumerate(self.document.value["goals"]):
-            value = goal.get("orientation")
-            at: Location = ("goals", i, "orientation")
-            if isinstance(value, list):
-                rows.append((at, value))
-            elif isinstance(value, dict) and isinstance(value.get("keys"), list):
-                keys = enumerate(value["keys"])
-                rows += [((*at, "keys", k, "v"), key["v"]) for k, key in keys]
-        rows = [
-            (at, row) for at, row in rows if isinstance(row, list) and len(row) == 4
-        ]
-        if any(abs(row[0]) > abs(row[3]) for _, row in rows):
-            return
-        for at, row in rows:
-            if row == HALF_CIRCLE_Z:
-                warn_of_quaternion(self.document, "TGT108", at)
-                return
-
-    def _warn_of_seconds(self, fps: Fraction, goals: list[GoalTrack]) -> None:
-        """Warn of key times and spans that look like seconds (CLIP110)."""
-        times = [
-            value.channel.times
-            for track in goals
-            for value in (*track.values.values(), *track.weights.values())
-            if isinstance(value, Keyed)
-        ]
-        times += [
-            np.array(span) for track in goals for span in (*track.spans, *track.during)
-        ]
-        if not times or not in_seconds(times, fps):
-            return
-        last = max(float(row[-1]) for row in times)
-        first = min(float(row[0]) for row in times)
-        message = (
-            f"key times and spans from {first:g} to {last:g} look like seconds: as "
-            f"frames at {float(fps):g} fps they last {(last - first) / fps:.3g} s"
-        )
-        hint = f"write frames: {last:g} s is frame {last * float(fps):g}"
-        self.document.warn("CLIP110", ("goals",), message, hint)
 
     def _units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units

@@ -59,7 +59,7 @@ def weight_warnings(
     span = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
     frames = f"the take from {first:g} to {last:g}"
     rate = float(clock.fps)
-    if in_seconds([times], clock.fps) or _full_seconds(times, first, last, rate):
+    if in_seconds([times], clock.fps) or full_seconds([times], first, last, rate):
         message = f"{span}, {frames}: they look like seconds"
         hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
     elif not in_shot and (times[-1] < first or times[0] > last):
@@ -71,11 +71,18 @@ def weight_warnings(
     return [Fault("SCN116", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _full_seconds(times: FloatArray, first: float, last: float, rate: float) -> bool:
-    count = last - first + 1
+def full_seconds(
+    times: Sequence[FloatArray], first: float, last: float, rate: float
+) -> bool:
+    """Return whether key times are likely whole seconds of a frame range.
+
+    >>> full_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
+    True
+    """
+    together, count = np.concatenate(times), last - first + 1
     return bool(
-        len(times) >= MIN_KEYS
-        and 0 <= times[0] < first
-        and np.ptp(times) <= MAX_FRACTION * count
-        and times[-1] * rate <= count + rate
+        max(map(len, times)) >= MIN_KEYS
+        and 0 <= together.min() < first
+        and np.ptp(together) <= MAX_FRACTION * count
+        and together.max() * rate <= count + rate
     )

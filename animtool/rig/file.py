@@ -32,6 +32,7 @@ from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, PoseArrays, mirrored_pose, world_below
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
 from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
+from animtool.rig.suspicious_parts import warn_of_parts
 from animtool.rig.suspicious_shape import warn_of_shape
 
 if TYPE_CHECKING:
@@ -187,6 +188,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     known_names = len(document.notices)
     warn_of_shape(document, rig)
     warn_of_drives(document, rig)
+    warn_of_parts(document, model, rig)
     return replace(rig, notices=(*rig.notices, *document.notices[known_names:]))
 
 

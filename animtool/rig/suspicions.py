@@ -38,13 +38,18 @@ TIGHT_LIMIT = 0.3
 MIN_JOINTS = 3
 # Knees and elbows bend by far more than this on every creature [deg].
 MIN_HINGE_RANGE = 2 * HALF_REVOLUTION
-# Multiples of 15 degrees in radians, with at least three decimals.
+# Multiples of 15 degrees in radians, with at least three decimals, and of 5 with four.
 ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
+FINE_STEP, FINE_TOLERANCE = math.radians(5), 6e-5
 # Limits in radians exceed a full revolution only for joints that wind up [rad].
 FULL_REVOLUTION, MAX_DEGREES = 6.4, 360.0
 HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 # Rounding to two decimals changes the length of a quaternion by 0.01 at most [1].
 MAX_LENGTH_ERROR = 0.02
+# A smaller number beside an axis of length 1 is hardly an angle in degrees [deg].
+MIN_AXIS_ANGLE = 2.0
+# Arms of cartoons stretch to a few times their length; more is a percentage [1].
+MIN_PERCENT_STRETCH = 5.0
 # Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
 QUARTER_ROUNDING = 2e-3
 
@@ -90,15 +95,17 @@ def warn_of_angles(
 
 
 def are_multiples(values: ArrayLike) -> BoolArray:
-    """Return which numbers are multiples of 15 degrees in radians.
+    """Return which numbers are multiples of 15 or exactly 5 degrees in radians.
 
-    >>> are_multiples([1.5708, 0.7854, 1.5]).tolist()
-    [True, True, False]
+    >>> are_multiples([1.5708, 0.785, 1.5, 1.3963, 1.396]).tolist()
+    [True, True, False, True, False]
     """
     array = np.asarray(values, np.float64)
-    steps = np.round(array / ANGLE_STEP)
-    near = np.abs(array - steps * ANGLE_STEP) < STEP_TOLERANCE
-    return np.asarray(near & (steps != 0))
+    is_multiple = np.zeros(array.shape, np.bool_)
+    for step, tolerance in (ANGLE_STEP, STEP_TOLERANCE), (FINE_STEP, FINE_TOLERANCE):
+        counts = np.round(array / step)
+        is_multiple |= (np.abs(array - counts * step) < tolerance) & (counts != 0)
+    return is_multiple
 
 
 def warn_of_w_last(document: Document, joints: Sequence[JointModel]) -> None:
@@ -182,8 +189,45 @@ def warn_of_quaternion_length(
         for numbers in (wxyz, [number / length for number in wxyz])
     )
     message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
-    hint = f"write [{unit}], w first; for degrees, write three Euler angles"
+    hint = f"write [{unit}], w first"
+    if rotation := _axis_angle_text(wxyz):
+        hint = rotation
+    elif "rig" not in document.value:
+        hint += "; for degrees, write three Euler angles"
     document.warn("RIG110", location, message, hint)
+
+
+def _axis_angle_text(numbers: Sequence[float]) -> str | None:
+    """Return a hint if four numbers look like an angle in degrees and an axis.
+
+    >>> _axis_angle_text([30.0, 0.0, 0.0, 1.0])
+    'for 30° about [0, 0, 1] write [0.9659, 0, 0, 0.2588]'
+    """
+    for angle, axis in (numbers[0], numbers[1:]), (numbers[3], numbers[:3]):
+        is_axis = abs(math.hypot(*axis) - 1) <= MAX_LENGTH_ERROR
+        if not is_axis or not MIN_AXIS_ANGLE <= abs(angle) <= MAX_DEGREES:
+            continue
+        half = math.radians(angle) / 2
+        wxyz = [math.cos(half), *(math.sin(half) * number for number in axis)]
+        axis_text = ", ".join(f"{number:.4g}" for number in axis)
+        text = ", ".join(f"{round(number, 4) + 0.0:g}" for number in wxyz)
+        return f"for {angle:g}° about [{axis_text}] write [{text}]"
+    return None
+
+
+def warn_of_stretch_percent(
+    document: Document, location: Location, stretch: float
+) -> None:
+    """Warn once of a stretch that looks like a percentage (RIG114)."""
+    known = any(notice.code == "RIG114" for notice in document.notices)
+    if known or stretch < MIN_PERCENT_STRETCH:
+        return
+    message = (
+        f"stretch {stretch:.4g} lets the limb stretch to {1 + stretch:.4g} times its "
+        "length"
+    )
+    hint = f"for {stretch:.4g}% write {stretch / 100:.4g}"
+    document.warn("RIG114", location, message, hint)
 
 
 def warn_of_drives(document: Document, rig: Rig) -> None:

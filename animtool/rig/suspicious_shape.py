@@ -17,6 +17,8 @@ from animtool.rig.skeleton import MAX_SIZE, Rig
 HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
 # No body is smaller; a wrong unit is off by a factor of 39 or more [m].
 MIN_BODY_SIZE = 0.05
+# Sizes of people and most animals [m].
+BODY_SIZES = (0.3, 3.0)
 # A rig smaller than this in metres is smaller than an ant [m].
 MIN_SIZE = 1e-3
 # Joints that are below the others where a body stands, and joints above them.
@@ -71,16 +73,37 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
     if not size or low <= size <= MAX_SIZE:
         return
-    number = size / unit
-    fitting_units = [
-        str(other)
-        for other in LengthUnit
-        if MIN_BODY_SIZE <= number * other.meters <= MAX_SIZE and other.meters != unit
-    ]
     at = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
-    hint = f"try length: {' or '.join(fitting_units)}" if fitting_units else None
+    hint = fitting_unit_hint(size, unit, is_body=is_body)
     document.warn("RIG217", at, message, hint)
+
+
+def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
+    """Return a hint with the units that give a plausible size; None if none does.
+
+    Args:
+        size: The rig's size [m].
+        unit: Unit in which it is read [m].
+        is_body: Whether it is a person or an animal.
+
+    >>> fitting_unit_hint(151.0, 1.0, is_body=True)
+    "write 'units: {length: cm}': 1.51 m"
+    """
+    ranges = [BODY_SIZES] if is_body else []
+    for smallest, largest in (*ranges, (MIN_BODY_SIZE, MAX_SIZE)):
+        sizes = [
+            (other, size / unit * other.meters)
+            for other in LengthUnit
+            if other.meters != unit
+            and smallest <= size / unit * other.meters <= largest
+        ]
+        if sizes:
+            return ", or ".join(
+                f"{'write ' * (i == 0)}'units: {{length: {other}}}': {length_text(new)}"
+                for i, (other, new) in enumerate(sizes)
+            )
+    return None
 
 
 def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) -> bool:

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from animtool.clip.clip import Clip
+from animtool.validation.run import validate
 
 RIG = """\
 rig: animtool/1
@@ -276,3 +277,61 @@ def test_scales_in_percent(tmp_path: Path, scales: list[str], found: bool) -> No
     keys = ", ".join(f"{{t: {1 + 12 * k}, v: {v}}}" for k, v in enumerate(scales))
     line = f"- {{target: joint/hips.scale, keys: [{keys}]}}"
     assert ("CLIP113" in said(tmp_path, "fps: 24", line)) is found
+
+
+@pytest.mark.parametrize(
+    ("target", "part", "keys", "found"),
+    [
+        ("hips", "local_translation", "[0, 0, 0], [0, -2, 65]", True),
+        ("hips", "local_translation", "[0, 90, 0], [0, 88, 65]", False),
+        ("hips", "local_translation", "[0, 9, 0], [0, 8, 65]", False),  # lies
+        ("hips", "local_translation", "[0, 90, 0], [0, 0, 65]", False),  # falls
+        ("knee", "local_translation", "[0, 0, 0], [0, 1, 0]", True),
+        ("thigh", "local_translation", "[0, 0, 0], [0, 1, 0]", False),  # at its parent
+        ("hips", "translation", "[0, 0, 0], [0, -2, 65]", False),
+    ],
+)
+def test_moves_from_rest_as_positions(
+    tmp_path: Path, target: str, part: str, keys: str, found: bool
+) -> None:
+    values = [f"[{row}]" for row in keys.strip("[]").split("], [")]
+    rows = ", ".join(f"{{t: {1 + 12 * k}, v: {v}}}" for k, v in enumerate(values))
+    line = f"- {{target: joint/{target}.{part}, keys: [{rows}]}}"
+    codes = said(
+        tmp_path,
+        "fps: 24",
+        line,
+        rig=RIG.replace("type: pin, axis: [1, 0, 0]", "type: free"),
+    )
+    assert ("CLIP122" in codes) is found
+
+
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        ([[0, 0, 0], [0, -65, 0], [0, -130, 2]], True),
+        ([[0, 0, 0], [0, 65, 0], [0, 130, 2]], False),  # climbs
+        ([[0, 0, 0], [0, -32, 0], [0, -130, 0]], False),  # falls
+        ([[0, 0, 0], [0, -65, 65], [0, -130, 130]], False),  # descends stairs
+        ([[0, 0, 0], [0, -25, 0], [0, -50, 0]], False),  # crouches
+        ([[0, 0, 0], [0, -130, 0]], False),
+    ],
+)
+def test_a_root_that_walks_into_the_ground(
+    tmp_path: Path, rows: list[list[float]], found: bool
+) -> None:
+    keys = ", ".join(f"{{t: {1 + 24 * k}, v: {row}}}" for k, row in enumerate(rows))
+    line = f"- {{target: joint/hips.translation, keys: [{keys}]}}"
+    assert ("CLIP123" in said(tmp_path, "fps: 24", line)) is found
+
+
+FACE = "shapes:\n- {name: grin}\n"
+
+
+@pytest.mark.parametrize(("weight", "found"), [(60, True), (1, False), (2.5, False)])
+def test_shape_weights_in_percent(tmp_path: Path, weight: float, found: bool) -> None:
+    line = f"- {{target: shape/grin, keys: [{{t: 1, v: 0}}, {{t: 9, v: {weight}}}]}}"
+    assert ("CLIP121" in said(tmp_path, "fps: 24", line, rig=RIG + FACE)) is found
+    codes = [fault.code for fault in validate(tmp_path / "a.clip.yaml")]
+    assert codes.count("CLIP121") == found
+    assert ("MOT219" in codes) is (weight == 2.5)

@@ -341,3 +341,59 @@ def test_orientations_that_look_mistaken(
 def test_times_in_seconds(tmp_path: Path, goal: str, found: bool) -> None:
     tracks = tracks_of(tmp_path, f"- {{effector: leg_l, {goal}}}\n")
     assert [one.code for one in tracks.notices] == ["CLIP110"] * found
+
+
+@pytest.mark.parametrize(
+    ("ends", "times", "found"),
+    [
+        ("[1, 48]", (0, 1, 2), True),
+        ("[0, 48]", (0, 1, 2), False),
+        ("[1, 8]", (0, 1, 2), False),
+        ("[1, 48]", (0, 24, 48), False),
+    ],
+)
+def test_whole_seconds_of_a_range(
+    tmp_path: Path, ends: str, times: tuple[int, int, int], found: bool
+) -> None:
+    keys = ", ".join(f"{{t: {t}, v: [0, {k}, 0]}}" for k, t in enumerate(times))
+    goals = f"- {{effector: leg_l, position: {{keys: [{keys}]}}}}\n"
+    path = write_targets(tmp_path, goals, f"{HEAD}range: {ends}\n")
+    codes = [one.code for one in load_targets(path, legs()).notices]
+    assert codes == ["CLIP110"] * found
+
+
+@pytest.mark.parametrize(
+    ("angle", "unit", "found"),
+    [
+        (-1.3963, "deg", True),
+        (-1.3963, "rad", False),
+        (-1.4, "deg", False),
+        (-80, "deg", False),
+        (-80, "rad", True),
+    ],
+)
+def test_angles_of_orientations_in_another_unit(
+    tmp_path: Path, angle: float, unit: str, found: bool
+) -> None:
+    keys = f"[{{t: 1, v: [0, 0, 0]}}, {{t: 24, v: [0, 0, {angle}]}}]"
+    goals = f"- {{effector: leg_l, orientation: {{euler: XYZ, keys: {keys}}}}}\n"
+    path = write_targets(tmp_path, goals, HEAD.replace("deg", unit))
+    codes = [one.code for one in load_targets(path, legs()).notices]
+    assert codes == ["CLIP107"] * found
+
+
+@pytest.mark.parametrize(
+    ("goal", "code"),
+    [
+        ("offset: [-7, -2, 0]", "TGT110"),
+        ("offset: [0, 1.5, 0]", ""),  # the tip of a spear
+        ("offset: [70, 20, 0]", "TGT110"),
+        ("offset: [0, 900, 0]", "TGT110"),
+        ("stretch: 10", "RIG114"),
+        ("stretch: 0.1", ""),
+    ],
+)
+def test_lengths_in_another_unit(tmp_path: Path, goal: str, code: str) -> None:
+    goals = f"- {{effector: leg_l, position: [0, 0, 0], {goal}}}\n"
+    tracks = tracks_of(tmp_path, goals)
+    assert [one.code for one in tracks.notices] == [code] * bool(code)

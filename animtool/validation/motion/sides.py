@@ -63,7 +63,9 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
 def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     """Yield shapes with weights far outside 0 to 1 (MOT219)."""
     weights = subject.take.motion.weights
-    if weights is None:
+    # A clip with such keys is reported when it is read.
+    is_reported = any(notice.code == "CLIP121" for notice in subject.take.notices)
+    if weights is None or is_reported:
         return
     values = weights.dense()[..., 0]
     is_large = (values > MAX_WEIGHT) | (values < MIN_WEIGHT)
@@ -82,10 +84,10 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
         f"{subject.time_text(int(frame))}"
     )
     message += f"; also {listed(other_names)}" if other_names else ""
-    is_percent = float(np.abs(values).max()) > PERCENT_WEIGHT
-    hint = "weights must be from 0 to 1" + (
-        "; these look like percentages" if is_percent else ""
-    )
+    largest = float(np.abs(values).max())
+    hint = "weights must be from 0 to 1"
+    if largest > PERCENT_WEIGHT:
+        hint += f"; for {largest:.4g}% write {largest / 100:.4g}"
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
 

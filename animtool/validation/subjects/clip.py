@@ -104,6 +104,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     )
     if take is not None:
         checked_file.faults += take.notices
+        take = replace(take, notices=(*take.notices, *clip.notices))
         units = file_units(file.model, rig)
         subject = ClipSubject(document, clip, rig, take, units)
         motion = MotionSubject(take, subject.fault_at, intended_cuts=subject.cuts)

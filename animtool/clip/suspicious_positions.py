@@ -1,0 +1,177 @@
+"""Warnings about clips whose translations have another origin or up axis."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from animtool.clip.channels import ClipChannel, ClipUnits
+from animtool.core.array_types import FloatArray
+from animtool.core.quantities import length_text
+from animtool.core.units import UpAxis
+from animtool.documents.document import Document
+from animtool.rig.joints import KEYED_PARTS, split_part
+from animtool.rig.kinematics import rest_size
+from animtool.rig.skeleton import Rig
+from animtool.rig.suspicious_shape import FOOT_NAMES, HINGE_NAMES, source_rest_pose
+
+# Fraction of a rig by which a joint rests away from its parent, or else is at it.
+MIN_REST = 0.05
+# Keys on average this near to the rest position, and never farther, are written from
+# the parent; a move of that length from rest and back passes 0. In rest lengths.
+NEAR_REST, ABOUT_REST, AT_REST = 0.15, 0.5, 0.01
+# Fewer keys do not tell a walk, whose speed is even, from a fall.
+MIN_WALK_KEYS = 3
+# Part of a walk that another up axis turns upwards: how far it goes to the side, and
+# how far it is from an even speed [1].
+MAX_SIDEWAYS, MAX_UNEVEN = 0.1, 0.15
+# Positions of a package with the other up axis, in the axes of the rig.
+_CONVERTED = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
+
+
+def root_translations(
+    channels: Sequence[ClipChannel], rig: Rig
+) -> Iterator[tuple[int, ClipChannel]]:
+    """Yield the translation channels of roots."""
+    roots = {rig.names[j] for j in rig.roots}
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part in {"translation", "local_translation"} and name in roots:
+            yield i, channel
+
+
+def warn_of_positions(
+    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
+) -> None:
+    """Warn of translations that count from elsewhere, or along other axes.
+
+    Args:
+        document: The clip file.
+        channels: Its channels.
+        units: Units of its numbers.
+        rig: Its rig.
+    """
+    _warn_of_rest(document, channels, rig)
+    if any(HINGE_NAMES.search(n) or FOOT_NAMES.search(n) for n in rig.names):
+        _warn_of_offsets(document, channels, units, rig)
+        _warn_of_up_axis(document, channels, rig)
+
+
+def _warn_of_rest(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of translations from the parent, which rest is added to again (CLIP112)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part != "translation" or not channel.target.startswith("joint/"):
+            continue
+        rest = np.array(rig.joints[rig.index(name)].translation)
+        length = float(np.linalg.norm(rest))
+        if length <= MIN_REST * size or not _from_parent(channel.values, rest):
+            continue
+        shown, both = (
+            length_text(float(np.linalg.norm(position)))
+            for position in (rest, rest + channel.values[0])
+        )
+        origin = (
+            "the origin" if rig.joints[rig.index(name)].parent < 0 else "its parent"
+        )
+        message = (
+            f"{channel.target!r} is keyed near the joint's rest position, {shown} from "
+            f"{origin}; keys are added to the rest position, so the joint is at {both}"
+        )
+        hint = (
+            "subtract the rest position from the keys, or key "
+            f"joint/{name}.local_translation"
+        )
+        document.warn("CLIP112", ("channels", i, "keys", 0, "v"), message, hint)
+        return
+
+
+def _from_parent(values: FloatArray, rest: FloatArray) -> bool:
+    """Return whether translations stay near a rest position."""
+    length = float(np.linalg.norm(rest))
+    if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
+        return True
+    along = values @ rest / length**2
+    near = abs(float(along.mean()) - 1) <= NEAR_REST
+    return len(values) > 1 and near and bool((abs(along - 1) <= ABOUT_REST).all())
+
+
+def _warn_of_offsets(
+    document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
+) -> None:
+    """Warn of moves from rest where positions from the parent are keyed (CLIP122)."""
+    size = rest_size(rig)
+    for i, channel in enumerate(channels):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        if part != "local_translation" or not channel.target.startswith("joint/"):
+            continue
+        joint = rig.joints[rig.index(name)]
+        rest = np.array(joint.translation)
+        length = float(np.linalg.norm(rest))
+        if length <= MIN_REST * size:
+            continue
+        along = channel.values @ rest / length**2
+        distances = np.linalg.norm(channel.values, axis=1)
+        k = int(distances.argmin())
+        # A body that lies on the ground is near 0, but hardly at it.
+        is_near = abs(float(along.mean())) <= NEAR_REST and max(along) <= ABOUT_REST
+        if distances[k] > AT_REST * length or not is_near:
+            continue
+        if joint.parent < 0:
+            drop = float(rest @ rig.up.vector)
+            if drop <= MIN_REST * size:
+                continue
+            result = f"the joint is {length_text(drop)} lower than at rest"
+        else:
+            result = f"the joint is at {rig.names[joint.parent]!r}"
+        numbers = ", ".join(
+            f"{number:.4g}" for number in (rest / units.length).tolist()
+        )
+        message = (
+            f"{channel.target!r} is keyed near [0, 0, 0], but the rest position is "
+            f"[{numbers}]: {result}"
+        )
+        hint = f"for moves from rest, key joint/{name}.translation"
+        document.warn("CLIP122", ("channels", i, "keys", k, "v"), message, hint)
+        return
+
+
+def _warn_of_up_axis(
+    document: Document, channels: Sequence[ClipChannel], rig: Rig
+) -> None:
+    """Warn of a root that walks into the ground (CLIP123)."""
+    up = rig.up.vector
+    lowest = float((source_rest_pose(rig)[0] @ up).min())
+    for i, channel in root_translations(channels, rig):
+        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
+        rest = np.array(rig.joints[rig.index(name)].translation)
+        values = channel.values - (rest if part == "local_translation" else 0.0)
+        if len(values) < MIN_WALK_KEYS:
+            continue
+        heights = values @ up
+        drop = float(heights[0] - heights[-1])
+        end = float(rest @ up + heights[-1])
+        if drop < rest_size(rig) / 2 or end >= lowest:
+            continue
+        sideways = np.linalg.norm(
+            values - values[0] - np.outer(heights - heights[0], up), axis=1
+        )
+        even = np.interp(channel.times, channel.times[[0, -1]], heights[[0, -1]])
+        if sideways.max() > MAX_SIDEWAYS * drop or (
+            np.abs(heights - even).max() > MAX_UNEVEN * drop
+        ):
+            continue
+        message = (
+            f"{channel.target!r} moves {length_text(drop)} down along {rig.up} and "
+            f"at most {length_text(float(sideways.max()))} to the side: the lowest "
+            f"joint ends at {length_text(lowest + float(heights[-1]))} on {rig.up}"
+        )
+        other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
+        hint = f"for {other}-up keys write [x, y, z] as {_CONVERTED[rig.up]}"
+        last = len(values) - 1
+        document.warn("CLIP123", ("channels", i, "keys", last, "v"), message, hint)
+        return

@@ -1,0 +1,143 @@
+"""Warnings about colliders, masses, chains and expressions in another unit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+
+from animtool.core.quantities import length_text
+from animtool.core.units import LengthUnit, unit_name
+from animtool.documents.document import Document, Location
+from animtool.rig.drivers import SLIDE, split_coordinate
+from animtool.rig.expressions import Expression
+from animtool.rig.schema import RigModel
+from animtool.rig.skeleton import Rig
+from animtool.rig.suspicions import warn_of_stretch_percent
+from animtool.rig.suspicious_shape import HINGE_NAMES, source_rest_pose
+
+# Radii of a body's colliders in the unit that is meant, relative to its size.
+RADIUS_RANGE = (0.001, 0.3)
+# Mass of a body per cube of its size, from which on it is in grams: people have 5,
+# elephants 60, robots of steel 300 [kg/m³].
+MAX_BODY_DENSITY = 1000.0
+_TRIGONOMETRIC = frozenset({"sin", "cos", "tan"})
+# Lengths of ranges in degrees: quarters of a revolution up to a whole one.
+_DEGREE_SPANS = frozenset({90.0, 180.0, 270.0, 360.0})
+# Ends of such ranges are multiples of this [deg].
+_DEGREE_STEP = 15.0
+
+
+def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
+    """Warn of parts of a rig file whose numbers suggest another unit.
+
+    Args:
+        document: The rig file.
+        model: Its content.
+        rig: The rig.
+    """
+    for i, chain in enumerate(model.ik):
+        warn_of_stretch_percent(document, ("ik", i, "stretch"), chain.stretch)
+    _warn_of_degrees(document, rig)
+    if any(map(HINGE_NAMES.search, rig.names)):
+        positions, _ = source_rest_pose(rig)
+        size = float(np.linalg.norm(np.ptp(positions, axis=0)))
+        _warn_of_radii(document, model, size)
+        _warn_of_masses(document, model, rig, size)
+
+
+def _warn_of_radii(document: Document, model: RigModel, size: float) -> None:
+    """Warn of colliders that are larger than the body (RIG116)."""
+    unit = LengthUnit(model.units.length).meters
+    radii = [entry.capsule.radius for entry in model.colliders]
+    large = [i for i, radius in enumerate(radii) if radius * unit > size]
+    if not size or not large:
+        return
+    radius = radii[large[0]]
+    likely_unit = next(
+        (
+            other
+            for other in (LengthUnit.CM, LengthUnit.MM)
+            if other.meters < unit
+            and RADIUS_RANGE[0] <= radius * other.meters / size <= RADIUS_RANGE[1]
+        ),
+        None,
+    )
+    message = (
+        f"a radius of {length_text(radius * unit)} on a rig that measures "
+        f"{length_text(size)}, with lengths in {unit_name(unit)}"
+    )
+    if len(large) > 1:
+        message += f"; {len(large)} colliders are larger than the rig"
+    hint = "a collider is about as thick as the limb"
+    if likely_unit is not None:
+        number = radius * likely_unit.meters / unit
+        hint = f"for {radius:.4g} {likely_unit} write {number:.4g}"
+    location = ("colliders", large[0], "capsule", "radius")
+    document.warn("RIG116", location, message, hint)
+
+
+def _warn_of_masses(document: Document, model: RigModel, rig: Rig, size: float) -> None:
+    """Warn of a body whose masses look like grams (RIG117)."""
+    total = sum(mass.mass for mass in rig.masses)
+    if not model.masses or total <= MAX_BODY_DENSITY * size**3 or not size:
+        return
+    i = max(range(len(model.masses)), key=lambda i: model.masses[i].mass)
+    largest = model.masses[i].mass
+    message = f"the rig weighs {total:.0f} kg and measures {length_text(size)}"
+    hint = f"masses are in kg: for {largest:g} g write {largest / 1000:g}"
+    document.warn("RIG117", ("masses", i, "mass"), message, hint)
+
+
+def _warn_of_degrees(document: Document, rig: Rig) -> None:
+    """Warn of a function of radians that is given degrees (RIG115)."""
+    for location, expression in _expressions(document, rig):
+        program = expression.program()
+        for (kind, name), (next_kind, function) in pairwise(program):
+            is_call = kind == "name" and next_kind == "call"
+            if not is_call or function not in _TRIGONOMETRIC:
+                continue
+            reason = _degrees_reason(rig, str(name))
+            if reason is None:
+                continue
+            message = f"{function}() takes radians, but {reason}"
+            hint = f"write {function}({name} * pi / 180)"
+            document.warn("RIG115", location, message, hint)
+            return
+
+
+def _expressions(document: Document, rig: Rig) -> Iterator[tuple[Location, Expression]]:
+    """Yield the expressions of a rig file with their locations."""
+    for i, entry in enumerate(document.value.get("controls", ())):
+        control = next((c for c in rig.controls if c.name == entry.get("name")), None)
+        drives = () if control is None else control.drives
+        for k, drive in enumerate(drives):
+            if drive.expression is not None:
+                yield ("controls", i, "drives", k, "expr"), drive.expression
+    drivers = {
+        "joints": {joint.name: joint.driven for joint in rig.joints},
+        "shapes": {shape.name: shape.driven for shape in rig.shapes},
+    }
+    for key, by_name in drivers.items():
+        for i, entry in enumerate(document.value.get(key, ())):
+            driver = by_name.get(entry.get("name"))
+            if driver is not None and driver.expression is not None:
+                yield (key, i, "driven", "expr"), driver.expression
+
+
+def _degrees_reason(rig: Rig, name: str) -> str | None:
+    """Return why an input is likely in degrees; None if it is not."""
+    joint, part = split_coordinate(name)
+    if joint:
+        in_degrees = rig.radians_per_unit != 1.0 and part != SLIDE
+        return f"{name!r} is in degrees, the unit of the rig" if in_degrees else None
+    for control in rig.controls:
+        if control.name != name or control.low is None or control.high is None:
+            continue
+        low, high = control.low, control.high
+        is_round = all(math.fmod(end, _DEGREE_STEP) == 0 for end in (low, high))
+        if is_round and high - low in _DEGREE_SPANS:
+            return f"the range of {name!r} is {low:g} to {high:g}, as in degrees"
+    return None
