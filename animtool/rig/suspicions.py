@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -54,16 +54,20 @@ MIN_PERCENT_STRETCH = 5.0
 QUARTER_ROUNDING = 2e-3
 
 
-class _Limit(NamedTuple):
+class AngleLimit(NamedTuple):
+    """Limits of a joint."""
+
     location: Location
-    joint: str
-    values: list[float]
+    joint: str  # name
+    values: list[float]  # ends or half-angles [file's angle]
 
     @property
     def largest(self) -> float:
+        """The largest of the values, without sign."""
         return max(map(abs, self.values))
 
     def text(self, factor: float = 1.0) -> str:
+        """Return the values as text, multiplied by a factor."""
         numbers = ", ".join(f"{value * factor:.4g}" for value in self.values)
         return numbers if len(self.values) == 1 else f"[{numbers}]"
 
@@ -72,11 +76,8 @@ def warn_of_angles(
     document: Document, joints: Sequence[JointModel], angle: str
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
-    limits = [limit for limit in _joint_limits(joints) if limit.largest > 0]
     intended_unit, factor = OTHER_ANGLE_UNITS[angle]
-    suspects = (
-        _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
-    )
+    suspects = limits_in_other_unit(_joint_limits(joints), angle)
     if not suspects:
         return
     largest_limit = max(suspects, key=lambda limit: limit.largest)
@@ -92,6 +93,12 @@ def warn_of_angles(
         f"{largest_limit.text(factor)}"
     )
     document.warn("RIG107", largest_limit.location, message, hint)
+
+
+def limits_in_other_unit(limits: Iterable[AngleLimit], angle: str) -> list[AngleLimit]:
+    """Return the limits that look like radians if ``angle`` is deg, or the reverse."""
+    limits = [limit for limit in limits if limit.largest > 0]
+    return _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
 
 
 def are_multiples(values: ArrayLike) -> BoolArray:
@@ -128,21 +135,21 @@ def warn_of_quaternion(document: Document, code: str, location: Location) -> Non
     document.warn(code, location, message, hint)
 
 
-def _joint_limits(joints: Sequence[JointModel]) -> Iterator[_Limit]:
+def _joint_limits(joints: Sequence[JointModel]) -> Iterator[AngleLimit]:
     for i, joint in enumerate(joints):
         location: Location = ("joints", i, "limits")
         if isinstance(joint, PinJointModel) and joint.limits is not None:
-            yield _Limit(location, joint.name, joint.limits)
+            yield AngleLimit(location, joint.name, joint.limits)
         if isinstance(joint, BallJointModel) and joint.limits is not None:
             swing, twist = joint.limits.swing, joint.limits.twist
             if swing is not None:
                 swings = swing if isinstance(swing, list) else [swing]
-                yield _Limit((*location, "swing"), joint.name, swings)
+                yield AngleLimit((*location, "swing"), joint.name, swings)
             if isinstance(twist, list):
-                yield _Limit((*location, "twist"), joint.name, twist)
+                yield AngleLimit((*location, "twist"), joint.name, twist)
 
 
-def _limits_in_radians(limits: list[_Limit]) -> list[_Limit]:
+def _limits_in_radians(limits: list[AngleLimit]) -> list[AngleLimit]:
     low, high = REVOLUTION_RANGE
     if any(
         limit.largest > HALF_REVOLUTION and not low <= limit.largest <= high
@@ -167,7 +174,7 @@ def _limits_in_radians(limits: list[_Limit]) -> list[_Limit]:
     return [] if plausible or largest < TIGHT_LIMIT else limits
 
 
-def _limits_in_degrees(limits: list[_Limit]) -> list[_Limit]:
+def _limits_in_degrees(limits: list[AngleLimit]) -> list[AngleLimit]:
     return [
         limit
         for limit in limits

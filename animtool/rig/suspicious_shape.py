@@ -68,6 +68,8 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
 
 def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     """Warn of a size that fits another unit better (RIG217)."""
+    if any(notice.code == "RIG217" for notice in rig.notices):
+        return
     unit = rig.meters_per_unit
     is_body = any(map(HINGE_NAMES.search, rig.names))
     low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)

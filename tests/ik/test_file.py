@@ -388,7 +388,7 @@ def test_angles_of_orientations_in_another_unit(
         ("offset: [-7, -2, 0]", "TGT110"),
         ("offset: [0, 1.5, 0]", ""),  # the tip of a spear
         ("offset: [70, 20, 0]", "TGT110"),
-        ("offset: [0, 900, 0]", "TGT110"),
+        ("offset: [0, 600, 0]", "TGT110"),
         ("stretch: 10", "RIG114"),
         ("stretch: 0.1", ""),
     ],

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from animtool.formats.mjcf.compiled import build_robot, compile_model
 from animtool.formats.mjcf.includes import read_model
+from animtool.formats.mjcf.range_unit import warn_of_range_unit
 from animtool.formats.mjcf.reduced import reduce_model
 from animtool.formats.robots.build import RobotCodes, build_rig
 from animtool.formats.robots.notes import XmlNotes
@@ -33,6 +34,7 @@ def read_mjcf_rig(path: Path | str) -> Rig:
     reduced = reduce_model(root, folders, notes)
     notes.check()
     model = compile_model(reduced, notes)
+    warn_of_range_unit(root, model, notes)
     robot = build_robot(model, reduced, notes)
     if not robot.links:
         notes.add("MJC004", root, "the model has no body", "bodies are what moves")

@@ -17,16 +17,19 @@ import numpy as np
 from animtool.core.errors import Severity, counted, listed
 from animtool.core.quantities import CONTROL, length_text
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.robots.notes import XmlNotes
 from animtool.formats.robots.parts import ORIGIN, Link, Robot, RobotJoint
 from animtool.formats.robots.solids import build_capsule, build_mass
 from animtool.formats.robots.triangles import merge_surfaces
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
-from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.rig.skeleton import MAX_SIZE, Joint, JointType, Rig
+from animtool.rig.suspicious_shape import source_rest_pose
 
 MAX_LISTED_JOINTS = 8
+# Sizes of most robots [m].
+ROBOT_SIZES = (0.3, 10.0)
 # Longest name in rig files.
 MAX_NAME_LENGTH = 4000
 _CONTROL = re.compile(f"[{CONTROL}]")
@@ -92,6 +95,7 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
     if largest_error:
         _record_approximate(robot, notes, codes, largest_error)
     meshes = _link_meshes(robot, names, joints)
+    _record_size(notes, joints)
     if notes.left_out:
         message = f"not read: {listed(list(notes.left_out), 20)}"
         notes.add(codes.left_out, None, message, severity=Severity.NOTE)
@@ -105,6 +109,21 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         radians_per_unit=1.0,
         notices=tuple(notes.notices),
     )
+
+
+def _record_size(notes: XmlNotes, joints: list[Joint]) -> None:
+    """Record a size that suggests another unit than metres (RIG217)."""
+    positions, _ = source_rest_pose(Rig("", tuple(joints)))
+    size = float(np.linalg.norm(np.ptp(positions, axis=0)))
+    if size <= MAX_SIZE:
+        return
+    message = f"the robot measures {length_text(size)}, with lengths in m"
+    hint = "check the positions"
+    for unit in (LengthUnit.CM, LengthUnit.MM):
+        if ROBOT_SIZES[0] <= size * unit.meters <= ROBOT_SIZES[1]:
+            hint = f"if they are in {unit}, divide all lengths by {1 / unit.meters:g}: "
+            hint += length_text(size * unit.meters)
+    notes.add("RIG217", None, message, hint, severity=Severity.WARNING)
 
 
 def _link_meshes(

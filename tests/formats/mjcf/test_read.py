@@ -195,3 +195,25 @@ def test_a_timeline_in_xml_is_none_of_it(tmp_path: Path) -> None:
     cut = write(tmp_path, "<?xml version='1.0'?><!DOCTYPE xmeml><xmeml/>", "cut.xml")
     assert (reader_of(model), is_timeline(model)) == (MJCF, False)
     assert (reader_of(cut), is_timeline(cut)) == (None, True)
+
+
+@pytest.mark.parametrize(
+    ("angle", "ranges", "found"),
+    [
+        ("degree", ("-1.5708 1.5708", "0 2.6"), True),
+        ("degree", ("-90 90", "0 150"), False),
+        ("degree", ("-90 90", "-2 2"), False),  # a stiff joint
+        ("radian", ("-90 90", "0 150"), True),
+        ("radian", ("-1.5708 1.5708", "0 2.6"), False),
+        ("radian", ("-6.28319 6.28319", "-12.56637 12.56637"), False),  # winds up
+    ],
+)
+def test_ranges_in_another_unit(
+    tmp_path: Path, angle: str, ranges: tuple[str, str], found: bool
+) -> None:
+    text = MODEL.replace('angle="radian"', f'angle="{angle}" autolimits="true"')
+    for name, range_ in zip(("one", "two"), ranges, strict=True):
+        text = text.replace(f'name="{name}"', f'name="{name}" range="{range_}"')
+    path = write(tmp_path, text.replace(' ref="0.4"', ""), "arm.xml")
+    codes = [notice.code for notice in read_mjcf_rig(path).notices]
+    assert codes.count("MJC110") == found

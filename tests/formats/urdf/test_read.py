@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -275,3 +276,13 @@ def test_commands_take_a_robot_as_a_rig(tmp_path: Path) -> None:
         "side.rig.yaml",
     )
     assert load_rig(sidecar).chains[0].tip == "tool"
+
+
+@pytest.mark.parametrize(("factor", "found"), [(1000, True), (100, True), (10, False)])
+def test_a_robot_in_millimetres(tmp_path: Path, factor: int, found: bool) -> None:
+    def scaled(match: re.Match[str]) -> str:
+        numbers = (f"{factor * float(number):g}" for number in match[1].split())
+        return f'<origin xyz="{" ".join(numbers)}"'
+
+    text = re.sub('<origin xyz="([^"]*)"', scaled, ARM)
+    assert ("RIG217" in codes(write(tmp_path, text))) is found
