@@ -369,6 +369,28 @@ class _LayerPlan:
             )
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
+        if not self.in_shot:
+            stream.notices.extend(_delay_warnings(other, self.delay, clock))
+
+
+def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
+    """Return a warning if a delayed take is never played (SCN118)."""
+    if other.clock.count < 2:
+        return []
+    first, last = (float(clock.times[end]) for end in (0, -1))
+    begin = first + float(delay)
+    seconds = (other.clock.count - 1) / other.clock.rate
+    end = begin + float(seconds * clock.fps)
+    if first < end and begin < last:
+        return []
+    held_pose = "first" if begin >= last else "last"
+    message = (
+        f"with a delay of {delay:g} frames, the layered take plays from frame "
+        f"{begin:g} to {end:g}, but the take from {first:g} to {last:g}: its "
+        f"{held_pose} pose is held in all frames"
+    )
+    hint = "delay counts frames from the first frame of the take"
+    return [Fault("SCN118", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _pose_notices(other: Take, joints: list[int] | None) -> list[Fault]:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from enum import StrEnum
 
 import numpy as np
 
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.combine import align_signs
 from animtool.edit.travel import (
@@ -29,6 +31,11 @@ from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
 from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
 from animtool.motion.take import Take
+from animtool.rig.kinematics import rest_size
+
+# Travel along an axis that a root motion lacks: relative to the rig's size, and to the
+# travel along those that it has.
+MIN_TRAVEL, MIN_RATIO = 0.2, 2.0
 
 
 class RootMode(StrEnum):
@@ -191,9 +198,35 @@ def _compact_take(take: Take) -> Take:
     return replace(take, motion=align_signs(take.motion).map(Channel.compact))
 
 
-def _run(take: Take, options: RootMotionOptions, _: PassContext) -> Take:
+def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
+    """Return a warning if the axes are the ground of another up axis (SCN121)."""
+    rig, axes = take.rig, set(options.axes.lower())
+    up = "xyz"[int(np.argmax(rig.up.vector))]
+    if up not in axes or len(axes) != 2:
+        return []
+    hip = _hips_index(take, options.root, options.hips)
+    positions = joint_frame(rig, take.motion, hip).position
+    travel = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
+    (missing,) = set("xyz") - axes
+    moved = math.hypot(*(travel[axis] for axis in axes))
+    if travel[missing] < max(MIN_TRAVEL * rest_size(rig), MIN_RATIO * moved):
+        return []
+    written = "".join(sorted(axes))
+    message = (
+        f"axes {written} has the up axis {up}, and lacks {missing}, along which "
+        f"{rig.names[hip]!r} travels {length_text(travel[missing])}: the root travels "
+        f"{length_text(moved)}"
+    )
+    ground = "xyz".replace(up, "")
+    hint = f"the ground of this take is {ground}: write 'axes: {ground}', or leave it "
+    return [Fault("SCN121", message, hint=f"{hint}out", severity=Severity.WARNING)]
+
+
+def _run(take: Take, options: RootMotionOptions, context: PassContext) -> Take:
     if parse_choice(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
         return recompose_root(take, options.root, keep=options.keep)
+    _check_axes(options.axes)
+    context.notices.extend(_axes_warnings(take, options))
     return extract_root(
         take, options.root, options.axes, yaw=options.yaw, hips=options.hips
     )

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, listed
 from animtool.core.files.spool import Spool
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -44,9 +44,12 @@ from animtool.retarget.props import PropTracks
 from animtool.retarget.report import ContactFrames, FitMeter, RetargetReport
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
-from animtool.retarget.verdict import Verdict
+from animtool.retarget.verdict import TakeStatus, Verdict, VerdictReason
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
+
+# Fraction of the frames at limits that only a wrong rest pose explains [1].
+MIN_STOPPED = 0.95
 
 # Frames of a block: its arrays fit into the processor's cache. Blocks begin at the
 # first frame of a take, whatever the blocks of the input are.
@@ -115,6 +118,8 @@ class Retargeting:
         self.transfer, self._moves = transfer, False
         # Errors ignored on request.
         self.forced: list[Fault] = []
+        # Frame of the source that is its rest pose; None for another one.
+        self.rest_frame: int | None = None
         self._start: tuple[FloatArray, FloatArray] | None = None
         # Moving joints of the source.
         self.moving: set[int] = set()
@@ -270,7 +275,20 @@ class Retargeting:
 
     def verdict(self) -> Verdict:
         """Return whether the frames so far are usable."""
-        return self._meter.verdict(self.clamped, self.forced)
+        verdict = self._meter.verdict(self.clamped, self.forced)
+        stopped = self.stopped_by_rest_frame
+        if not stopped or verdict.status is TakeStatus.UNUSABLE:
+            return verdict
+        reason = VerdictReason("stopped by their limits", listed(stopped))
+        return Verdict(TakeStatus.LOOK, (*verdict.reasons, reason))
+
+    @property
+    def stopped_by_rest_frame(self) -> list[str]:
+        """Joints that a rest pose taken from a frame holds at their limits."""
+        if self.rest_frame is None:
+            return []
+        names = self.transfer.target.rig.names
+        return [names[j] for j, part in self.clamped.items() if part >= MIN_STOPPED]
 
     def blocks(self) -> Iterator[Motion]:
         """Yield the target's motion; call it once."""

@@ -257,6 +257,7 @@ def retarget_stream(
         hands=keep_hands,
         props=props,
     )
+    retargeting.rest_frame = frame
     missing_pairs = insufficient_pairs(
         source, joint_map, transfer.follows, retargeting.moving
     )
@@ -411,6 +412,18 @@ def checked_blocks(
     path: the file that the warnings refer to.
     """
     yield from retargeting.blocks()
+    file = None if path is None else str(path)
+    stopped = retargeting.stopped_by_rest_frame
+    if stopped:
+        message = (
+            f"with frame {options.rest} as the rest pose, limits stop "
+            f"{listed([repr(name) for name in stopped], 4)} in nearly all frames"
+        )
+        hint = (
+            "choose a frame in which the person stands still in the rest pose of the "
+            f"rig, or leave out {argument('rest')}"
+        )
+        notices.append(Fault("MAP110", message, file, (), hint, Severity.WARNING))
     if options.warn_above is None:
         return
     for score in scores_of(retargeting.report()).scores:
@@ -418,7 +431,6 @@ def checked_blocks(
             good_text = replace(score, value=score.usual).text
             message = f"{score.name} {score.text}; a good take has up to {good_text}"
             hint = "the report names the joints; check limits, map and rest pose"
-            file = None if path is None else str(path)
             fault = Fault("MAP107", message, file, (), hint, Severity.WARNING)
             notices.append(fault)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -11,13 +12,16 @@ from hypothesis import strategies as st
 from support.nasty import nasty_take
 from support.takes import assert_same_motion, motion_of, takes
 
+from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.layers import LayerMode, blend, difference, layer, rest_take
-from animtool.motion.motion import Channel
+from animtool.maths import so3
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
+from animtool.rig.skeleton import Joint, JointType, Rig
 
 WITHIN = 1e-12  # [m], [rad], [1], a few roundings
 
@@ -83,3 +87,31 @@ def test_an_additive_layer_of_whole_poses_is_said() -> None:
     # Only the joints that it affects count.
     root = below.rig.names[0]
     assert layer(below, other, mode="additive", joints=root).notices == ()
+
+
+@pytest.mark.parametrize(
+    ("delay", "frames", "found"),
+    [
+        (240, 24, True),
+        (-40, 24, True),
+        (12, 24, False),
+        (-12, 24, False),
+        (0, 24, False),
+        (240, 1, False),  # a pose
+    ],
+)
+def test_a_layer_that_is_never_played(delay: float, frames: int, found: bool) -> None:
+    rig = Rig("one", (Joint("hips", -1, JointType.FREE),))
+    take, other = (
+        Take(
+            rig,
+            Clock(Fraction(24), Fraction(1), Fraction(1), count),
+            Motion(
+                Channel.from_dense(np.zeros((count, 1, 3))),
+                Channel.from_dense(np.tile(so3.IDENTITY, (count, 1, 1))),
+            ),
+        )
+        for count in (24, frames)
+    )
+    codes = [notice.code for notice in layer(take, other, delay=delay).notices]
+    assert codes == ["SCN118"] * found

@@ -16,12 +16,18 @@ from support.takes import assert_same_motion, assert_same_world, takes
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.edit.root_motion import extract_root, recompose_root
+from animtool.edit.root_motion import (
+    PASS,
+    RootMotionOptions,
+    extract_root,
+    recompose_root,
+)
 from animtool.edit.tree import insert_joint
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.take import Take
+from animtool.motion.passes import PassContext, apply_pass
+from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import Joint, Pose, Rig
 
@@ -249,3 +255,33 @@ def test_a_root_below_a_joint_that_stands_off_and_turned_goes_where_the_hips_are
     root = after[:, 1]
     np.testing.assert_allclose(root[:, [0, 2]], world[:, 2][:, [0, 2]], atol=1e-12)
     np.testing.assert_allclose(root[:, 1], 2.5, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("axes", "travel", "up", "found"),
+    [
+        ("xy", (0.0, 0.0, 2.0), UpAxis.Y, True),
+        ("XZ", (0.1, 2.0, 0.0), UpAxis.Z, True),
+        ("xz", (0.0, 0.0, 2.0), UpAxis.Y, False),
+        ("", (0.0, 0.0, 2.0), UpAxis.Y, False),
+        ("xy", (2.0, 0.0, 0.1), UpAxis.Y, False),  # a side-scroller
+        ("xy", (0.0, 0.0, 0.1), UpAxis.Y, False),  # in place
+        ("y", (0.0, 0.0, 2.0), UpAxis.Y, False),  # the height alone
+    ],
+)
+def test_axes_of_another_up_axis(
+    axes: str, travel: tuple[float, float, float], up: UpAxis, found: bool
+) -> None:
+    rig = Rig(
+        "one", (Joint("hips", -1), Joint("head", 0, translation=(0, 1, 0))), up=up
+    )
+    positions = np.tile(rig.rest_translations, (9, 1, 1))
+    positions[:, 0] += np.linspace(0, 1, 9)[:, None] * np.array(travel)
+    rotations = Channel.from_dense(np.tile(so3.IDENTITY, (9, 2, 1)))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 9)
+    take = Take(rig, clock, Motion(Channel.from_dense(positions), rotations))
+    context = PassContext(lambda _: take, Path())
+    options = RootMotionOptions(axes=axes)
+    apply_pass(TakeStream.of(take), PASS, options, context)
+    codes = [notice.code for notice in context.notices]
+    assert codes == ["SCN121"] * found

@@ -29,9 +29,11 @@ from animtool.retarget.take_pass import (
     _body_joints,
     _complete_limbs,
     _scale_warnings,
+    checked_blocks,
     insufficient_pairs,
     retarget_stream,
 )
+from animtool.retarget.verdict import TakeStatus
 from animtool.rig.kinematics import forward_kinematics
 
 
@@ -209,3 +211,15 @@ def test_a_take_fits_by_a_third_of_its_joints_and_a_whole_limb(
         assert fault.code == "MAP010"
         assert f"{len(paired)} of 20 moving joints" in fault.message
         assert ("none of its limbs" in fault.message) == bool(limbs)
+
+
+@pytest.mark.parametrize(("rest", "found"), [(12, True), (None, False)])
+def test_a_rest_pose_in_mid_motion(root: Path, rest: int | None, found: bool) -> None:
+    walk = open_source(root / "samples/walk/walk.bvh")
+    biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
+    options = RetargetOptions(rest=rest)
+    retargeting, _, notices = retarget_stream(walk, biped, options)
+    list(checked_blocks(retargeting, options, notices))
+    assert ("MAP110" in [notice.code for notice in notices]) is found
+    expected = TakeStatus.LOOK if found else TakeStatus.GOOD
+    assert retargeting.verdict().status is expected
