@@ -17,7 +17,7 @@ from animtool.clip.suspicions import warn_of_numbers
 from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument, clause
 from animtool.core.config import project_roots
-from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import exists
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
@@ -114,7 +114,7 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
         file: Content of the file.
         rig: Rig whose controls, shapes and joints are the targets.
     """
-    return _ClipReader(file.document, file.model, rig).clip()
+    return _ClipReader(file.document, file.model, rig, file.rig).clip()
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
@@ -146,13 +146,21 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
 
 # Targets of which none is in a rig, so that the rig is at fault and not their names.
 MIN_TARGETS = 3
-# Fraction of targets that only another rig lacks.
-MIN_UNKNOWN = 0.6
+# Fraction of targets that only another rig lacks, and of these, the fraction with names
+# similar to those of the rig that are typing errors.
+MIN_UNKNOWN, MIN_GUESSED = 0.6, 0.5
 
 
 class _ClipReader:
-    def __init__(self, document: Document, model: ClipModel, rig: Rig | None) -> None:
+    def __init__(
+        self,
+        document: Document,
+        model: ClipModel,
+        rig: Rig | None,
+        own_rig: Path | None = None,
+    ) -> None:
         self.document, self.model, self.rig = document, model, rig
+        self.own_rig = own_rig
         self.units = file_units(model, rig)
         self.curves = ChannelReader(document)
 
@@ -186,20 +194,45 @@ class _ClipReader:
         """Record once, and not for each channel, that the rig is another one."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig is None or len(unknown) < max(MIN_TARGETS, MIN_UNKNOWN * count):
+        if self.rig is None or not unknown:
             return
-        if any(fault.hint and "did you mean" in fault.hint for fault in unknown):
+        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
+        is_other = len(unknown) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
+        is_other &= guesses < MIN_GUESSED * len(unknown)
+        is_for_own_rig = self._own_rig_has_all()
+        if not is_other and not is_for_own_rig:
             return
         lacks = f"has none of the {count} targets"
         if len(unknown) < count:
             lacks = f"lacks {len(unknown)} of the {count} targets"
-        message = f"rig {self.rig.name!r} {lacks}"
+        subjects = (fault.message.removeprefix("unknown ") for fault in unknown)
+        names = listed(list(dict.fromkeys(subjects)), 4)
+        message = f"rig {self.rig.name!r} {lacks}: {names}"
         hint = "is it the right rig?"
-        if self.model.rig is not None:
-            hint = f"the clip names {self.model.rig}; animtool retarget transfers "
-            hint += "its take to another rig"
         other = replace(unknown[0], message=message, hint=hint)
+        if is_for_own_rig:
+            hint = (
+                f"the clip is for {self.model.rig}, which has them; animtool retarget, "
+                "or the pass retarget of a scene, moves its take to another rig"
+            )
+            other = self.document.fault("CLIP002", ("rig",), message, hint)
+        elif self.model.rig is not None:
+            hint = f"the clip names {self.model.rig}; {hint}"
+            other = replace(other, hint=hint)
         self.document.faults[:] = [other, *(f for f in faults if f not in unknown)]
+
+    def _own_rig_has_all(self) -> bool:
+        """Return whether the rig that the clip names has all of its targets."""
+        if self.own_rig is None:
+            return False
+        try:
+            rig = Rig.load(self.own_rig)
+        except AnimtoolError:
+            return False
+        return all(
+            isinstance(target_kind(channel.target, rig), str)
+            for channel in self.model.channels
+        )
 
     def _fps(self) -> Fraction:
         try:

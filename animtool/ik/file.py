@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Set as AbstractSet
+from dataclasses import replace
 from fractions import Fraction
 from itertools import pairwise
 from pathlib import Path
@@ -14,6 +15,7 @@ from animtool.clip.channels import ClipUnits
 from animtool.clip.file import checked_range
 from animtool.clip.schema import CurveModel
 from animtool.core.config import project_roots
+from animtool.core.errors import listed
 from animtool.core.names import nearest
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
@@ -35,6 +37,9 @@ from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 
+# Effectors of which only another rig lacks so many, if fewer than this fraction of them
+# have names similar to those of the rig.
+MIN_EFFECTORS, MIN_UNKNOWN, MIN_GUESSED = 2, 0.6, 0.5
 # A shorter direction is a typing error and is refused.
 MIN_DIRECTION = 1e-9
 
@@ -98,6 +103,7 @@ class _TargetsReader:
         frames = None
         if self.first is not None and self.last is not None:
             frames = float(self.first), float(self.last)
+        self._blame_rig()
         warn_of_seconds(self.document, fps or DEFAULT_RATE, frames, goals)
         units, rig = self.values.units, self.rig
         warn_of_angles(self.document, goals, units, rig)
@@ -113,6 +119,31 @@ class _TargetsReader:
             tuple(self.document.notices),
             self.document.position(("fps",)),
         )
+
+    def _blame_rig(self) -> None:
+        """Record once, and not for each goal, that the targets are for another rig."""
+        faults, count = self.document.faults, len(self.model.goals)
+        unknown = [
+            fault
+            for fault in faults
+            if fault.code == "TGT001" and (fault.where or "").endswith(".effector")
+        ]
+        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
+        if (
+            self.rig is None
+            or len(unknown) < max(MIN_EFFECTORS, MIN_UNKNOWN * count)
+            or guesses >= MIN_GUESSED * len(unknown)
+        ):
+            return
+        names = dict.fromkeys(fault.message.partition(" is ")[0] for fault in unknown)
+        message = (
+            f"{len(unknown)} of {count} effectors are not in {self.rig.name!r}: "
+            f"{listed(list(names), 4)}; these targets look like those of another rig"
+        )
+        chains = [chain.name for chain in self.rig.chains]
+        hint = f"its chains are {listed(chains, 8)}" if chains else "it has no chains"
+        other = replace(unknown[0], message=message, hint=hint)
+        faults[:] = [other, *(fault for fault in faults if fault not in unknown)]
 
     def _units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units

@@ -682,3 +682,18 @@ def test_what_reads_a_bvh_names_lost_positions_and_heeds_the_option(
         done = animtool(*command, *more, cwd=tmp_path)
         assert done.code == 0, done.stderr
         assert ("BVH111" in done.stderr + done.stdout) is said
+
+
+def test_a_start_of_another_skeleton_is_one_warning(place: Path) -> None:
+    lines = ["HIERARCHY", "ROOT hips", "{", "OFFSET 0 0 0"]
+    lines += ["CHANNELS 6 Xposition Yposition Zposition Zrotation Xrotation Yrotation"]
+    for i in range(8):
+        lines += [f"JOINT part_{i}", "{", "OFFSET 0 10 0", "CHANNELS 3 Zrotation"]
+        lines[-1] += " Xrotation Yrotation"
+    lines += ["End Site", "{", "OFFSET 0 10 0", *"}" * 10]
+    row = " ".join(["0"] * 30)
+    lines += ["MOTION", "Frames: 24", "Frame Time: 0.0416667", *[row] * 24]
+    (place / "snake.bvh").write_text("\n".join(lines) + "\n", "utf-8")
+    done = run(place, "-t", "feet.targets.yaml", "--clip", "snake.bvh")
+    assert done.stderr.count("TGT102") == 1
+    assert "1 of the 59 joints" in done.stderr

@@ -359,3 +359,44 @@ def test_keys_that_do_nothing_are_errors_where_warnings_are(tmp_path: Path) -> N
     assert "shot.clip.yaml:5:" in done.stderr
     assert "CLIP104" in done.stderr
     assert not (tmp_path / "o.usda").exists()
+
+
+OTHER_RIG = """\
+rig: animtool/1
+name: other
+joints:
+- {name: Hips, type: free}
+- {name: Spine, type: ball, parent: Hips}
+- {name: Head, type: ball, parent: Spine}
+controls:
+- {name: nod, drives: [{joint: Head.rotation.x, expr: nod}]}
+"""
+
+
+def blamed(folder: Path, targets: list[str], own: str = "") -> list[tuple[str, str]]:
+    """Return code and place of the faults of a clip on the rig of other tests."""
+    rig = hero(folder)
+    (folder / "other.rig.yaml").write_text(OTHER_RIG, "utf-8")
+    lines = [f"- {{target: {target}, keys: [{{t: 1, v: 0}}]}}" for target in targets]
+    path = write_clip(folder, "\n".join(lines) + "\n", "fps: 24")
+    text = path.read_text("utf-8")
+    rows = [row for row in text.splitlines() if not row.startswith("rig:")]
+    rows[1:1] = [f"rig: {own}"] * bool(own)
+    path.write_text("\n".join(rows) + "\n", "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_clip(open_clip(path), rig)
+    return [(fault.code, fault.where or "") for fault in caught.value.faults]
+
+
+def test_targets_of_another_rig_are_one_fault(tmp_path: Path) -> None:
+    targets = ["control/nod", "joint/Hips.scale", "joint/Head.scale"]
+    own = "other.rig.yaml"
+    assert blamed(tmp_path, targets, own) == [("CLIP002", "rig")]
+    # A single target, of those that only its own rig has.
+    assert blamed(tmp_path, ["control/nod"], own) == [("CLIP002", "rig")]
+    assert len(blamed(tmp_path, [*targets, "joint/Foot.scale"])) == 1
+
+
+def test_misspelt_targets_are_a_fault_each(tmp_path: Path) -> None:
+    targets = ["joint/elbw_l.angle", "joint/sholder_l.scale", "control/gri"]
+    assert [code for code, _ in blamed(tmp_path, targets)] == ["CLIP002"] * 3

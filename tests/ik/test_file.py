@@ -397,3 +397,21 @@ def test_lengths_in_another_unit(tmp_path: Path, goal: str, code: str) -> None:
     goals = f"- {{effector: leg_l, position: [0, 0, 0], {goal}}}\n"
     tracks = tracks_of(tmp_path, goals)
     assert [one.code for one in tracks.notices] == [code] * bool(code)
+
+
+@pytest.mark.parametrize(
+    ("names", "count"),
+    [
+        (("arm_r", "front_x", "leg_l"), 1),
+        (("arm_r", "leg_l", "leg_r"), 1),  # one fault, which has a suggestion
+        (("leg_ll", "leg_rr", "leg_l"), 2),  # typing errors
+        (("front", "back"), 1),
+    ],
+)
+def test_effectors_of_another_rig_are_one_fault(
+    tmp_path: Path, names: tuple[str, ...], count: int
+) -> None:
+    goals = "".join(f"- {{effector: {name}, position: [0, 0, 0]}}\n" for name in names)
+    with pytest.raises(FormatError) as caught:
+        tracks_of(tmp_path, goals)
+    assert [fault.code for fault in caught.value.faults] == ["TGT001"] * count

@@ -376,21 +376,39 @@ def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
     return replace(take, clock=clock, motion=take.motion.select(kept_samples))
 
 
+# With a smaller fraction of the joints of the smaller rig, a take is of another one.
+MIN_COMMON = 0.25
+
+
 def _map_motion(
     take: Take, rig: Rig, path: Path, rig_path: Path
 ) -> tuple[Motion, list[Fault]]:
     """Return the motion of common joints, and notices of the joints left out."""
     names = map_names(rig, take.rig)
+    transfer_hint = (
+        f"first move it to this rig: animtool retarget {path.name} {flag('to')} "
+        f"{rig_path.name}"
+    )
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}; first move it to "
-        hint += f"this rig: animtool retarget {path.name} {flag('to')} {rig_path.name}"
+        hint = f"its joints are {listed(take.rig.names, MAX_NAMED)}; {transfer_hint}"
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
     missing_joints = [
         rig.names[index] for index in np.flatnonzero(names.joints < 0).tolist()
     ]
     unmatched_joints = [take.rig.names[index] for index in names.unmatched_joints]
+    common = len(rig.names) - len(missing_joints)
+    if common < MIN_COMMON * min(len(rig.names), len(take.rig.names)):
+        shared = [name for name in rig.names if name not in missing_joints]
+        message = (
+            f"is a take of another skeleton: it has {common} of the "
+            f"{len(rig.names)} joints of {rig.name!r} ({listed(shared, 3)}); the "
+            "others stay at rest"
+        )
+        severity = Severity.WARNING
+        notices.append(Fault("TGT102", message, str(path), (), transfer_hint, severity))
+        missing_joints = unmatched_joints = []
     for joint_names, template in (
         (missing_joints, "does not have {}: they stay at rest"),
         (unmatched_joints, "moves {}, which the rig does not have: they are ignored"),
