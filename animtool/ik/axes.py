@@ -1,10 +1,12 @@
-"""Targets written for another up axis."""
+"""Targets written for another up axis or unit."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from animtool.core.units import UpAxis, up_from_up
+from animtool.core.array_types import FloatArray
+from animtool.core.quantities import length_text
+from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
 from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
@@ -12,6 +14,8 @@ from animtool.rig.kinematics import rest_world
 
 # Larger coordinates are mistakes of another kind [m].
 MAX_DISTANCE = 1e6
+# A target in the unit that is meant may still be missed by a little, in limb lengths.
+MAX_REACH = 1.5
 
 
 def up_axis_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
@@ -22,6 +26,51 @@ def up_axis_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
         goal_index: A goal whose position is missed.
         frame: Time code of a miss.
     """
+    target, rig = _limb_target(solved, goal_index, frame), solved.take.rig
+    if target is None:
+        return None
+    point, start, reach = target
+    other = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
+    turned = so3.rotate(np.array(up_from_up(rig.up, other)), point)
+    distances = np.linalg.norm(np.array([point, turned]) - start, axis=1)
+    if not distances[1] <= reach < distances[0]:
+        return None
+    axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
+    return (
+        f"the rig is {rig.up}-up: if the targets are {other}-up, write [x, y, z] as "
+        f"{axes}"
+    )
+
+
+def unit_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
+    """Return a hint if a missed target is in reach with a smaller unit.
+
+    Args:
+        solved: The solved take.
+        goal_index: A goal whose position is missed.
+        frame: Time code of a miss.
+    """
+    target, rig = _limb_target(solved, goal_index, frame), solved.take.rig
+    if target is None:
+        return None
+    point, start, reach = target
+    for unit in (LengthUnit.CM, LengthUnit.MM):
+        factor = unit.meters / rig.meters_per_unit
+        distance = float(np.linalg.norm(factor * point - start))
+        if factor < 1 and distance <= MAX_REACH * reach:
+            root = solved.tracks.goals[goal_index].goal.root
+            return (
+                f"the rig is in {unit_name(rig.meters_per_unit)}; with "
+                f"'units: {{length: {unit}}}' the target is "
+                f"{length_text(distance)} from {root!r}"
+            )
+    return None
+
+
+def _limb_target(
+    solved: TakeIk, goal_index: int, frame: float
+) -> tuple[FloatArray, FloatArray, float] | None:
+    """Return a target, the root of its limb at rest, and the limb's length [m]."""
     track, rig = solved.tracks.goals[goal_index], solved.take.rig
     value, root = track.values.get("position"), track.goal.root
     if value is None or root is None:
@@ -32,17 +81,8 @@ def up_axis_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
     positions = rest_world(rig).positions[0]
     bones = positions[chain[:-1]] - positions[chain[1:]]
     reach = float(np.linalg.norm(bones, axis=1).sum())
-    other = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
     fps = solved.take.clock.fps
     point = value.at(SampleFrames(np.array([frame]), fps))[0]
     if not abs(point).max() < MAX_DISTANCE:
         return None
-    turned = so3.rotate(np.array(up_from_up(rig.up, other)), point)
-    distances = np.linalg.norm(np.array([point, turned]) - positions[start], axis=1)
-    if not distances[1] <= reach < distances[0]:
-        return None
-    axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
-    return (
-        f"the rig is {rig.up}-up: if the targets are {other}-up, write [x, y, z] as "
-        f"{axes}"
-    )
+    return point, positions[start], reach

@@ -17,7 +17,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.ik.axes import up_axis_hint
+from animtool.ik.axes import unit_hint, up_axis_hint
 from animtool.ik.goals import METRIC, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -232,7 +232,10 @@ def _advice(solved: TakeIk, report: GoalReport, i: int) -> str | None:
         return hint
     far_miss = FAR_MISS * solved.problem.length
     if any(span.distance > far_miss for span in report.spans):
-        return "far out of reach: do the targets use these units and this space?"
+        return (
+            unit_hint(solved, i, worst.frame)
+            or "far out of reach: do the targets use these units and this space?"
+        )
     if any(span.status is IkStatus.BUDGET for span in report.spans):
         hint = (
             f"the step or time limit was reached: raise {argument('seconds')}, "

@@ -187,3 +187,17 @@ def test_a_pole_on_the_line_of_its_limb(pole: str, found: bool, tmp_path: Path) 
     take = replace(walk_of(rig, count=2), motion=motion)
     solved = solve_take(take, tracks_of(tmp_path, goals, rig))
     assert [one.code for one in pole_notices(solved)] == ["IK103"] * found
+
+
+@pytest.mark.parametrize(
+    ("position", "unit"),
+    [("[20, 10, 10]", "cm"), ("[200, 100, 100]", "mm"), ("[0, 90000, 0]", "")],
+)
+def test_a_target_in_another_unit_names_it(
+    tmp_path: Path, position: str, unit: str
+) -> None:
+    goals = f"- {{effector: leg_l, position: {position}}}\n"
+    take = walk_of(legs(), count=2)
+    found = solve_take(take, tracks_of(tmp_path, goals, take.rig, HEAD))
+    (notice,) = missed_notices(found, goal_reports(found))
+    assert (f"{{length: {unit or 'cm'}}}" in (notice.hint or "")) is bool(unit)

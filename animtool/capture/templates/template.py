@@ -9,7 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, OptionError
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    FormatError,
+    OptionError,
+    listed,
+)
 from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, location_text
@@ -98,8 +104,29 @@ class MarkerTemplate:
                 else self.document.fault("MKT001", key_path, message, hint)
             )
         if faults:
+            faults = self._with_rig_blamed(rig, faults)
             raise OptionError(faults) if self.document is None else FormatError(faults)
         return np.array([index[m.joint] for m in self.markers], np.int64)
+
+    def _with_rig_blamed(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
+        """Return one fault if the rig that the template names has all joints."""
+        if self.document is None or self.rig is None or len(faults) < 2:
+            return faults
+        try:
+            own_rig = Rig.load(self.rig)
+        except AnimtoolError:
+            return faults
+        names = {marker.joint for marker in self.markers}
+        if not names <= set(own_rig.names):
+            return faults
+        missing = [repr(name) for name in sorted(names - set(rig.names))]
+        message = (
+            f"{len(faults)} of {len(self.markers)} markers are on joints that "
+            f"{rig.name!r} lacks: {listed(missing, 4)}"
+        )
+        hint = f"the template is for {self.rig.name}, which has them; use its rig, or "
+        hint += f"a template of {rig.name!r}"
+        return [self.document.fault("MKT001", ("rig",), message, hint)]
 
 
 def template_text(template: MarkerTemplate, title: str, rig: str | None = None) -> str:

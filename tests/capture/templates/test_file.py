@@ -11,6 +11,7 @@ from support.marked import FIGURE, TEMPLATE
 from animtool.capture.templates import MarkerTemplate, TemplateMarker, load_template
 from animtool.capture.templates.template import template_text
 from animtool.core.errors import FormatError, OptionError
+from animtool.rig.skeleton import Joint, Rig
 from animtool.rig.write import rig_text
 
 
@@ -131,3 +132,19 @@ def test_validate_checks_against_the_rig(tmp_path: Path) -> None:
     done = animtool("validate", path)
     assert done.code == 1
     assert "MKT001" in done.stdout + done.stderr
+
+
+def test_a_template_of_another_rig_is_one_fault(tmp_path: Path) -> None:
+    (tmp_path / "f.rig.yaml").write_text(rig_text(FIGURE), "utf-8")
+    path = tmp_path / "t.markers.yaml"
+    path.write_text(template_text(TEMPLATE, "all", "f.rig.yaml"), "utf-8")
+    other = Rig("other", (Joint("hips", -1), Joint("chest", 0)))
+    with pytest.raises(FormatError) as caught:
+        load_template(path).joints(other)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where) == ("MKT001", "rig")
+    text = path.read_text("utf-8").replace("joint: arm_l", "joint: arm_x")
+    path.write_text(text, "utf-8")
+    with pytest.raises(FormatError) as caught:
+        load_template(path).joints(other)
+    assert len(caught.value.faults) > 2
