@@ -14,6 +14,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock, time_codes
 from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
 from animtool.edit.combine import (
@@ -40,11 +41,16 @@ from animtool.motion.passes import (
     OptionChecks,
     Pass,
     PassContext,
+    PlacedJoint,
     Scope,
     required_take_path,
 )
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
+
+# Displacement of a joint from its target that is visible, relative to the rig's size.
+MIN_DISPLACED = 0.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -333,6 +339,7 @@ class _LayerPlan:
     joints: list[int] | None
     delay: float
     in_shot: bool = False
+    placed: tuple[PlacedJoint, ...] = ()
 
     def over(self, stream: TakeStream) -> TakeStream:
         is_additive = self.mode is LayerMode.ADDITIVE
@@ -355,13 +362,16 @@ class _LayerPlan:
         is_constant = isinstance(self.weight, (int, float))
         sampler = TakeSampler.of(other)
         frame_count, previous = 0, None
+        displaced = _Displacements(stream.rig, self.placed)
         for block in stream.blocks:
             block_code = first_code + frame_count * stream.step
-            weights = self._weights(time_codes(block_code, stream.step, block.frames))
+            times = time_codes(block_code, stream.step, block.frames)
+            weights = self._weights(times)
             rate = stream.fps / stream.step
             other_motion = other_frames(sampler, rate, frame_count, block.frames, delay)
             strength = BlendStrength(weights, is_constant, self.joints)
             motion = align_signs(operation(block, other_motion, strength), previous)
+            displaced.add(times, block, motion)
             yield motion
             frame_count, previous = (
                 frame_count + block.frames,
@@ -369,8 +379,43 @@ class _LayerPlan:
             )
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
+        stream.notices.extend(displaced.warnings())
         if not self.in_shot:
             stream.notices.extend(_delay_warnings(other, self.delay, clock))
+
+
+class _Displacements:
+    """Largest displacement of joints that a pass before has put at targets."""
+
+    def __init__(self, rig: Rig, placed: Sequence[PlacedJoint]) -> None:
+        self.rig = rig
+        self.placed = [one for one in placed if one.joint in rig.names]
+        self.largest, self.effector, self.time = 0.0, "", 0.0
+
+    def add(self, times: FloatArray, before: Motion, after: Motion) -> None:
+        """Compare the frames of a block."""
+        if not self.placed:
+            return
+        old, new = (motion.world(self.rig).positions for motion in (before, after))
+        for placed in self.placed:
+            joint = self.rig.index(placed.joint)
+            distances = np.linalg.norm(new[:, joint] - old[:, joint], axis=1)
+            distances = np.where(np.isin(times, placed.times), distances, 0.0)
+            k = int(distances.argmax())
+            if distances[k] > self.largest:
+                self.largest, self.effector = float(distances[k]), placed.effector
+                self.time = float(times[k])
+
+    def warnings(self) -> list[Fault]:
+        """Return a warning if a joint leaves its target visibly (SCN120)."""
+        if self.largest <= MIN_DISPLACED * rest_size(self.rig):
+            return []
+        message = (
+            f"the layer moves {self.effector!r} by up to {length_text(self.largest)} "
+            f"from where ik has put it, at frame {self.time:g}"
+        )
+        hint = "put the pass ik after this layer"
+        return [Fault("SCN120", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
@@ -430,6 +475,7 @@ def _run_layer(
         _selected_joints(stream.rig, options.joints, options.children),
         options.delay,
         context.in_shot,
+        tuple(context.placed_joints),
     )
     return plan.over(stream)
 

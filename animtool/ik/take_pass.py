@@ -19,7 +19,14 @@ from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_n
 from animtool.ik.sub_rig import dressed
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
-from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import (
+    OptionChecks,
+    Pass,
+    PassContext,
+    PlacedJoint,
+    Scope,
+    TakePart,
+)
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Rig
 
@@ -65,6 +72,11 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     )
     warnings = take_notices(solved, goals, smooth=settings.smooth > 0)
     context.notices.extend(warnings)
+    times = solved.take.clock.times
+    context.placed_joints.extend(
+        PlacedJoint(track.goal.joint, track.name, times[solved.active[:, e, 0]])
+        for e, track in enumerate(solved.tracks.goals)
+    )
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.metric]
     context.errors.extend(lengths)

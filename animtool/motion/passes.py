@@ -171,6 +171,15 @@ ColliderBuilder: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream
 
 
 @dataclass(frozen=True, slots=True)
+class PlacedJoint:
+    """A joint that a pass has put at a target."""
+
+    joint: str  # name
+    effector: str  # as the targets file has it
+    times: FloatArray  # time codes of the frames in which it is there
+
+
+@dataclass(frozen=True, slots=True)
 class PassContext:
     """Services of a pass besides its take and options."""
 
@@ -201,6 +210,8 @@ class PassContext:
     # Builds the colliders named by options of a pass, see `ColliderBuilder`; None
     # without a scene.
     build_colliders: ColliderBuilder | None = None
+    # Joints that passes so far have put at targets; none after one that changes times.
+    placed_joints: list[PlacedJoint] = field(default_factory=list)
 
     def note_once(self, notices: Iterable[Fault]) -> None:
         """Add notices with codes that are not yet reported."""
@@ -328,6 +339,8 @@ def apply_pass(
     no first frame, neither has the result, unless the pass moves the start.
     """
     _check_points(stream, pass_)
+    if TakePart.CLOCK in pass_.changes:
+        context.placed_joints.clear()
     if stream.tracks and not handles_tracks(pass_):
         passthrough = PassthroughTracks(stream)
         result = apply_pass(passthrough.stream, pass_, options, context)

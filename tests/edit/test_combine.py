@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,9 +16,17 @@ from support.takes import assert_same_motion, motion_of, takes
 from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
-from animtool.edit.layers import LayerMode, blend, difference, layer, rest_take
+from animtool.edit.layers import (
+    LAYER,
+    LayerMode,
+    blend,
+    difference,
+    layer,
+    rest_take,
+)
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext, PlacedJoint, apply_pass
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Shape
@@ -115,3 +124,34 @@ def test_a_layer_that_is_never_played(delay: float, frames: int, found: bool) ->
     )
     codes = [notice.code for notice in layer(take, other, delay=delay).notices]
     assert codes == ["SCN118"] * found
+
+
+@pytest.mark.parametrize(
+    ("joint", "times", "move", "found"),
+    [
+        ("hips", [3, 4], 1.0, True),
+        ("hips", [30], 1.0, False),  # no goal in these frames
+        ("head", [3], 1.0, True),  # it is below
+        ("hips", [3], 1e-4, False),
+        ("hand", [3], 1.0, False),  # of another rig
+    ],
+)
+def test_a_layer_that_moves_what_ik_has_placed(
+    joint: str, times: list[int], move: float, found: bool
+) -> None:
+    free = JointType.FREE
+    head = Joint("head", 0, JointType.BALL, translation=(0.0, 1.0, 0.0))
+    rig = Rig("one", (Joint("hips", -1, free), head))
+    motions = []
+    for x in (0.0, move):
+        translations = np.tile(rig.rest_translations, (9, 1, 1))
+        translations[:, 0, 0] = x
+        rotations = Channel.from_dense(np.tile(so3.IDENTITY, (9, 2, 1)))
+        motions.append(Motion(Channel.from_dense(translations), rotations))
+    clock = Clock(Fraction(24), Fraction(1), Fraction(1), 9)
+    take, other = (Take(rig, clock, motion) for motion in motions)
+    placed = PlacedJoint(joint, joint, np.array(times, np.float64))
+    context = PassContext(lambda _: other, Path(), placed_joints=[placed])
+    options = LAYER.options(take=Path("other.bvh"))
+    result = apply_pass(TakeStream.of(take), LAYER, options, context).collect()
+    assert [notice.code for notice in result.notices] == ["SCN120"] * found
