@@ -157,10 +157,10 @@ class _ClipReader:
         document: Document,
         model: ClipModel,
         rig: Rig | None,
-        own_rig: Path | None = None,
+        named_rig: Path | None = None,
     ) -> None:
         self.document, self.model, self.rig = document, model, rig
-        self.own_rig = own_rig
+        self.named_rig = named_rig
         self.units = file_units(model, rig)
         self.curves = ChannelReader(document)
 
@@ -199,8 +199,8 @@ class _ClipReader:
         guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
         is_other = len(unknown) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
         is_other &= guesses < MIN_GUESSED * len(unknown)
-        is_for_own_rig = self._own_rig_has_all()
-        if not is_other and not is_for_own_rig:
+        is_for_named_rig = self._named_rig_has_all()
+        if not is_other and not is_for_named_rig:
             return
         lacks = f"has none of the {count} targets"
         if len(unknown) < count:
@@ -210,7 +210,7 @@ class _ClipReader:
         message = f"rig {self.rig.name!r} {lacks}: {names}"
         hint = "is it the right rig?"
         other = replace(unknown[0], message=message, hint=hint)
-        if is_for_own_rig:
+        if is_for_named_rig:
             hint = (
                 f"the clip is for {self.model.rig}, which has them; animtool retarget, "
                 "or the pass retarget of a scene, moves its take to another rig"
@@ -221,12 +221,12 @@ class _ClipReader:
             other = replace(other, hint=hint)
         self.document.faults[:] = [other, *(f for f in faults if f not in unknown)]
 
-    def _own_rig_has_all(self) -> bool:
+    def _named_rig_has_all(self) -> bool:
         """Return whether the rig that the clip names has all of its targets."""
-        if self.own_rig is None:
+        if self.named_rig is None:
             return False
         try:
-            rig = Rig.load(self.own_rig)
+            rig = Rig.load(self.named_rig)
         except AnimtoolError:
             return False
         return all(

@@ -428,11 +428,11 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
     end = begin + float(seconds * clock.fps)
     if first < end and begin < last:
         return []
-    held_pose = "first" if begin >= last else "last"
+    clamped_pose = "first" if begin >= last else "last"
     message = (
         f"with a delay of {delay:g} frames, the layered take plays from frame "
         f"{begin:g} to {end:g}, but the take from {first:g} to {last:g}: its "
-        f"{held_pose} pose is held in all frames"
+        f"{clamped_pose} pose is held in all frames"
     )
     hint = "delay counts frames from the first frame of the take"
     return [Fault("SCN118", message, hint=hint, severity=Severity.WARNING)]

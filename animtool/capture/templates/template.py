@@ -104,20 +104,20 @@ class MarkerTemplate:
                 else self.document.fault("MKT001", key_path, message, hint)
             )
         if faults:
-            faults = self._with_rig_blamed(rig, faults)
+            faults = self._blame_rig(rig, faults)
             raise OptionError(faults) if self.document is None else FormatError(faults)
         return np.array([index[m.joint] for m in self.markers], np.int64)
 
-    def _with_rig_blamed(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
+    def _blame_rig(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
         """Return one fault if the rig that the template names has all joints."""
         if self.document is None or self.rig is None or len(faults) < 2:
             return faults
         try:
-            own_rig = Rig.load(self.rig)
+            named_rig = Rig.load(self.rig)
         except AnimtoolError:
             return faults
         names = {marker.joint for marker in self.markers}
-        if not names <= set(own_rig.names):
+        if not names <= set(named_rig.names):
             return faults
         missing = [repr(name) for name in sorted(names - set(rig.names))]
         message = (
