@@ -58,7 +58,7 @@ def words(name: str) -> list[str]:
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", name).lower().split("_")
 
 
-def declared(tree: ast.AST) -> Iterator[tuple[str, int]]:
+def declare_option(tree: ast.AST) -> Iterator[tuple[str, int]]:
     """Yield each name that a module declares, and its line."""
     for node in ast.walk(tree):
         match node:
@@ -90,7 +90,7 @@ def names() -> dict[str, list[str]]:
         code = set(re.findall(r"[A-Za-z_]\w*", _PROSE.sub("", text)))
         if not any(EVERYDAY & set(words(name)) for name in code):
             continue
-        for name, line in declared(ast.parse(text)):
+        for name, line in declare_option(ast.parse(text)):
             if EVERYDAY & set(words(name)):
                 result[name].append(f"{file}:{line}")
     return result

@@ -17,7 +17,7 @@ from support.faults import raises
 
 import animtool
 from animtool.cli.bake import bake
-from animtool.cli.options import declared, read_values, record_option
+from animtool.cli.options import declare_option, read_values, record_option
 from animtool.core.arguments import as_text
 from animtool.core.errors import OptionError, Severity
 from animtool.core.options import (
@@ -146,7 +146,7 @@ def test_an_option_is_added_to_a_command_by_its_declaration() -> None:
     cuts = options_of(Cut)
     command = click.command()(lambda **given: click.echo(sorted(given.items())))
     for name in ("sharp", "width"):
-        command = declared(cuts[name], name)(command)
+        command = declare_option(cuts[name], name)(command)
     done = CliRunner().invoke(command, ["--sharp", "--width", "2mm"])
     assert done.output == "[('sharp', True), ('width', 0.002)]\n"
 
