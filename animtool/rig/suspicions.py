@@ -199,26 +199,32 @@ def warn_of_quaternion_length(
     hint = f"write [{unit}], w first"
     if rotation := _axis_angle_text(wxyz):
         hint = rotation
-    elif "rig" not in document.value:
+    elif document.value.keys().isdisjoint({"rig", "scene"}):
         hint += "; for degrees, write three Euler angles"
     document.warn("RIG110", location, message, hint)
 
 
 def _axis_angle_text(numbers: Sequence[float]) -> str | None:
-    """Return a hint if four numbers look like an angle in degrees and an axis.
+    """Return a hint if four numbers look like an angle and an axis.
+
+    A small angle that is not 1 is in radians.
 
     >>> _axis_angle_text([30.0, 0.0, 0.0, 1.0])
     'for 30° about [0, 0, 1] write [0.9659, 0, 0, 0.2588]'
     """
     for angle, axis in (numbers[0], numbers[1:]), (numbers[3], numbers[:3]):
         is_axis = abs(math.hypot(*axis) - 1) <= MAX_LENGTH_ERROR
-        if not is_axis or not MIN_AXIS_ANGLE <= abs(angle) <= MAX_DEGREES:
+        is_radian = (
+            abs(angle) < MIN_AXIS_ANGLE and abs(abs(angle) - 1) > MAX_LENGTH_ERROR
+        )
+        degrees = math.degrees(angle) if is_radian else angle
+        if not is_axis or not MIN_AXIS_ANGLE <= abs(degrees) <= MAX_DEGREES:
             continue
-        half = math.radians(angle) / 2
+        half = math.radians(degrees) / 2
         wxyz = [math.cos(half), *(math.sin(half) * number for number in axis)]
         axis_text = ", ".join(f"{number:.4g}" for number in axis)
         text = ", ".join(f"{round(number, 4) + 0.0:g}" for number in wxyz)
-        return f"for {angle:g}° about [{axis_text}] write [{text}]"
+        return f"for {degrees:.4g}° about [{axis_text}] write [{text}]"
     return None
 
 

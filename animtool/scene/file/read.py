@@ -45,12 +45,10 @@ from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, supports_option
 from animtool.scene.systems.links import check_colliders, check_links
-from animtool.scene.systems.suspicions import (
-    DURATION_KEYS,
-    warn_of_durations,
-    warn_of_sizes,
-)
+from animtool.scene.systems.suspicions import warn_of_sizes
+from animtool.scene.systems.suspicious_angles import warn_of_rotations
 from animtool.scene.systems.suspicious_forces import warn_of_forces
+from animtool.scene.systems.suspicious_times import SceneTimes, warn_of_times
 from animtool.systems.framework.conversion import SceneUnits
 from animtool.systems.framework.fields import COLLISION_KEYS
 from animtool.systems.framework.kinds import SYSTEM_KINDS
@@ -207,6 +205,11 @@ class _SceneReader:
         read_systems = (self._system(i, entry) for i, entry in enumerate(model.systems))
         systems = tuple(system for system in read_systems if system is not None)
         check_links(self.document, systems, model.system_names)
+        # Loaded by name, since systems open scenes themselves.
+        warn: Any = load_object(
+            "animtool.scene.systems.suspicious_layout:warn_of_layout"
+        )
+        warn(self.document, systems, self._times().length)
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
@@ -220,23 +223,21 @@ class _SceneReader:
         setup = read_spec(self.document, entry_path, spec, self.keys.roots, self.units)
         if setup is None:
             return None
-        stated_values = spec.model_dump(include=DURATION_KEYS, exclude_unset=True)
-        warn_of_durations(
-            self.document, entry_path, stated_values, *self._rate_and_length()
-        )
+        stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
+        warn_of_times(self.document, entry_path, stated_values, self._times())
         location = entry_location(self.document, entry_path, spec)
         return SceneSystem(
             spec.name, kind, setup, location, unit=self.units.scene_length
         )
 
-    def _rate_and_length(self) -> tuple[float, float]:
-        """Return the frames per second, and the length of the range [s]; 0 unknown."""
+    def _times(self) -> SceneTimes:
+        """Return the frames per second, and the frames of the range."""
         try:
             rate = float(parse_rate(self.model.fps or DEFAULT_FPS))
         except ValueError:
-            return float(DEFAULT_FPS), 0.0
+            return SceneTimes(float(DEFAULT_FPS))
         frames = self.model.range
-        return rate, 0.0 if frames is None else (frames[1] - frames[0]) / rate
+        return SceneTimes(rate, None if frames is None else (frames[0], frames[1]))
 
     def _kind(self, location: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""
@@ -417,9 +418,10 @@ class _PassReader:
             )
         if faults:
             return None
-        if name == "simulate":
+        if name in {"simulate", "ragdoll"}:
             warn_of_sizes(document, location, converted_values)
             warn_of_forces(document, location, converted_values)
+            warn_of_rotations(document, location, converted_values)
         return ScenePass(pass_, options, entry_location(document, location), files)
 
     def _with_colliders(

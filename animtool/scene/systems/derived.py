@@ -31,7 +31,8 @@ from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import POSE_KEYS, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
 from animtool.scene.systems.suspicions import shape_volume, warn_of_sizes
-from animtool.scene.systems.suspicious_forces import FORCE_KEYS, warn_of_forces
+from animtool.scene.systems.suspicious_angles import warn_of_radians, warn_of_rotations
+from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
     COLLISION_KEYS,
@@ -369,12 +370,13 @@ def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
 
 
 # Keys whose values are compared with sizes, and keys of the sizes.
-COMPARED_KEYS = {"stretch", "bodies"}
+COMPARED_KEYS = {"stretch", "bodies", "viscosity"}
 SIZE_KEYS = {
     "radius",
     "self_contact",
     "springs",
     "mass",
+    "density",
     "start",
     "end",
     "across",
@@ -407,11 +409,13 @@ def read_spec(
     )
     reader.note_ranges(location, spec)
     if not COMPARED_KEYS.isdisjoint(type(spec).model_fields):
-        warn_of_sizes(
-            document, location, spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
-        )
-    stated_values = spec.model_dump(include=FORCE_KEYS, exclude_unset=True)
+        sizes = spec.model_dump(include=COMPARED_KEYS | SIZE_KEYS)
+        warn_of_sizes(document, location, sizes, units.length)
+    stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
     warn_of_forces(document, location, stated_values, units.length, shape_volume)
+    warn_of_rotations(document, location, stated_values)
+    if units.angle == 1.0:
+        warn_of_radians(document, location, stated_values)
     record, faults = spec.build_record(parts)
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))

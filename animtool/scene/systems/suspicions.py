@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import frames_hint, length_text
+from animtool.core.quantities import length_text, plain_number
 from animtool.documents.document import Document, Location
 from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
 
@@ -29,55 +29,29 @@ MIN_DENSITY = 10.0
 # Rubber on rubber has 1.5, and gears mesh [1].
 MAX_FRICTION = 5.0
 GRAMS_PER_KILOGRAM = 1000.0
-# Keys of durations, and a whole number of seconds that may be one of frames [s].
-DURATION_KEYS = {"preroll", "emitters"}
-MIN_LONG = 20.0
-
-
-def warn_of_durations(
-    document: Document,
-    location: Location,
-    values: Mapping[str, Any],
-    rate: float,
-    length: float,
-) -> None:
-    """Warn of durations that seem to be in frames, and cones in radians (SIM200).
-
-    Args:
-        document: The scene.
-        location: Location of the system.
-        values: Its stated keys among `DURATION_KEYS`.
-        rate: Frames per second of the scene.
-        length: Time from its first to its last frame; 0 if unknown [s].
-    """
-    durations = [((*location, "preroll"), "preroll", values.get("preroll"))]
-    for i, emitter in enumerate(values.get("emitters") or ()):
-        emitter_path = (*location, "emitters", i)
-        durations += [
-            ((*emitter_path, "lifetime"), "lifetime", emitter.get("lifetime"))
-        ]
-        _warn_of_cone(document, (*emitter_path, "spread"), emitter.get("spread"))
-    for key_path, key, seconds in durations:
-        if not isinstance(seconds, int | float) or seconds < max(MIN_LONG, length):
-            continue
-        if hint := frames_hint(seconds, rate):
-            message = f"{key} {seconds:g} is {seconds:g} s"
-            message += f", and the scene has {length:.3g} s" if length else ""
-            document.warn("SIM200", key_path, message, hint)
-
-
-def _warn_of_cone(document: Document, location: Location, spread: object) -> None:
-    """Warn of a cone whose angle is a fraction in the range of radians."""
-    if isinstance(spread, float) and 0 < spread <= math.pi and spread % 1:
-        message = f"spread {spread:g} is a cone of {spread:g}°"
-        hint = f"for {spread:g} rad write {math.degrees(spread):.3g}"
-        document.warn("SIM200", location, message, hint)
+# Pitch has 2e5, but hardly flows; lava has up to 10, and water 1e-6 [m²/s].
+MAX_VISCOSITY, WATER = 100.0, 1e-6
+# Densities of liquids, which may be in the wrong key [kg/m³].
+LIQUIDS = 500.0, 20000.0
+# A scene in centimetres or less has metres if a rope is shorter [m], and heavier than
+# a steel chain of its length [kg/m].
+MIN_ROPE, CHAIN = 0.15, 5.0
 
 
 def warn_of_sizes(
-    document: Document, location: Location, values: Mapping[str, Any]
+    document: Document, location: Location, values: Mapping[str, Any], unit: float = 1.0
 ) -> None:
-    """Warn about lengths, masses, densities and forces in other units (SIM200)."""
+    """Warn of lengths, masses, densities and accelerations in other units (SIM200).
+
+    Args:
+        document: The scene.
+        location: Location of the system or pass.
+        values: Its keys, in metres.
+        unit: Metres in a length of 1 of the scene [m].
+    """
+    if unit < 1 and _warn_of_metres(document, location, values):
+        return  # all its lengths are in another unit
+    _warn_of_matter(document, location, values)
     _warn_of_ratio(document, location, values)
     _warn_of_forces(document, location, values)
     for i, body in enumerate(values.get("bodies") or ()):
@@ -114,6 +88,49 @@ def _implausible_length(value: object) -> Iterator[float]:
     """Yield a length without a unit, if it is implausible [m]."""
     if isinstance(value, int | float) and value >= MAX_THICKNESS:
         yield float(value)
+
+
+def _warn_of_matter(
+    document: Document, location: Location, values: Mapping[str, Any]
+) -> None:
+    """Warn of a density in g/cm³, and of a viscosity that is one or in mm²/s."""
+    density, viscosity = values.get("density"), values.get("viscosity")
+    if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
+        message = f"density {density:g} is {density:g} kg/m³, lighter than foam"
+        hint = f"for {density:g} g/cm³ write {density * GRAMS_PER_KILOGRAM:g}"
+        document.warn("SIM200", (*location, "density"), message, hint)
+    if isinstance(viscosity, int | float) and viscosity >= MAX_VISCOSITY:
+        ratio = f"{plain_number(viscosity / WATER)} times that of water"
+        message = f"viscosity {viscosity:g} is {viscosity:g} m²/s, {ratio}"
+        hint = f"for {viscosity:g} mm²/s write {viscosity * WATER:g}"
+        if LIQUIDS[0] <= viscosity <= LIQUIDS[1]:
+            hint += f"; a density is 'density: {viscosity:g}'"
+        document.warn("SIM200", (*location, "viscosity"), message, hint)
+
+
+def _warn_of_metres(
+    document: Document, location: Location, values: Mapping[str, Any]
+) -> bool:
+    """Warn of a rope or cloth in metres in a scene with a smaller unit."""
+    mass = values.get("mass") or 0.0
+    if values.get("start") and values.get("end"):
+        length = math.dist(values["start"], values["end"])
+        is_heavy = 0 < length < MIN_ROPE and mass > CHAIN * length
+        key, message = "to", f"the rope is {length_text(length)} long"
+    elif values.get("across") and values.get("up"):
+        sides = math.hypot(*values["across"]), math.hypot(*values["up"])
+        area = math.prod(sides)
+        is_heavy = 0 < max(sides) < MIN_ROPE and mass > MAX_SHEET * area
+        key, message = "across", f"the cloth has sides of {length_text(sides[0])} and "
+        message += length_text(sides[1])
+    else:
+        return False
+    if is_heavy:
+        message += f" and weighs {mass:g} kg"
+        hint = "the scene declares a smaller units.length; if the numbers are metres, "
+        hint += "remove it"
+        document.warn("SIM200", (*location, key), message, hint)
+    return bool(is_heavy)
 
 
 def _warn_of_ratio(
@@ -186,11 +203,8 @@ def _warn_of_body(
     document: Document, location: Location, body: Mapping[str, Any]
 ) -> None:
     """Warn about a body's density in g/cm³, mass in grams or friction in percent."""
-    density, friction = body.get("density"), body.get("friction")
-    if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
-        message = f"density {density:g} is {density:g} kg/m³, lighter than foam"
-        hint = f"for {density:g} g/cm³ write {density * GRAMS_PER_KILOGRAM:g}"
-        document.warn("SIM200", (*location, "density"), message, hint)
+    friction = body.get("friction")
+    _warn_of_matter(document, location, body)
     if isinstance(friction, int | float) and friction > MAX_FRICTION:
         message = f"friction {friction:g} is {friction:g} times the normal force"
         hint = f"for {friction:g}% write {friction / 100:g}"

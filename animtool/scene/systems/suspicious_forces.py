@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
+from animtool.core.quantities import length_text, plain_number
 from animtool.documents.document import Document, Location
 
 # Ten times that of Earth; the Sun's is 274 [m/s²].
@@ -19,13 +20,16 @@ ALIGNED_COSINE = 0.99
 MAX_WIND_SPEED = MAX_SPEED = 200.0
 # A bullet is smaller, and faster [m³], [m/s].
 MAX_BULLET_VOLUME, MAX_BULLET_SPEED = 1e-4, 3000.0
+# A bird flies as fast as a swift [m/s], and sees what it passes in this time [s].
+MAX_FLIGHT, MIN_SIGHT_TIME = 30.0, 1 / 12
+VISION_RADIUS = 2.0
 # Faster than any sprinter [m/s].
 MAX_RUN_SPEED = 15.0
+# Kilometres per hour in a metre per second.
+KMH = 3.6
 # A hundred times the pull of Earth [m/s²].
 MAX_ACCELERATION = 1000.0
-# Keys that these warnings look at, and the default mass of a particle [kg].
-FORCE_KEYS = {"gravity", "wind", "forces", "emitters", "fills", "bodies", "species"}
-FORCE_KEYS |= {"populations"}
+# The default mass of a particle [kg].
 PARTICLE_MASS = 1e-3
 
 _EntryValues = Mapping[str, Any]
@@ -63,7 +67,28 @@ def warn_of_forces(
             message = f"a speed of {speed:g} m/s is faster than {fastest}"
             document.warn("SIM200", location, message, _unit_hint(speed, unit))
             break
+    _warn_of_cruise(document, entry_path, values)
     _warn_of_large_forces(document, entry_path, values)
+
+
+def _warn_of_cruise(
+    document: Document, entry_path: Location, values: _EntryValues
+) -> None:
+    """Warn of members of a flock that fly faster than they see (SIM200)."""
+    for i, species in enumerate(values.get("species") or ()):
+        cruise = (species.get("speed") or {}).get("cruise")
+        radius = (species.get("vision") or {}).get("radius") or VISION_RADIUS
+        if not isinstance(cruise, int | float) or not MAX_FLIGHT < cruise <= MAX_SPEED:
+            continue
+        if cruise * MIN_SIGHT_TIME > radius:
+            message = f"speed.cruise {cruise:g} m/s is {cruise * KMH:.3g} km/h, and "
+            message += f"members see {length_text(radius)}, {radius / cruise:.2g} s"
+            hint = f"for {cruise:g} km/h write {cruise / KMH:.3g}, or a larger "
+            hint += "vision.radius"
+            document.warn(
+                "SIM200", (*entry_path, "species", i, "speed", "cruise"), message, hint
+            )
+            return
 
 
 def _unit_hint(speed: float, unit: float) -> str:
@@ -85,9 +110,12 @@ def _gravity_problem(gravity: Sequence[float], unit: float) -> tuple[str, str] |
         hint = f"write {down}; in an output with Z up, systems are rotated"
         return message, hint
     if size > MAX_GRAVITY:
-        ratio = size / EARTH_GRAVITY
-        message = f"gravity [{gravity_text}] is {size:g} m/s², {ratio:.3g} times that "
-        return f"{message}of Earth", f"Earth's is {EARTH_GRAVITY / unit:g}"
+        ratio = plain_number(size / EARTH_GRAVITY)
+        message = f"gravity [{gravity_text}] is {size:g} m/s², {ratio} times that of "
+        message += "Earth"
+        scaled = ", ".join(f"{value / unit / 100:g}" for value in gravity)
+        hint = f"for {size:g} cm/s² write [{scaled}]"
+        return message, hint if unit == 1 else f"Earth's is {EARTH_GRAVITY / unit:g}"
     is_earth = abs(size / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE
     if is_earth and gravity[1] >= ALIGNED_COSINE * size:
         return f"gravity [{gravity_text}] pulls up", f"write {down}"
@@ -208,10 +236,8 @@ def _warn_of_large_forces(
         if not isinstance(strength, int | float):
             continue
         if name == "turbulence" and strength > MAX_GRAVITY:
-            ratio = strength / EARTH_GRAVITY
-            message = (
-                f"turbulence of {strength:g} m/s² is {ratio:.3g} times Earth's pull"
-            )
+            ratio = plain_number(strength / EARTH_GRAVITY)
+            message = f"turbulence of {strength:g} m/s² is {ratio} times Earth's pull"
             hint = "its strength is an acceleration in metres per second squared"
             document.warn("SIM200", (*location, "strength"), message, hint)
             return

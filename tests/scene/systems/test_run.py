@@ -103,7 +103,7 @@ def test_a_name_that_another_has_is_said(tmp_path: Path) -> None:
 
 
 def test_particles_that_are_never_there_are_said(tmp_path: Path) -> None:
-    for emitter in ("{speed: 2}", "{rate: 9, start: 5}"):
+    for emitter in ("{speed: 2}", "{rate: 9, start: 5.5}"):
         systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
         assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == ["SIM188"]
     for emitter in ("{rate: 100}", "{bursts: [[0, 3]], lifetime: 0.01}"):

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from support.beasts import write_beast
 
+from animtool.core.errors import Fault
 from animtool.validation.run import validate
 
 ROPE = """\
@@ -36,6 +37,14 @@ BOX = BODY.replace("SHAPE", "box: {size: [0.2, 0.3, 0.2]}")
 BALL = BODY.replace("SHAPE", "sphere: {radius: 0.1}")
 
 
+FLUID = """\
+- fluid:
+    name: water
+    spacing: 0.1
+    fills: [{shape: {box: {size: [0.4, 0.4, 0.4]}}}]
+"""
+
+
 def codes(folder: Path, systems: str, head: str = "") -> list[str]:
     path = folder / "a.scene.yaml"
     text = f"scene: animtool/1\nfps: 24\nrange: [1, 2]\n{head}systems:\n{systems}"
@@ -62,6 +71,10 @@ def codes(folder: Path, systems: str, head: str = "") -> list[str]:
         (BOX, "mass: 1.5", "density: 20", False),  # foam
         (BOX, "mass: 1.5", "mass: 1.5, friction: 60", True),
         (BOX, "mass: 1.5", "mass: 1.5, friction: 1.5", False),
+        (FLUID, "spacing: 0.1", "spacing: 0.1\n    density: 1", True),
+        (FLUID, "spacing: 0.1", "spacing: 0.1\n    density: 70", False),  # hydrogen
+        (FLUID, "spacing: 0.1", "spacing: 0.1\n    viscosity: 1000", True),
+        (FLUID, "spacing: 0.1", "spacing: 0.1\n    viscosity: 10", False),  # lava
     ],
 )
 def test_lengths_masses_and_percentages(
@@ -104,6 +117,143 @@ def test_a_lifetime_within_a_long_scene(tmp_path: Path) -> None:
         head = f"scene: animtool/1\nfps: 24\nrange: [1, {last}]\nsystems:\n{dust}"
         path.write_text(f"{head}output: {{file: a.usda}}\n", "utf-8")
         assert ["SIM200"] * found == [fault.code for fault in validate(path)]
+
+
+def notices(folder: Path, systems: str, head: str = "", last: int = 48) -> list[Fault]:
+    path = folder / "a.scene.yaml"
+    text = f"scene: animtool/1\nfps: 24\nrange: [1, {last}]\n{head}systems:\n{systems}"
+    path.write_text(f"{text}output: {{file: a.usda}}\n", "utf-8")
+    return validate(path)
+
+
+LIFT = """\
+- rigid:
+    name: lift
+    bodies:
+    - {name: a, shape: {sphere: {radius: 1}}, kinematic: true, moves: ROWS}
+"""
+TUG = """\
+- rope:
+    from: [0, 3, 0]
+    to: [0, 0.8, 0]
+    count: 4
+    mass: 0.3
+    springs: {structural: {stiffness: 100, ratio: 0.1}}
+    pins: [{particles: [start], moves: ROWS}]
+"""
+
+
+@pytest.mark.parametrize("systems", [LIFT, TUG])
+@pytest.mark.parametrize(
+    ("rows", "found"),
+    [
+        ("[[0, 0, 0, 0], [24, 0, 2, 0], [48, 0, 0, 0]]", True),
+        ("[[1, 0, 0, 0], [24, 0, 2, 0]]", True),
+        ("[[0, 0, 0, 0], [1, 0, 2, 0], [2, 0, 0, 0]]", False),
+        ("[[0, 0, 0, 0], [5, 0, 2, 0], [10, 0, 0, 0]]", False),  # its beginning
+        ("[[0, 0, 0, 0], [24.5, 0, 2, 0]]", False),
+        ("[[0, 0, 0, 0], [3600, 0, 2, 0]]", False),  # steady
+    ],
+)
+def test_rows_in_frames(tmp_path: Path, systems: str, rows: str, found: bool) -> None:
+    said = notices(tmp_path, systems.replace("ROWS", rows))
+    assert ["SIM200"] * found == [one.code for one in said]
+    if found:
+        assert "1.96 s" in said[0].message
+    assert notices(tmp_path, systems.replace("ROWS", rows), last=2400) == []
+
+
+@pytest.mark.parametrize(
+    ("system", "found"),
+    [
+        ("particles: {emitters: [{rate: 9, speed: 3, start: 12, lifetime: 1}]}", True),
+        ("particles: {emitters: [{rate: 9, speed: 3, start: 1, end: 10}]}", False),
+        ("particles: {emitters: [{rate: 9, speed: 3, start: 2.5}]}", False),
+        ("particles: {emitters: [{speed: 3, bursts: [[12, 9], [36, 9]]}]}", True),
+        ("particles: {emitters: [{speed: 3, bursts: [[0, 9], [1, 9]]}]}", False),
+        ("fluid: {name: f, spacing: 0.1, emitters: [{radius: 0.3, opens: [[12, 36]]}]}",
+         True),
+        ("fluid: {name: f, spacing: 0.1, emitters: [{radius: 0.3, opens: [[0, 36]]}]}",
+         False),
+    ],
+)  # fmt: skip
+def test_starts_in_frames(tmp_path: Path, system: str, found: bool) -> None:
+    said = notices(tmp_path, f"- {system}\n")
+    assert [one.code for one in said].count("SIM200") == found
+    if found:
+        assert "frame 12 is 0.458 s" in (said[0].hint or "")
+
+
+DOOR = """\
+- rigid:
+    name: door
+    bodies:
+    - {name: frame, shape: {sphere: {radius: 0.1}}, kinematic: true}
+    - {name: door, shape: {sphere: {radius: 0.1}}, at: [1, 0, 0]}
+    joints: [{JOINT, body: door, to: frame}]
+"""
+
+
+@pytest.mark.parametrize(
+    ("joint", "hint"),
+    [
+        ("type: pin, limits: [0, 1.57]", "write [0, 90]"),
+        ("type: pin, limits: [-0.7854, 0.7854]", "write [-45, 45]"),
+        ("type: pin, limits: [0, 1.5]", None),
+        ("type: pin, limits: [-2, 2]", None),
+        ("type: pin, limits: [0, 90]", None),
+        ("type: prismatic, limits: [0, 1.57]", None),
+        ("type: ball, swing: 0.5236, twist: [-0.5236, 0.5236]", "write 30"),
+        ("type: ball, swing: 30", None),
+    ],
+)
+def test_joint_limits_in_radians(tmp_path: Path, joint: str, hint: str | None) -> None:
+    systems = DOOR.replace("JOINT", joint)
+    said = [one for one in notices(tmp_path, systems) if one.code == "SIM200"]
+    assert len(said) == (hint is not None)
+    assert not said or (said[0].hint or "").startswith(hint or "")
+    assert "SIM200" not in codes(tmp_path, systems, "units: {angle: rad}\n")
+
+
+BIRDS = """\
+- flocks:
+    name: birds
+    species:
+    - {name: a, count: 2, vision: {radius: 2.5, angle: 300}, speed: {cruise: 8}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "found"),
+    [
+        ("angle: 300", "angle: 5.2", True),
+        ("angle: 300", "angle: 30", False),  # a hunter
+        ("count: 2", "count: 2, spread: 0.35", True),
+        ("cruise: 8", "cruise: 40", True),
+        ("cruise: 8", "cruise: 25", False),  # swifts
+        ("2.5, angle: 300}, speed: {cruise: 8", "90}, speed: {cruise: 180", False),
+    ],
+)  # fmt: skip
+def test_flocks(tmp_path: Path, old: str, new: str, found: bool) -> None:
+    assert old in BIRDS
+    assert codes(tmp_path, BIRDS) == []
+    assert codes(tmp_path, BIRDS.replace(old, new)) == ["SIM200"] * found
+
+
+@pytest.mark.parametrize(
+    ("rotate", "found"),
+    [
+        ("[0.785, 0, 0, 1]", "45° about [0, 0, 1]"),
+        ("[45, 0, 0, 1]", "45° about [0, 0, 1]"),
+        ("[1, 0, 0.5, 0]", "write [0.8944, 0, 0.4472, 0], w first"),
+        ("[0.71, 0, 0.71, 0]", None),
+    ],
+)
+def test_quaternions(tmp_path: Path, rotate: str, found: str | None) -> None:
+    systems = BALL.replace("mass: 1.5", f"mass: 1.5, rotate: {rotate}")
+    said = notices(tmp_path, systems, last=2)
+    assert [one.code for one in said] == ["RIG110"] * (found is not None)
+    assert not said or (found or "") in (said[0].hint or "")
 
 
 PARTICLES = """\
@@ -185,6 +335,23 @@ def test_a_cable_may_be_long(tmp_path: Path) -> None:
     assert codes(tmp_path, cable.replace("mass: 0.3", "mass: 40")) == []
 
 
+@pytest.mark.parametrize(
+    ("systems", "found"),
+    [
+        (ROPE, True),
+        (CLOTH, True),
+        (ROPE.replace("0.8", "-7").replace("mass: 0.3", "mass: 0.05"), False),
+        (CLOTH.replace("mass: 1", "mass: 0.001"), False),
+    ],
+)  # fmt: skip
+def test_metres_in_a_scene_in_centimetres(
+    tmp_path: Path, systems: str, found: bool
+) -> None:
+    said = notices(tmp_path, systems, "units: {length: cm}\n", last=2)
+    assert [one.code for one in said] == ["SIM200"] * found
+    assert not said or "units.length" in (said[0].hint or "")
+
+
 def test_units_of_the_scene_count(tmp_path: Path) -> None:
     rope = ROPE.replace("[0, 3, 0]", "[0, 300, 0]").replace("0.8", "80")
     assert codes(tmp_path, rope) == ["SIM200"]
@@ -203,10 +370,28 @@ def test_units_of_the_scene_count(tmp_path: Path) -> None:
     ],
 )
 def test_gravity_and_wind_of_a_pass(options: str, found: bool, tmp_path: Path) -> None:
+    assert _codes_of_pass(tmp_path, f"simulate: {{what: [tail], {options}}}") == found
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ("gravity: 981", True),
+        ("gravity: 1.62", False),
+        ("density: 1.05", True),
+        ("density: 300", False),
+    ],
+)
+def test_a_ragdoll(options: str, found: bool, tmp_path: Path) -> None:
+    assert _codes_of_pass(tmp_path, f"ragdoll: {{{options}}}") == found
+
+
+def _codes_of_pass(folder: Path, entry: str) -> int:
+    """Return the number of SIM200 for a pass."""
     text = (
         "scene: animtool/1\nsource: {file: swing.clip.yaml}\noutput: {file: a.usda}\n"
     )
-    text += f"passes: [{{simulate: {{what: [tail], {options}}}}}]\n"
-    path = write_beast(tmp_path, text, bones=2, last=2, way=0)
+    text += f"passes: [{{{entry}}}]\n"
+    path = write_beast(folder, text, bones=2, last=2, way=0)
     codes = [fault.code for fault in validate(path)]
-    assert codes.count("SIM200") == found
+    return codes.count("SIM200")

@@ -1,0 +1,273 @@
+"""Warnings about systems that fall freely, start inside colliders, or are Z up."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.quantities import length_text
+from animtool.documents.document import Document, Location
+from animtool.maths import so3
+from animtool.scene.file.entries import SceneSystem
+from animtool.sim.colliders import Box, Collider, Colliders, Plane
+
+# A system that falls freely by more leaves the picture [m].
+MIN_FALL = 2.0
+EARTH = 9.81  # [m/s²]
+# Entries that start deeper than their size, by more than this, do so by mistake [m].
+MIN_DEPTH = 0.05
+# Thickness over width of a slab, and the sine of its slope when it is upright.
+SLAB, UPRIGHT = 0.1, 0.1
+# Height above the ground that no position of a crowd needs [m].
+MAX_HEIGHT = 2.0
+# Names of pins of each kind, in hints.
+_PINS = {"rope": "start", "cloth": "top_left"}
+
+
+class _Start(NamedTuple):
+    """Where an entry starts: points, and how far it reaches from them."""
+
+    location: Location
+    label: str
+    points: FloatArray  # (N, 3) [m]
+    reach: float  # [m]
+
+
+def warn_of_layout(
+    document: Document, systems: Sequence[SceneSystem], seconds: float
+) -> None:
+    """Warn of systems that nothing holds, and of starts inside planes.
+
+    Args:
+        document: The scene (SIM200, SIM201, SIM202).
+        systems: Its systems, with lengths in metres.
+        seconds: Time from its first to its last frame; 0 if unknown [s].
+    """
+    used_names = {
+        name
+        for system in systems
+        for name, _ in (*system.setup.around.needs, *system.setup.joined)
+    }
+    for system in systems:
+        at = ("systems", *system.setup.at[1:])
+        spec, around = system.setup.spec, system.setup.around
+        if system.kind == "crowds":
+            _warn_of_z_up(document, at, spec)
+            continue
+        starts = list(_starts(system.kind, at, spec))
+        if not system.setup.carriers and spec.resume is None:
+            _warn_of_planes(document, at, starts, around.colliders, "colliders")
+            kills = system.setup.parts.get("kill") or ()
+            _warn_of_planes(document, at, starts, kills, "kill")
+        fall = _fall(system.kind, spec) * seconds**2 / 2
+        others = around.needs or around.characters or around.meshes or around.tied
+        if fall <= MIN_FALL or others or system.name in used_names:
+            continue
+        if not around.colliders and not system.setup.joined:
+            _warn_of_fall(document, at, system, fall)
+        elif len(around.colliders) == 1:
+            _warn_of_upright(document, at, starts, around.colliders[0], fall)
+
+
+def _fall(kind: str, spec: Any) -> float:
+    """Return the acceleration of a system that nothing but gravity acts on [m/s²]."""
+    if kind in {"rope", "strands", "cloth", "volume"}:
+        held = spec.pins or spec.air is not None or spec.settle
+        return 0.0 if held else math.hypot(*spec.gravity)
+    if kind == "rigid":
+        moves = (
+            body.kinematic or body.pushes or any(body.velocity) or any(body.spin)
+            for body in spec.bodies
+        )
+        held = spec.stages or any(joint.to is None for joint in spec.joints)
+        return 0.0 if held or any(moves) else _gravity(spec.forces)
+    if kind == "fluid":
+        moves = (fill.velocities or any(fill.velocity) for fill in spec.fills)
+        held = spec.emitters or spec.drains
+        return 0.0 if held or any(moves) else _gravity(spec.forces)
+    return 0.0
+
+
+def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
+    """Return the gravity of forces; 0 with any other force [m/s²]."""
+    total = np.zeros(3)
+    for force in forces:
+        ((name, options),) = force.items()
+        if name != "gravity":
+            return 0.0
+        total += (options or {}).get("acceleration", (0.0, -EARTH, 0.0))
+    return float(np.linalg.norm(total))
+
+
+def _warn_of_fall(
+    document: Document, at: Location, system: SceneSystem, fall: float
+) -> None:
+    pins = hasattr(system.setup.spec, "pins")
+    held = "has no pins and nothing to collide with" if pins else "touches nothing"
+    message = f"{system.name} {held}: it falls freely, by {length_text(fall)} in the "
+    message += "range"
+    hint = "add a floor: colliders: [{shape: {plane: }}]"
+    if system.kind == "fluid":
+        hint = "add a floor or a tank under colliders; a tank has container: true"
+    elif system.kind in _PINS:
+        hint = f"pin it, such as pins: [{{particles: [{_PINS[system.kind]}]}}], or "
+        hint += "add colliders"
+    document.warn("SIM201", at, message, hint)
+
+
+def _warn_of_upright(
+    document: Document,
+    at: Location,
+    starts: Sequence[_Start],
+    collider: Collider,
+    fall: float,
+) -> None:
+    """Warn of a floor that its rotation makes a wall (SIM201)."""
+    if not isinstance(collider.shape, Box) or collider.container:
+        return
+    size, pose = np.asarray(collider.shape.size, np.float64), collider.poses.rows[0]
+    thin = so3.rotate(pose[3:], np.array([0.0, 1.0, 0.0]))
+    is_slab = size[1] <= SLAB * min(size[0], size[2])
+    if not is_slab or abs(thin[1]) > UPRIGHT or len(collider.poses.rows) > 1:
+        return
+    offsets = [start.points - pose[:3] for start in starts]
+    if not offsets or any(
+        (np.abs(offset[:, [0, 2]]) > size[[0, 2]] / 2).any() or (offset[:, 1] < 0).any()
+        for offset in offsets
+    ):
+        return
+    axis = "XYZ"[int(np.argmax(np.abs(thin)))]
+    message = "colliders[0] is a slab that stands upright: its rotate turns its thin "
+    message += f"side from Y to {axis}; nothing lies below {starts[0].label}, which "
+    message += f"falls by up to {length_text(fall)} in the range"
+    hint = "systems have Y up: remove the rotate, and check `at`"
+    document.warn("SIM201", (*at, "colliders", 0, "rotate"), message, hint)
+
+
+def _warn_of_planes(
+    document: Document,
+    at: Location,
+    starts: Sequence[_Start],
+    colliders: Sequence[Collider],
+    key: str,
+) -> None:
+    """Warn of entries that start wholly below a plane (SIM202)."""
+    for c, collider in enumerate(colliders):
+        if not isinstance(collider.shape, Plane):
+            continue
+        name = repr(collider.name) if collider.name else f"{key}[{c}]"
+        plane = Colliders([collider])
+        depths = [
+            -float(plane.sample(start.points, 0.0).distances.max()) for start in starts
+        ]
+        deep = [
+            (depth, start)
+            for depth, start in zip(depths, starts, strict=True)
+            if depth > start.reach + MIN_DEPTH
+        ]
+        if not deep:
+            continue
+        depth, start = max(deep, key=lambda entry: entry[0])
+        normal = so3.rotate(
+            collider.poses.rows[0, 3:], np.asarray(collider.shape.normal, np.float64)
+        )
+        is_down = normal[1] < -0.9 * np.linalg.norm(normal) and not collider.container
+        if is_down and len(deep) == len(starts):
+            message = f"the normal of {name} points down: everything above the plane "
+            message += f"is inside it, such as {start.label}"
+            location = (*at, key, c, "shape", "plane", "normal")
+            document.warn("SIM202", location, message, "write normal: [0, 1, 0]")
+            return
+        side = "outside" if collider.container else "inside"
+        if normal[1] > 0.99 * np.linalg.norm(normal):
+            side = "above" if collider.container else "below"
+        message = f"{start.label} starts {length_text(depth)} {side} {name}"
+        hint = f"move it by more than {length_text(depth + start.reach)}"
+        if side == "below":
+            hint = f"raise it by {length_text(depth + start.reach)} or more"
+            hint += ", or is the sign of its y wrong?" if start.points[0, 1] < 0 else ""
+        if key == "kill":
+            message = f"{name} removes everything that {start.label} emits: it starts "
+            message += f"{length_text(depth)} {side} it"
+            hint = "a plane removes what is below it; lower its offset, or turn its "
+            hint += "normal"
+        document.warn("SIM202", start.location, message, hint)
+        return
+
+
+def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:
+    """Yield where entries of a system start, without those of files and prims."""
+    if kind == "rigid":
+        for i, body in enumerate(spec.bodies):
+            shape = body.shape
+            if shape and not (body.kinematic or body.grid or body.points):
+                where = (*at, "bodies", i, "at")
+                yield _Start(where, repr(body.name), np.array([body.at]), _reach(shape))
+    elif kind in {"particles", "fluid"}:
+        for key, name in (("emitters", "emitter"), ("fills", "fill")):
+            for i, entry in enumerate(getattr(spec, key, ())):
+                shape = getattr(entry, "place", None) or getattr(entry, "shape", None)
+                if entry.prim or getattr(entry, "points", None):
+                    continue
+                if kind == "fluid" and key == "emitters":
+                    shape = {"disc": {"radius": max([entry.radius or 0.0, *(
+                        entry.size or ())])}}  # fmt: skip
+                label = repr(entry.name) if entry.name else f"{name} {i}"
+                reach, where = _reach(shape or {}), (*at, key, i, "at")
+                points = np.zeros((1, 3))
+                if shape and next(iter(shape)) == "box":
+                    points, reach = Box(shape["box"]["size"]).anchors(), 0.0
+                w, x, y, z = entry.rotate
+                rotation = so3.normalize(np.array([x, y, z, w]))
+                points = np.array(entry.at) + so3.rotate(rotation, points)
+                yield _Start(where, label, points, reach)
+    elif kind == "rope":
+        points = np.array([spec.start, spec.end])
+        yield _Start((*at, "from"), spec.name, points, 0.0)
+    elif kind == "cloth" and spec.mesh is None:
+        corner, across, up = map(np.array, (spec.corner, spec.across, spec.up))
+        points = corner + np.array([0 * up, across, up, across + up])
+        yield _Start((*at, "corner"), spec.name, points, 0.0)
+    elif kind == "volume" and spec.tetrahedra is None:
+        points = np.array([spec.corner, np.add(spec.corner, spec.size)])
+        yield _Start((*at, "corner"), spec.name, points, 0.0)
+
+
+def _reach(shape: Mapping[str, Any]) -> float:
+    """Return the radius of a shape about its origin; infinite if unknown [m]."""
+    ((name, options),) = shape.items() or (("point", None),)
+    values = options or {}
+    if name == "box":
+        return math.hypot(*values["size"]) / 2
+    if name in {"sphere", "capsule", "disc"}:
+        centre = math.hypot(*values.get("centre", (0.0, 0.0, 0.0)))
+        return float(values["radius"] + values.get("length", 0.0) / 2 + centre)
+    return 0.0 if name == "point" else math.inf
+
+
+def _warn_of_z_up(document: Document, at: Location, spec: Any) -> None:
+    """Warn of a crowd whose positions differ in y, but not in z (SIM200)."""
+    ground = spec.ground
+    if ground.shape is not None or ground.mesh is not None or ground.prim is not None:
+        return
+    entries = [
+        ((*at, key, i, "at"), entry.at)
+        for key in ("populations", "goals")
+        for i, entry in enumerate(getattr(spec, key))
+        if not getattr(entry, "points", None) and not getattr(entry, "prim", None)
+    ]
+    heights = [y - ground.at[1] for _, (_, y, _) in entries]
+    largest = max(heights, key=abs, default=0.0)
+    if any(z for _, (_, _, z) in entries) or abs(largest) <= MAX_HEIGHT:
+        return
+    location, (x, y, z) = entries[heights.index(largest)]
+    side = "above" if largest > 0 else "below"
+    message = f"[{x:g}, {y:g}, {z:g}] is {length_text(abs(largest))} {side} the ground"
+    message += ", which agents walk on: heights are ignored, and all z are 0"
+    hint = "systems have Y up: write positions and sizes [x, y, z] as [x, z, -y], "
+    hint += f"here [{x:g}, {z:g}, {-y:g}]"
+    document.warn("SIM200", location, message, hint)
