@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, Refusals, counted, refuse, warning
 from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.sim.colliders import Capsule, Collider, Colliders, Poses, Sphere
+from animtool.sim.colliders import Capsule, Collider, Colliders, Plane, Poses, Sphere
 from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.fluid.spec import FillModel, FluidEmitterModel, FluidModel
 
@@ -97,15 +97,39 @@ def _fill_motion(
         _check_outside(state[0], colliders, t, name)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
-    if colliders.rigid:
-        gaps = colliders.volumes.sample(points, t).distances.min(axis=0)
-        points = points[gaps >= (1 - ROUNDING) * spec.spacing / 2]
+    if colliders.rigid and len(points):
+        gaps = colliders.volumes.sample(points, t).distances
+        is_free = gaps.min(axis=0) >= (1 - ROUNDING) * spec.spacing / 2
+        if (gaps < 0).all(axis=1).any():
+            _refuse_enclosed(name, gaps, colliders)
+        points = points[is_free]
     if not len(points):
         message = f"{name} has no particles: it is thinner than the spacing of "
         message += f"{spec.spacing:g} m, or inside colliders"
         refuse("SIM064", message, "fills", "use a smaller spacing, or a larger fill")
     speeds = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
     return np.stack([points, speeds])
+
+
+def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
+    """Refuse a fill that is wholly inside a collider, with their distances [m]."""
+    c = int(np.argmax((gaps < 0).all(axis=1)))
+    collider, collider_name = _collider_at(c, colliders)
+    if collider.container:
+        message = f"{name} is outside the container {collider_name}"
+        refuse("SIM064", message, "fills", "move it inside")
+    message = f"{name} is inside the collider {collider_name}, which is solid"
+    hint = "move it out"
+    if not isinstance(collider.shape, Plane):
+        hint = "for a tank that holds it, add 'container: true' to the collider"
+    refuse("SIM064", message, "fills", hint)
+
+
+def _collider_at(c: int, colliders: Colliders) -> tuple[Collider, str]:
+    """Return a collider by its number in samples, and its name."""
+    bodies = [shape for system in colliders.bodies for shape in system.colliders]
+    collider = [*colliders, *bodies][c]
+    return collider, repr(collider.name) if collider.name else f"colliders[{c}]"
 
 
 def _fill_label(spec: FluidModel, i: int) -> str:
@@ -141,11 +165,7 @@ def _check_outside(
     if not is_inside.any():
         return
     collider_index, particle = (int(k) for k in np.argwhere(is_inside)[0])
-    bodies = [shape for system in colliders.bodies for shape in system.colliders]
-    collider = [*colliders, *bodies][collider_index]
-    collider_name = (
-        repr(collider.name) if collider.name else f"colliders[{collider_index}]"
-    )
+    collider, collider_name = _collider_at(collider_index, colliders)
     relation = "outside the container" if collider.container else "inside"
     depth = -gaps[collider_index, particle]
     message = f"particle {particle} of {name} starts {depth:g} m {relation} "

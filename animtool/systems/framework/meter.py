@@ -11,11 +11,16 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, percent_text, warning
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders, Mesh
 
 # Depth in a skin or a collider that is visible in a picture [m].
 VISIBLE_DEPTH = 2e-3
+# Depth that rounding explains [m].
+ROUNDING = 1e-9
+# What is deeper at the start is inside, not pressed in [m].
+START_DEPTH = 0.05
 # Visible strain of cloth: 99th percentile and maximum [1].
 VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
@@ -69,6 +74,7 @@ class ContactMeter:
     """Measures the peaks of depth, piercing and strain over frames."""
 
     seconds: bool = False  # whether frames are times in [s], as for systems
+    start: float | None = None  # first measured time of a system [s]
     depth: PeakValue = field(default_factory=PeakValue)  # in a skin or a collider [m]
     # Intersecting pairs of an edge and a triangle, with itself and with skins.
     pierced: PeakValue = field(default_factory=PeakValue)
@@ -96,6 +102,8 @@ class ContactMeter:
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
             layers: Other open surfaces, only tested for piercing.
         """
+        if self.seconds and self.start is None:
+            self.start = frame
         max_depths = np.zeros(len(points)) if depths is None else depths.copy()
         free = surface.free_particles
         for solid in solids:
@@ -148,8 +156,8 @@ class ContactMeter:
     def text(self) -> str:
         """Peaks as text; empty without contact and strain."""
         phrases = []
-        if self.depth.value > 0:
-            depth = f"{1000 * self.depth.value:.2g} mm deep in what it touches"
+        if self.depth.value > ROUNDING:
+            depth = f"{length_text(self.depth.value, 2)} deep in what it touches"
             phrases.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
             quantile = percent_text(self.strain_99.value)
@@ -163,9 +171,14 @@ class ContactMeter:
         """Return warnings of visible depth, piercing and strain (SIM180 to SIM182)."""
         notices, remedy = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
-            message = f"{subject} is {1000 * self.depth.value:.2g} mm deep in what it "
+            message = (
+                f"{subject} is {length_text(self.depth.value, 2)} deep in what it "
+            )
             message += f"touches ({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
+            starts_inside = self.seconds and self.depth.time == self.start
+            if starts_inside and self.depth.value > START_DEPTH:
+                hint = "it starts inside: move it out"
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")

@@ -29,6 +29,11 @@ from animtool.systems.framework.fields import (
 )
 from animtool.systems.framework.spec import SystemSpec
 
+NANOMETRE = 1e-9  # [m]
+FREEZING = 273.15  # 0 °C [K]
+# No molecule fits in a box so small, but a box in metres is [nm].
+MAX_METRES = 1e-5
+
 
 class AtomsModel(FileModel):
     """Atoms of one species; the defaults are those of argon."""
@@ -110,7 +115,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
     )
     scale: Positive = key("Metres per nanometre in the scene [m/nm].", 0.1, default=1.0)
     pace: Positive = key("Picoseconds per second [ps/s].", 5, default=1.0)
-    temperature: NotNegative = key("Initial temperature [K].", 94.4, default=0.0)
+    temperature: Real = key("Initial temperature [K], 0 or more.", 94.4, default=0.0)
     thermostat: ThermostatModel | None = key(
         "A heat bath; without one, energy is conserved.",
         {"temperatures": [[0, 94.4]]},
@@ -164,6 +169,9 @@ class MoleculesModel(PlacementModel, SystemSpec):
         if min_side < 2 * reach:
             message = f"the box is {min_side:g} nm wide, but twice the cut-off is "
             hint = f"use cutoff: {min_side / 2:.3g}, or a larger box"
+            if min_side < MAX_METRES:
+                numbers = ", ".join(f"{side / NANOMETRE:g}" for side in self.box)
+                hint = f"lengths of molecules are in nm: write [{numbers}]"
             yield f"{message}{2 * reach:g} nm", "box", hint
         if self.switch is not None and self.switch > reach:
             message = f"the switch starts at {self.switch:g} nm, beyond the cut-off of "
@@ -175,5 +183,11 @@ class MoleculesModel(PlacementModel, SystemSpec):
         times = [t for t, _ in rows]
         if times != sorted(set(times)):
             yield "times of the thermostat do not ascend", "thermostat", None
-        if any(temperature < 0 for _, temperature in rows):
-            yield "a temperature is below 0 K", "thermostat", None
+        temperatures = [("temperature", self.temperature)]
+        temperatures += [("thermostat", temperature) for _, temperature in rows]
+        for name, temperature in temperatures:
+            if temperature < 0:
+                kelvin = temperature + FREEZING
+                advice = f"for {temperature:g} °C write {kelvin:g}"
+                message = f"{temperature:g} K is below absolute zero"
+                yield message, name, advice if kelvin > 0 else None

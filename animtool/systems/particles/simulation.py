@@ -365,10 +365,7 @@ class ParticleSimulation:
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
         """Return the energy if it is conserved, and warnings."""
-        hint = "set a rate or bursts, and a start and a lifetime with which "
-        hint += "particles exist in the range"
-        message = "there are no particles in any frame"
-        empty_warning = warning("SIM188", message, hint)
+        empty_warning = self._empty_notice(t)
         return Diagnostics(
             self._energy(state, t),
             notices=self._notices,
@@ -376,6 +373,36 @@ class ParticleSimulation:
             steps=self._steps_taken,
             stable_step=lambda: self._stable_step(state),
         )
+
+    def _empty_notice(self, t: float) -> Fault:
+        """Return a warning that there are no particles until a time [s] (SIM188)."""
+        message = "there are no particles in any frame"
+        emitters = self.setup.emitters
+        killing = [
+            k
+            for k, region in enumerate(self._kill_regions)
+            if all(
+                (region.sample(one.poses.at(t)[None, :3], t).distances < 0).all()
+                for one in emitters
+            )
+        ]
+        if killing:
+            message += f": kill[{killing[0]}] contains all emitters"
+            hint = "a plane removes what is below it: lower its offset"
+            return warning("SIM188", message, hint, f"kill[{killing[0]}]")
+        begins = [
+            min([*(time for time, _ in one.bursts), one.start if one.rate else np.inf])
+            for one in emitters
+        ]
+        first = min(begins)
+        if t < first < np.inf:
+            message += f": the first emitter starts at {first:g} s, after the last "
+            message += f"frame, at {t:.3g} s"
+            hint = "times are in seconds from the first frame of the range"
+            where = f"emitters[{begins.index(first)}]"
+            return warning("SIM188", message, hint, where)
+        hint = "set a rate or bursts, and a start and a lifetime with which "
+        return warning("SIM188", message, hint + "particles exist in the range")
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
         """Return the energy of a state; None if it is not conserved."""

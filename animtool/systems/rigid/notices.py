@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 import numpy as np
 
 from animtool.core.errors import Fault, Severity, excerpt, warning
-from animtool.core.quantities import floor_to_two_digits, plain_number
+from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.systems.rigid.joints import Joints
 from animtool.systems.rigid.shared import RigidState
 
@@ -37,7 +37,7 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
     for k in order[np.isfinite(state.broken[order, 0])].tolist():
         t, force, torque = state.broken[k].tolist()
         message = f"joint {joints.names[k]!r} broke at {t:.4g} s, under "
-        message += f"{force:.4g} N and {torque:.4g} N m"
+        message += f"{plain_number(force, 4)} N and {plain_number(torque, 4)} N m"
         yield Fault("SIM197", message, severity=Severity.NOTE)
 
 
@@ -55,13 +55,15 @@ def depth_notices(
 
     max_depth, start_depth = state.deepest.tolist()
     if start_depth > MAX_START_OVERLAP * bounding_radius:
-        message = f"{pair_text(1)} start {start_depth:g} m inside each other: "
+        message = f"{pair_text(1)} start {length_text(start_depth)} inside each other: "
         message += "they are separated at up to 2 m/s"
-        yield warning("SIM126", message, "leave a small gap between them at the start")
+        hint = "leave a small gap between them at the start"
+        if start_depth > bounding_radius:
+            hint = "one is inside the other: move it out"
+        yield warning("SIM126", message, hint)
     elif max_depth > MAX_OVERLAP * bounding_radius:
-        message = (
-            f"{pair_text(0)} penetrated each other by up to {max_depth:g} m: from "
-        )
+        message = f"{pair_text(0)} penetrated each other by up to "
+        message += f"{length_text(max_depth)}: from "
         message += "several sides, or faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"
         yield warning("SIM123", message, hint)

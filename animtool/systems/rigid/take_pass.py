@@ -11,6 +11,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, warning
 from animtool.core.options import range_faults, ranges_of
+from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
@@ -25,7 +26,7 @@ from animtool.rig.joints import (
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType
-from animtool.sim.colliders import Collider, Colliders
+from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
@@ -44,6 +45,10 @@ from animtool.systems.rigid.shared import RigidState
 # Tolerated overshoot of joint limits [rad].
 ANGLE_TOLERANCE = math.radians(1.0)
 SLIDE_TOLERANCE = 0.001  # the same for prismatic joints [m]
+# Denser than the densest metal, 22 600 [kg/m³].
+MAX_DENSITY = 30000.0
+# Bodies that are wholly inside a collider, and deeper, are there by mistake [m].
+MIN_DEPTH = 0.02
 
 
 def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
@@ -82,7 +87,8 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         for collider in options.colliders
     ]
     speeds = ragdoll_velocities(ragdoll, world, times, first_index)
-    run = _start_run(ragdoll, options, targets, speeds, Colliders(shifted_colliders))
+    colliders = Colliders(shifted_colliders)
+    run = _start_run(ragdoll, options, targets, speeds, colliders)
     origins, frame_rotations = [], []
     for k in range(first_index, clock.count):
         frame = run.at(float(times[k] - times[first_index]))
@@ -113,6 +119,7 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         translations=Channel.from_dense(blended[0]),
         rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
+    context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
     context.notices.extend(
         _notices(ragdoll, run, fall_transforms, float(codes[first_index]))
     )
@@ -186,6 +193,47 @@ def _frame_index(
     return int(matches[0])
 
 
+def _start_notices(
+    ragdoll: Ragdoll, colliders: Colliders, mass: float | None
+) -> list[Fault]:
+    """Return warnings about a mass in grams, and bodies wholly inside colliders.
+
+    ``mass`` [kg] is the requested one (SIM126, SIM200).
+    """
+    notices = []
+    volume = sum(
+        math.pi * shape.radius**2 * (4 / 3 * shape.radius + shape.length)
+        for kind in ragdoll.bodies.kinds
+        for shape, _, _ in kind.shapes
+        if isinstance(shape, Capsule)
+    )
+    if mass is not None and mass > MAX_DENSITY * volume:
+        message = f"mass {mass:g} is {mass:g} kg: the colliders of the rig would have "
+        message += f"{plain_number(mass / volume)} kg/m³"
+        hint = f"for {mass:g} g write {mass / 1000:g}"
+        notices.append(warning("SIM200", message, hint, "mass"))
+    depths = np.zeros((len(ragdoll.joints), len(colliders)))
+    body_poses = zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True)
+    for i, (kind, poses) in enumerate(body_poses if len(colliders) else ()):
+        pose = poses.at(0.0)
+        cores = [core.transformed(pose[:3], pose[3:]) for core in kind.cores]
+        gaps = [
+            colliders.sample(core.points, 0.0).distances + core.radius for core in cores
+        ]
+        # Only a body without any point outside is inside.
+        depths[i] = -np.concatenate(gaps, axis=1).max(axis=1)
+    (inside,) = np.nonzero((depths > MIN_DEPTH).any(axis=1))
+    if not len(inside):
+        return notices
+    c = int(depths.max(axis=0).argmax())
+    name = repr(colliders[c].name) if colliders[c].name else f"colliders[{c}]"
+    count = f"{len(inside)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
+    message = f"{count} start wholly inside {name}, up to "
+    message += f"{length_text(float(depths.max()))} deep, and are pushed out"
+    hint = "move it away from the rig; the ground is usually at 0"
+    return [*notices, warning("SIM126", message, hint, f"colliders[{c}]")]
+
+
 def _notices(
     ragdoll: Ragdoll,
     run: SimulationRun,
@@ -203,8 +251,8 @@ def _notices(
     """
     rig = ragdoll.rig
     mass = float(ragdoll.bodies.masses.sum())
-    message = f"{counted(len(ragdoll.joints), 'body', 'bodies')} of {mass:.3g} kg "
-    message += f"fell from frame {first_frame:g} on"
+    message = f"{counted(len(ragdoll.joints), 'body', 'bodies')} of "
+    message += f"{plain_number(mass)} kg fell from frame {first_frame:g} on"
     worst_excess, worst_joint, worst_text = 0.0, "", ""
     coordinates = coordinates_from_local(rig, LocalTransforms(*fall_transforms))
     joints_with_parent = ragdoll.joints[ragdoll.parent_bodies >= 0].tolist()
@@ -220,9 +268,9 @@ def _notices(
         if excess > worst_excess:
             worst_excess, worst_joint = excess, rig.joints[j].name
             overshoot_text = (
-                f"{1000 * overshoot:.2g} mm"
+                length_text(overshoot, 2)
                 if is_prismatic
-                else f"{math.degrees(overshoot):.2g}°"
+                else angle_text(math.degrees(overshoot), 2)
             )
             worst_text = f"joint {worst_joint!r} exceeds its limits by {overshoot_text}"
     if worst_text:

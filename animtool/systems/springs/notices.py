@@ -49,7 +49,8 @@ def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
         particles = counted(simulation.grid.unresolved, "particle")
         message = f"{particles} could not be pushed out of colliders at once"
         hint = f"they keep {length_text(simulation.system.radius)} away (radius), and "
-        hint += "start inside, or colliders close in on them from several sides"
+        hint += "start inside, as below a floor, or colliders close in on them from "
+        hint += "several sides"
         notices.append(warning("SIM123", message, hint))
     if simulation.min_applied_fraction < 1:
         message = "what presses on a rigid body is heavier than the body: only "

@@ -73,7 +73,7 @@ def test_fills_end_half_a_spacing_before_walls_and_have_their_velocity() -> None
         assert_allclose(x, [*([0, y, 0] for y in ys), [7, 8, 9]], atol=1e-12)
         assert_allclose(v, [*[[1, 2, 3]] * len(ys), [4, 5, 6]])
     under = Colliders([Collider(Plane(), Poses.fixed((0, 0.19, 0)))])
-    with pytest.raises(AnimtoolError, match="fill 0 has no particle") as error:
+    with pytest.raises(AnimtoolError, match="fill 0 is inside the collider") as error:
         initial_fluid(own, [shape, given], under, 0.0)
     assert error.value.faults[0].code == "SIM064"
 

@@ -280,7 +280,8 @@ def test_what_cannot_be_is_refused_by_name(simulator: Simulator) -> None:
     assert "not finite" in refused(simulator, fills=[{"points": Point(bad)}])
     assert "SIM064" in refused(simulator, spacing=1e-6)
     assert "the limit is 10" in refused(simulator, max_particles=10)
-    assert "no particle" in refused(simulator, fills=[{**POOL, "at": [9, 9, 9]}])
+    outside = refused(simulator, fills=[{**POOL, "at": [9, 9, 9]}])
+    assert "is outside the container 'tank'" in outside
     assert "SIM064" in refused(simulator, fills=[])
     assert "SIM064" in refused(simulator, fills=[{"shape": {"plane": {}}}])
     assert "round or rect" in refused(simulator, emitters=[{"at": [0.3, 1, 0.3]}])

@@ -65,6 +65,17 @@ def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
     assert codes == ["SIM180", "SIM181"]
 
 
+def test_what_starts_inside_is_to_be_moved() -> None:
+    for first, hint in ((0.0, "move it out"), (-1.0, "slower motion")):
+        meter = ContactMeter(seconds=True)
+        if first:
+            meter.measure(first, SHEET + 9 * ALONG, sides(SHEET), [CUBE])
+        meter.measure(0.0, SHEET, sides(SHEET), [CUBE])
+        notice = meter.notices("the sheet")[0]
+        assert notice.message.startswith("the sheet is 100 mm deep")
+        assert hint in (notice.hint or "")
+
+
 def test_what_is_held_may_be_inside() -> None:
     meter = ContactMeter()
     meter.measure(1.0, SHEET, sides(SHEET, (1, 2)), [CUBE])

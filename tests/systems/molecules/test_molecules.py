@@ -266,10 +266,12 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
     ("keys", "text"),
     [
         ({"cutoff": 1.2}, "box is 2.1844 nm wide, but twice the cut-off is 2.4 nm"),
+        ({"box": [2.3e-9] * 3}, r"are in nm: write \[2.3, 2.3, 2.3\]"),
+        ({"temperature": -193}, "for -193 °C write 80.15"),
         ({"switch": 0.9}, "the switch starts at 0.9 nm, beyond the cut-off"),
         ({"block": [3, 1, 1]}, "the block is larger than the box"),
         ({"thermostat": {"temperatures": [[1, 9], [0, 9]]}}, "do not ascend"),
-        ({"thermostat": {"temperatures": [[0, -9]]}}, "below 0 K"),
+        ({"thermostat": {"temperatures": [[0, -9]]}}, "below absolute zero"),
         ({"colour": {"by": "taste"}}, "unknown quantity"),
         ({"step": 0.5}, "a step of 0.5 ps is too long"),
         ({"species": [{**ARGON, "charge": 1}]}, r"charges have a sum of 256 e"),

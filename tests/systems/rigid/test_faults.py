@@ -293,14 +293,14 @@ def test_the_deepest_of_bodies_and_colliders_are_named(tmp_path: Path) -> None:
         return fault.message
 
     floor = FLOOR | {"at": [0, -9, 0]}
-    assert "'nut 0' and 'nut 0.8' start 0.198" in said(*nuts)
-    assert "'nut 0' and 'lift' start 0.099" in said(
+    assert "'nut 0' and 'nut 0.8' start 198" in said(*nuts)
+    assert "'nut 0' and 'lift' start 99" in said(
         lift, nuts[2], nuts[0], colliders=[floor]
     )
-    assert "'nut 0' and 'wall' start 0.149" in said(
+    assert "'nut 0' and 'wall' start 150" in said(
         lift, nuts[0], colliders=[floor, wall]
     )
-    assert "'nut 0' and 'colliders[0]' start 0.499" in said(nuts[0], colliders=[FLOOR])
+    assert "'nut 0' and 'colliders[0]' start 499" in said(nuts[0], colliders=[FLOOR])
 
 
 @pytest.mark.parametrize(("distance", "warns"), [(3.9, 0), (4.1, 1)])

@@ -94,6 +94,23 @@ def test_what_nothing_holds_falls_as_a_whole() -> None:
     assert [notice.code for notice in take.notices] == ["SIM128"]
 
 
+@pytest.mark.parametrize(
+    ("height", "count"), [(-2.0, 0), (-0.4, 0), (0.05, 1), (0.3, 1), (0.6, 2), (3, 4)]
+)
+def test_bodies_inside_a_collider_at_the_start(height: float, count: int) -> None:
+    take = fallen(still(chain(), 3), colliders=[obstacle(Plane(), 0.0, height, 0.0)])
+    said = [one for one in take.notices if one.code == "SIM126"]
+    assert len(said) == bool(count)
+    assert not said or said[0].message.startswith(f"{count} of 4 bodies")
+
+
+def test_a_mass_in_grams() -> None:
+    for mass, codes in ((9.0, ["SIM128"]), (90_000.0, ["SIM200", "SIM128"])):
+        take = fallen(still(chain(), 3), mass=mass)
+        assert [one.code for one in take.notices] == codes
+        assert "e+" not in take.notices[-1].message
+
+
 def test_before_it_begins_all_stays() -> None:
     before = still(chain(), speed=1.0)
     after = fallen(before, start=12.0)
