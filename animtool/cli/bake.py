@@ -48,6 +48,8 @@ if TYPE_CHECKING:
 
 
 USD_SUFFIXES = {".usd", ".usda", ".usdc", ".usdz"}
+# Passes that simulate, which may take minutes.
+SIMULATING = {"simulate", "ragdoll"}
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
@@ -233,6 +235,10 @@ def _bake_outputs(
         console, "bake", params, shown_output, lambda: outline.files
     ):
         return
+    if scene is not None and (
+        scene.systems or any(entry.pass_.name in SIMULATING for entry in scene.passes)
+    ):
+        console.warn_early(outline.notices)
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     progress_bar = console.progress(f"bake {label}", stdout=to_stdout)
     with atomic_command(), progress_bar as progress:

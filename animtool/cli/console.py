@@ -11,7 +11,7 @@ from collections.abc import (
     Mapping,
 )
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import field, replace
 from typing import TYPE_CHECKING, TextIO, cast
 
 import click
@@ -117,6 +117,8 @@ class Console:
     debug: bool = False  # whether Python tracebacks are shown
     namer: ArgumentNamer = as_flag  # names arguments by flags of the command
     context: click.Context | None = None  # of the command
+    # Warnings that were written early, and are not repeated.
+    early_faults: set[Fault] = field(default_factory=set)
 
     def result(self, *lines: str) -> None:
         """Write result lines to stdout, control characters escaped."""
@@ -146,6 +148,13 @@ class Console:
         if self.verbosity > 0:
             self._write_line("debug", text)
 
+    def warn_early(self, faults: Iterable[Fault]) -> None:
+        """Write known warnings before long work, and skip them later."""
+        warnings = [one for one in faults if one.severity is Severity.WARNING]
+        if self.verbosity >= 0:
+            self.faults(warnings)
+            self.early_faults.update(warnings)
+
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
         """Write faults to stderr; errors even if quiet.
 
@@ -153,6 +162,8 @@ class Console:
         """
         sources = None
         for raw_fault in faults:
+            if raw_fault in self.early_faults:
+                continue
             fault = raw_fault.worded(self.namer)
             if fatal or self.verbosity >= 0 or fault.severity is Severity.ERROR:
                 code = self._colored(escaped(fault.code), _COLORS[fault.severity])

@@ -174,7 +174,8 @@ class ContactMeter:
             message = (
                 f"{subject} is {length_text(self.depth.value, 2)} deep in what it "
             )
-            message += f"touches ({self.depth.text})"
+            message += f"touches "
+            message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
             starts_inside = self.seconds and self.depth.time == self.start
             if starts_inside and self.depth.value > START_DEPTH:
