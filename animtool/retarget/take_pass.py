@@ -21,7 +21,7 @@ from animtool.core.errors import (
     listed,
 )
 from animtool.core.options import with_text_values
-from animtool.core.quantities import length_text
+from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
@@ -343,7 +343,9 @@ def _scale_warnings(scale: float) -> list[Fault]:
     smallest, largest = LIKELY_SCALES
     if smallest <= scale <= largest:
         return []
-    message = f"the rig is {scale:.3g} times the size of the person in the take"
+    message = (
+        f"the rig is {plain_number(scale)} times the size of the person in the take"
+    )
     hint = (
         f"is the unit right? {argument('source.unit')} sets that of a BVH take; a "
         "rig file states its own"

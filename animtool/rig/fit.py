@@ -10,6 +10,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, names_fault
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.faces import rigid_motion
@@ -267,7 +268,7 @@ def _score_text(fit: RigFit) -> str:
         f"{fit.rig_fraction:.0%} of the rig's",
         "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
         "lengths": f"{fit.length:.0%} apart",
-        "size": f"{fit.size:.3g} times the rig's",
+        "size": f"{plain_number(fit.size)} times the rig's",
         "up axis": f"{math.degrees(fit.tilt):.0f} degrees apart",
     }
     return ", ".join(

@@ -48,6 +48,8 @@ HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
 MAX_LENGTH_ERROR = 0.02
 # A smaller number beside an axis of length 1 is hardly an angle in degrees [deg].
 MIN_AXIS_ANGLE = 2.0
+# A number between, other than 1, may be one in radians [rad].
+MIN_AXIS_RADIANS = 0.5
 # Arms of cartoons stretch to a few times their length; more is a percentage [1].
 MIN_PERCENT_STRETCH = 5.0
 # Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
@@ -214,9 +216,8 @@ def _axis_angle_text(numbers: Sequence[float]) -> str | None:
     """
     for angle, axis in (numbers[0], numbers[1:]), (numbers[3], numbers[:3]):
         is_axis = abs(math.hypot(*axis) - 1) <= MAX_LENGTH_ERROR
-        is_radian = (
-            abs(angle) < MIN_AXIS_ANGLE and abs(abs(angle) - 1) > MAX_LENGTH_ERROR
-        )
+        is_small = MIN_AXIS_RADIANS <= abs(angle) < MIN_AXIS_ANGLE
+        is_radian = is_small and abs(abs(angle) - 1) > MAX_LENGTH_ERROR
         degrees = math.degrees(angle) if is_radian else angle
         if not is_axis or not MIN_AXIS_ANGLE <= abs(degrees) <= MAX_DEGREES:
             continue

@@ -134,7 +134,7 @@ class EnergyWatch:
             return ""
         ratio = self._system.stretch(t, state)
         if ratio is not None and not ratio <= self._options.stretch:
-            return f"a spring is {ratio:.3g} times its rest length"
+            return f"a spring is {plain_number(ratio)} times its rest length"
         return ""
 
 

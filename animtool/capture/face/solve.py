@@ -31,6 +31,7 @@ from animtool.core.errors import (
     listed,
     names_fault,
 )
+from animtool.core.quantities import plain_number
 
 # Frames of a window, and its overlap on both sides: a change propagates over a few
 # frames only.
@@ -179,7 +180,9 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
-        message = f"the captured face is {ratio:.3g} times the size of the rig's"
+        message = (
+            f"the captured face is {plain_number(ratio)} times the size of the rig's"
+        )
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
 

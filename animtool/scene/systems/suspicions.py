@@ -195,7 +195,7 @@ def _warn_of_sheet(
     area = math.hypot(*values["across"]) * math.hypot(*values["up"])
     mass = values.get("mass") or 0.0
     if area > 0 and mass > MAX_SHEET * area:
-        mass_text = f"the cloth has {area:.3g} m², {mass / area:.3g} kg/m²"
+        mass_text = f"the cloth has {area:.3g} m², {plain_number(mass / area)} kg/m²"
         _warn_of_grams(document, location, mass, mass_text)
 
 
@@ -211,7 +211,7 @@ def _warn_of_body(
         document.warn("SIM200", (*location, "friction"), message, hint)
     volume, mass = shape_volume(body.get("shape") or {}), body.get("mass")
     if mass and volume > 0 and mass > MAX_DENSITY * volume:
-        density_text = f"its density is {mass / volume:.3g} kg/m³"
+        density_text = f"its density is {plain_number(mass / volume)} kg/m³"
         _warn_of_grams(document, location, mass, density_text)
 
 

@@ -53,7 +53,7 @@ def warn_of_layout(
         for name, _ in (*system.setup.around.needs, *system.setup.joined)
     }
     for system in systems:
-        at = ("systems", *system.setup.at[1:])
+        at = system.setup.location
         spec, around = system.setup.spec, system.setup.around
         if system.kind == "crowds":
             _warn_of_z_up(document, at, spec)

@@ -19,6 +19,7 @@ from animtool.core.errors import (
     percent_text,
     warning,
 )
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import ColliderBuilder, Pass, PassContext, Scope, TakePart
@@ -245,7 +246,7 @@ def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
     )
     if loop_closure.is_steered:
         message += "it did not close by itself and was steered to the cycle before; "
-    message += f"its ends differ by {1000 * loop_closure.residual:.3g} mm"
+    message += f"its ends differ by {plain_number(1000 * loop_closure.residual)} mm"
     visible_residual = VISIBLE_DEPTH if loop_closure.is_steered else 0.0
     if loop_closure.residual <= max(loop_closure.tolerance, visible_residual):
         return Fault("SIM130", message, severity=Severity.NOTE)

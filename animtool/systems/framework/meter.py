@@ -171,10 +171,8 @@ class ContactMeter:
         """Return warnings of visible depth, piercing and strain (SIM180 to SIM182)."""
         notices, remedy = [], "a shorter step" if self.seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
-            message = (
-                f"{subject} is {length_text(self.depth.value, 2)} deep in what it "
-            )
-            message += f"touches "
+            depth = length_text(self.depth.value, 2)
+            message = f"{subject} is {depth} deep in what it touches "
             message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
             starts_inside = self.seconds and self.depth.time == self.start

@@ -119,8 +119,10 @@ def _convergence_hint(simulation: _Simulation) -> str:
     spring_mass = float(system.free_masses.sum())
     if lightest is not None and lightest[1] < MIN_MASS_RATIO * spring_mass:
         name, mass = lightest
-        advice = f"more mass than {mass:.3g} kg for {excerpt(name)}, which the "
-        advice += f"springs of {spring_mass:.3g} kg make unstable"
+        advice = (
+            f"more mass than {plain_number(mass)} kg for {excerpt(name)}, which the "
+        )
+        advice += f"springs of {plain_number(spring_mass)} kg make unstable"
         hint = advice if step is None else f"{hint}, or {advice}"
     return hint
 

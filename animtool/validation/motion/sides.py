@@ -9,6 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed
+from animtool.core.quantities import plain_number
 from animtool.maths import so3
 from animtool.validation.motion.body import body_carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
@@ -118,7 +119,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         message = (
             f"{np.count_nonzero(is_different)} of {len(bones)} bones have a different "
             f"length in the bind pose; that to {rig.joints[joint].name!r} is "
-            f"{ratios[most_different]:.3g} times its rest length"
+            f"{plain_number(ratios[most_different])} times its rest length"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return

@@ -12,6 +12,7 @@ import numpy as np
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
+from animtool.core.quantities import plain_number
 from animtool.motion.quaternion_order import ORDER_HINT, swapped_order
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import Stance, measure_stance
@@ -267,7 +268,7 @@ def _factor_text(factor: float) -> str:
     >>> _factor_text(100.0), _factor_text(0.01)
     ('100 times', '1/100')
     """
-    return f"{factor:.3g} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
+    return f"{plain_number(factor)} times" if factor >= 1.0 else f"1/{1.0 / factor:.3g}"
 
 
 def _length_text(meters: float) -> str:
@@ -277,7 +278,7 @@ def _length_text(meters: float) -> str:
     ('1.2 mm', '158 m')
     """
     if meters < 0.01:
-        return f"{1000.0 * meters:.3g} mm"
+        return f"{plain_number(1000.0 * meters)} mm"
     if meters < 1.0:
         return f"{100.0 * meters:.3g} cm"
     return f"{meters:.4g} m"

@@ -237,7 +237,7 @@ BIRDS = """\
 def test_flocks(tmp_path: Path, old: str, new: str, found: bool) -> None:
     assert old in BIRDS
     assert codes(tmp_path, BIRDS) == []
-    assert codes(tmp_path, BIRDS.replace(old, new)) == ["SIM200"] * found
+    assert codes(tmp_path, BIRDS.replace(old, new)).count("SIM200") == found
 
 
 @pytest.mark.parametrize(
