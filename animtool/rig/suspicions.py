@@ -218,7 +218,7 @@ def _axis_angle_text(numbers: Sequence[float]) -> str | None:
         is_axis = abs(math.hypot(*axis) - 1) <= MAX_LENGTH_ERROR
         is_small = MIN_AXIS_RADIANS <= abs(angle) < MIN_AXIS_ANGLE
         is_radian = is_small and abs(abs(angle) - 1) > MAX_LENGTH_ERROR
-        degrees = math.degrees(angle) if is_radian else angle
+        degrees = round(math.degrees(angle), 1) if is_radian else angle
         if not is_axis or not MIN_AXIS_ANGLE <= abs(degrees) <= MAX_DEGREES:
             continue
         half = math.radians(degrees) / 2
