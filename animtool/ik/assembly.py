@@ -27,14 +27,14 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 @dataclass
 class _Frame:
-    """A joint's frame relative to its parent node [m]."""
+    """A joint's frame in its parent node [m]."""
 
     node: int
     translation: FloatArray
     rotation: FloatArray
 
-    def carry(self, translation: FloatArray, rotation: FloatArray) -> _Frame:
-        """Return a child frame's pose, transformed by this frame."""
+    def transform(self, translation: FloatArray, rotation: FloatArray) -> _Frame:
+        """Return a child's frame, transformed from this frame to the parent node."""
         transformed = self.translation + so3.rotate(self.rotation, translation)
         return _Frame(self.node, transformed, so3.multiply(self.rotation, rotation))
 
@@ -45,7 +45,7 @@ class _ChainBuilder:
     def __init__(self, rig: Rig, pose: FloatArray) -> None:
         self.rig = rig
         self.slices = coordinate_slices(rig)
-        self.ranges = _ranges(rig)
+        self.ranges = _coordinate_ranges(rig)
         self.nodes: list[list[int]] = []
         self.rests: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -68,88 +68,101 @@ class _ChainBuilder:
         spec = self.rig.joints[joint]
         match spec.type:
             case JointType.PIN | JointType.PRISMATIC:
-                return self._single(joint, frame)
+                return self._add_axis_joint(joint, frame)
             case JointType.FREE:
                 first = self.slices[joint].start
                 for i in range(3):
-                    frame = self._slide(first + i, frame, np.eye(3)[i])
-                return self._ball(first + 3, spec, frame)
+                    frame = self._add_slide(first + i, frame, np.eye(3)[i])
+                return self._add_ball(first + 3, spec, frame)
         self.balls[joint] = len(self.columns)
-        return self._ball(self.slices[joint].start, spec, frame)
+        return self._add_ball(self.slices[joint].start, spec, frame)
 
     def sources(self) -> dict[int, CoordinateSource]:
         """Return the chain coordinates that drivers may read, by joint."""
         sources = {j: CoordinateSource(column) for j, column in self.balls.items()}
         for j, joint in enumerate(self.rig.joints):
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
-                leader, gain, shift = _leader(self.rig, j)
+                leader, gain, shift = _leader_of(self.rig, j)
                 if leader in self.leader_columns:
                     sources[j] = CoordinateSource(
                         self.leader_columns[leader], gain, shift
                     )
         return sources
 
-    def _node(
+    def _add_node(
         self,
         kind: int,
         frame: _Frame,
         rotation: FloatArray,
         coordinate: int,
         *,
-        follows: int = 0,
+        driver_kind: int = 0,
         gain: tuple[float, float] = (1.0, 0.0),
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
-        self.nodes.append([kind, frame.node, coordinate, follows])
+        """Append a node to the chain; return its frame."""
+        self.nodes.append([kind, frame.node, coordinate, driver_kind])
         self.rests.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
         self.limits.append(limit)
         return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(rotation))
 
-    def _slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
+    def _add_slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
+        """Append a slide along an axis; return the frame that it moves."""
         self.columns.append(column)
         self.lengths.append(True)
         self.periods.append((-np.inf, np.inf))
-        return self._node(SLIDE, frame, _z_onto(axis), len(self.columns) - 1)
+        return self._add_node(
+            SLIDE, frame, _rotation_from_z(axis), len(self.columns) - 1
+        )
 
-    def _single(self, joint: int, frame: _Frame) -> _Frame:
-        leader, gain, shift = _leader(self.rig, joint)
+    def _add_axis_joint(self, joint: int, frame: _Frame) -> _Frame:
+        """Append the node of a pin or prismatic joint; return its frame."""
+        leader, gain, shift = _leader_of(self.rig, joint)
         spec = self.rig.joints[joint]
         kind = PIN if spec.type is JointType.PIN else SLIDE
         if self.programs is not None and joint in self.programs.plan.joints:
-            rotation = _z_onto(np.asarray(spec.axis, np.float64))
-            program = self.programs.ask(joint)
-            return self._node(kind, frame, rotation, program, follows=FOLLOWS_PROGRAM)
-        rotation = _z_onto(np.asarray(spec.axis, np.float64))
+            rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
+            program = self.programs.request_index(joint)
+            return self._add_node(
+                kind, frame, rotation, program, driver_kind=FOLLOWS_PROGRAM
+            )
+        rotation = _rotation_from_z(np.asarray(spec.axis, np.float64))
         if leader in self.leader_columns:
             column = self.leader_columns[leader]
-            return self._node(
-                kind, frame, rotation, column, follows=1, gain=(gain, shift)
+            return self._add_node(
+                kind, frame, rotation, column, driver_kind=1, gain=(gain, shift)
             )
         low, high = self.ranges.get(leader, (-np.inf, np.inf))
-        leader_range = self.rig.joints[leader]
-        length = leader_range.type is JointType.PRISMATIC
+        leader_joint = self.rig.joints[leader]
+        is_length = leader_joint.type is JointType.PRISMATIC
         column = self.leader_columns[leader] = len(self.columns)
         self.columns.append(self.slices[leader].start)
-        self.lengths.append(length)
+        self.lengths.append(is_length)
         is_unlimited = (
-            not length
+            not is_length
             and high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
             and gain == 1.0
         )
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else (-np.inf, np.inf))
-        limit = (-np.inf, np.inf) if is_unlimited else (low, high)
-        return self._node(
-            kind, frame, rotation, column, gain=(gain, shift), limit=(*limit, 0.0, 0.0)
+        limits_of_angle = (-np.inf, np.inf) if is_unlimited else (low, high)
+        return self._add_node(
+            kind,
+            frame,
+            rotation,
+            column,
+            gain=(gain, shift),
+            limit=(*limits_of_angle, 0.0, 0.0),
         )
 
-    def _ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
+    def _add_ball(self, column: int, spec: Joint, frame: _Frame) -> _Frame:
+        """Append the node of a ball joint; return its frame."""
         rotation, limit = so3.IDENTITY, (np.inf, np.inf, -np.inf, np.inf)
         if isinstance(spec.limits, BallLimit):
-            twist_axis, first, second = spec.limits.axes
-            basis = np.stack([first, second, twist_axis], axis=1)
+            twist_axis, first_swing_axis, second_swing_axis = spec.limits.axes
+            basis = np.stack([first_swing_axis, second_swing_axis, twist_axis], axis=1)
             rotation = so3.from_matrix(basis)
             swing = spec.limits.swing or (np.inf, np.inf)
             twist = spec.limits.twist or (-np.inf, np.inf)
@@ -161,17 +174,17 @@ class _ChainBuilder:
         self.lengths += [False] * 4
         self.periods += [(-np.inf, np.inf)] * 4
         self.ball_rotations.append((first_column, so3.conjugate(rotation)))
-        return self._node(BALL, frame, rotation, first_column, limit=limit)
+        return self._add_node(BALL, frame, rotation, first_column, limit=limit)
 
 
-def _z_onto(axis: FloatArray) -> FloatArray:
+def _rotation_from_z(axis: FloatArray) -> FloatArray:
     """Return the shortest rotation that takes z onto a unit axis."""
     if axis[2] < -1 + 1e-9:
         return np.array([1.0, 0.0, 0.0, 0.0])
     return so3.normalize(np.array([-axis[1], axis[0], 0.0, 1 + axis[2]]))
 
 
-def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
+def _leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
     """Return the joint that leads a mimic joint, with gain and offset."""
     gain, shift = 1.0, 0.0
     visited_joints = set()
@@ -185,7 +198,7 @@ def _leader(rig: Rig, joint: int) -> tuple[int, float, float]:
     return joint, gain, shift
 
 
-def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
+def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
     """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
     ranges: dict[int, tuple[float, float]] = {}
     for j, joint in enumerate(rig.joints):
@@ -193,14 +206,14 @@ def _ranges(rig: Rig) -> dict[int, tuple[float, float]]:
             continue
         if joint.type not in {JointType.PIN, JointType.PRISMATIC}:
             continue
-        leader, gain, shift = _leader(rig, j)
+        leader, gain, shift = _leader_of(rig, j)
         if gain == 0:
             continue
-        limits_of_leader = sorted(
+        leader_limits = sorted(
             [(joint.limits.low - shift) / gain, (joint.limits.high - shift) / gain]
         )
         low, high = ranges.get(leader, (-np.inf, np.inf))
-        ranges[leader] = max(low, limits_of_leader[0]), min(high, limits_of_leader[1])
+        ranges[leader] = max(low, leader_limits[0]), min(high, leader_limits[1])
     return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
 
 
@@ -222,16 +235,20 @@ def assemble(
         at_root = _Frame(-1, np.zeros(3), so3.IDENTITY)
         parent = frames[joint.parent] if joint.parent >= 0 else at_root
         if j in moving:
-            rest_frame = parent.carry(rig.rest_translations[j], rig.rest_rotations[j])
+            rest_frame = parent.transform(
+                rig.rest_translations[j], rig.rest_rotations[j]
+            )
             frames[j] = builder.add(j, rest_frame)
         else:
-            frames[j] = parent.carry(local.translations[0, j], local.rotations[0, j])
+            frames[j] = parent.transform(
+                local.translations[0, j], local.rotations[0, j]
+            )
     for j in sorted(moving - joints_above_goals):
         # Joints that move goals only through mimic joints: their position is
         # irrelevant.
         builder.add(j, _Frame(-1, np.zeros(3), so3.IDENTITY))
     limbs, faults = _limbs(rig, goals, moving, frames, local)
-    return _finish(builder, rig, goals, frames, limbs), faults
+    return _build_chain(builder, rig, goals, frames, limbs), faults
 
 
 def _limbs(
@@ -266,13 +283,14 @@ def _limbs(
     return limbs, faults
 
 
-def _finish(
+def _build_chain(
     builder: _ChainBuilder,
     rig: Rig,
     goals: Sequence[Goal],
     frames: dict[int, _Frame],
     limbs: list[tuple[int, int]],
 ) -> Chain:
+    """Return the finished chain of a builder, with lengths relative to its own."""
     goal_frames = [frames[rig.index(goal.joint)] for goal in goals]
     tools = [
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
@@ -281,7 +299,7 @@ def _finish(
     points = [
         end.translation + tool for end, tool in zip(goal_frames, tools, strict=True)
     ]
-    length = _length(builder, goal_frames, points)
+    length = _chain_length(builder, goal_frames, points)
     scales = np.where(builder.lengths, length, 1.0)
     nodes, numbers = _node_rows(builder, scales, length)
     goal_numbers = [
@@ -295,9 +313,11 @@ def _finish(
     ]
     goal_nodes = [
         [end.node, *limb, level]
-        for end, limb, level in zip(goal_frames, limbs, _levels(goals), strict=True)
+        for end, limb, level in zip(
+            goal_frames, limbs, _priority_levels(goals), strict=True
+        )
     ]
-    widths = {PIN: 1, SLIDE: 1, BALL: 3}
+    degrees_by_kind = {PIN: 1, SLIDE: 1, BALL: 3}
     return Chain(
         nodes,
         numbers,
@@ -308,7 +328,11 @@ def _finish(
         scales,
         np.array(builder.periods, np.float64),
         tuple(builder.ball_rotations),
-        sum(widths[kind] for kind, _, _, follows in builder.nodes if not follows),
+        sum(
+            degrees_by_kind[kind]
+            for kind, _, _, follows in builder.nodes
+            if not follows
+        ),
         length,
     )
 
@@ -331,7 +355,7 @@ def _node_rows(
     limits = np.array(builder.limits)
     single_columns = nodes[:, 0] != BALL
     limits[single_columns, :2] /= coordinate_scales[single_columns, None]
-    numbers = np.concatenate(
+    node_numbers = np.concatenate(
         [
             np.array(builder.rests).reshape(-1, 9),
             np.array(builder.offsets) / length,
@@ -346,20 +370,20 @@ def _node_rows(
             builder.sources(), scales
         )
         nodes[programs, 2] = np.array(requested, np.int64)[nodes[programs, 2]]
-        padding = np.zeros((len(program_rows), numbers.shape[1]))
+        padding = np.zeros((len(program_rows), node_numbers.shape[1]))
         padding[:, :6] = np.array(values).reshape(-1, 6)
         nodes = np.concatenate([nodes, np.array(program_rows, np.int64).reshape(-1, 4)])
-        numbers = np.concatenate([numbers, padding])
-    return nodes, np.ascontiguousarray(numbers)
+        node_numbers = np.concatenate([node_numbers, padding])
+    return nodes, np.ascontiguousarray(node_numbers)
 
 
-def _levels(goals: Sequence[Goal]) -> list[int]:
-    """Return the ranks of the goals' priorities, from 0 without gaps."""
+def _priority_levels(goals: Sequence[Goal]) -> list[int]:
+    """Return the goals' priorities as levels 0, 1, … without gaps."""
     ranks = sorted({goal.priority for goal in goals})
     return [ranks.index(goal.priority) for goal in goals]
 
 
-def _length(
+def _chain_length(
     builder: _ChainBuilder, goal_frames: list[_Frame], points: list[FloatArray]
 ) -> float:
     """Return the longest bone path to a goal, else the longest slide, else 1 [m]."""

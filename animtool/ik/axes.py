@@ -1,4 +1,4 @@
-"""Targets written for another up axis or unit."""
+"""Detects targets that use another up axis or unit."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def up_axis_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
     if target is None:
         return None
     point, start, reach = target
-    other = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
-    turned = so3.rotate(np.array(up_from_up(rig.up, other)), point)
-    distances = np.linalg.norm(np.array([point, turned]) - start, axis=1)
-    if not distances[1] <= reach < distances[0]:
+    other_up = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
+    turned = so3.rotate(np.array(up_from_up(rig.up, other_up)), point)
+    distances = np.linalg.norm(np.array([point, rotated_point]) - start, axis=1)
+    if not distances[1] <= bone_length < distances[0]:
         return None
     axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
     return (
-        f"the rig is {rig.up}-up: if the targets are {other}-up, write [x, y, z] as "
+        f"the rig is {rig.up}-up: if the targets are {other_up}-up, write [x, y, z] as "
         f"{axes}"
     )
 

@@ -10,19 +10,25 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.ik.chain import BALL, Chain, difference, moved, unwound, with_periods
-from animtool.ik.goals import Targets, by_unit, rows_of
+from animtool.ik.chain import (
+    BALL,
+    Chain,
+    apply_steps,
+    difference,
+    unwrap_angles,
+    with_periods,
+)
+from animtool.ik.goals import Targets, by_unit, targets_of_frames
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 from animtool.ik.solving import solve
 
 # Cost of a frame that misses its goals, in squared radians: more than any jump.
-MISSED_COST = 1e4
+MISS_COST = 1e4
 # Weight factor per priority level [1].
 PRIORITY_FACTOR = 1e-2
-# Poses whose cost exceeds another's by at most this miss their goals equally, see
-# `price`.
+# Costs that differ by at most this count as equal misses, see `miss_cost`.
 EQUAL_COST = 1e-3
 # Poses nearer than this belong to one branch [rad], [fraction of the length].
 SAME_BRANCH = 1e-3
@@ -47,7 +53,7 @@ class Interval:
     frames: range  # of the interval; paths differ from the first on
     jump_frame: int  # the frame that should be reached without a jump
     poses: FloatArray  # the current path, chain coordinates ``(L, C)``
-    costs: FloatArray  # miss cost of each frame, see `price` ``(L,)``
+    costs: FloatArray  # miss cost of each frame, see `miss_cost` ``(L,)``
     # Source motion that the path modifies ``(L, C)``; a repeated pose if there is none.
     reference: FloatArray
     # Largest joint step without penalty, for each frame pair ``(L - 1,)``.
@@ -61,19 +67,21 @@ class Interval:
         """The kinematic chain of the problem."""
         return self.problem.chain
 
-    def solved(
+    def solve_frames(
         self, starts: FloatArray, frames: IntArray, steps: int = START_ITERATIONS
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses ``(B, C)`` solved from starts at frames of a clip, and costs."""
+        """Solve frames of the clip from starts; return poses ``(B, C)`` and costs."""
         rows = self.problem.chain.into_rig(starts, self._empty_rows(len(starts)))
         frame_options = replace(self.options, warm=False, restarts=0, iterations=steps)
         result = self._solve(rows, frames, frame_options)
         poses = self.chain.from_rig(result.coordinates)
-        misses = weighed(self.problem, result.misses, rows_of(self.targets, frames))
-        return poses, price(misses, result.converged)
+        misses = weight_misses(
+            self.problem, result.misses, targets_of_frames(self.targets, frames)
+        )
+        return poses, miss_cost(misses, result.converged)
 
-    def tracked(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Return poses tracked from one pose through rows, and how many reach goals."""
+    def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
+        """Track a pose through rows; return poses and how many reach the goals."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
@@ -92,19 +100,19 @@ class Interval:
     def _solve(
         self, starts: FloatArray, frames: IntArray, options: IkOptions
     ) -> IkResult:
-        targets = rows_of(self.targets, frames)
+        targets = targets_of_frames(self.targets, frames)
         preferred = self.preferred[frames]
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _empty_rows(self, count: int) -> FloatArray:
         return np.zeros((count, self.problem.coordinates))
 
-    def changed(self, poses: FloatArray, row: int) -> FloatArray:
+    def difference_from_reference(self, poses: FloatArray, row: int) -> FloatArray:
         """Return the difference of poses from a reference row ``(..., D)``."""
         return difference(self.chain, self.reference[row], poses)
 
 
-def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArray:
+def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArray:
     """Return misses ``(F, E, 4)`` [m], [rad] weighted for a search ``(F, E, 4)`` [1].
 
     As in the solver, misses are scaled by goal weights, and goals of lower priority
@@ -122,13 +130,13 @@ def weighed(problem: Problem, misses: FloatArray, targets: Targets) -> FloatArra
     return np.asarray(np.where(counts > 0, relative_misses, 0.0) * counts, np.float64)
 
 
-def price(misses: FloatArray, reached: BoolArray) -> FloatArray:
-    """Return the cost of weighted misses, 0 where goals are reached ``(F,)``."""
-    cost = MISSED_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
+def miss_cost(misses: FloatArray, reached: BoolArray) -> FloatArray:
+    """Return the cost of weighted misses ``(F,)``; 0 where goals are reached."""
+    cost = MISS_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
     return np.where(reached, 0.0, cost)
 
 
-def forgiving(costs: FloatArray, slack: float) -> FloatArray:
+def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
     """Return costs of paths ``(K, L)``, equal for misses near the smallest.
 
     In each frame, a path whose miss exceeds the smallest by at most ``slack``
@@ -136,17 +144,17 @@ def forgiving(costs: FloatArray, slack: float) -> FloatArray:
     """
     smallest = costs.min(axis=0)
     limit = np.where(
-        smallest > 0, MISSED_COST * (1.0 + (missed_by(smallest) + slack) ** 2), 0.0
+        smallest > 0, MISS_COST * (1.0 + (miss_of_cost(smallest) + slack) ** 2), 0.0
     )
     return np.where(costs <= limit, smallest, costs)
 
 
-def missed_by(costs: FloatArray) -> FloatArray:
-    """Return the weighted miss of a cost; the inverse of `price`."""
-    return np.sqrt(np.maximum(costs / MISSED_COST - 1.0, 0.0))
+def miss_of_cost(costs: FloatArray) -> FloatArray:
+    """Return the weighted miss of a cost; the inverse of `miss_cost`."""
+    return np.sqrt(np.maximum(costs / MISS_COST - 1.0, 0.0))
 
 
-def branches(
+def find_branches(
     interval: Interval, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return candidate paths through an interval ``(K, L, C)``, and costs ``(K, L)``.
@@ -157,70 +165,68 @@ def branches(
     """
     jump_row = interval.jump_frame - interval.frames.start
     starts = [interval.poses[jump_row], interval.poses[jump_row - 1]]
-    starts += list(_scattered(interval, interval.poses[jump_row], count, seed))
+    starts += list(_random_starts(interval, interval.poses[jump_row], count, seed))
     frames = np.full(len(starts), interval.jump_frame)
-    solutions, cost = interval.solved(np.array(starts), frames)
+    solutions, cost = interval.solve_frames(np.array(starts), frames)
     distinct = _distinct(interval.chain, solutions[cost == 0])
     if not len(distinct):
         distinct = solutions[np.argsort(cost, kind="stable")[:1]]
-    tracks, costs = follow_in_both_directions(interval, distinct, jump_row)
+    tracks, costs = track_both_directions(interval, distinct, jump_row)
     current_path = interval.poses[None]
     paths = [current_path, tracks]
-    prices = [interval.costs[None], costs]
+    all_costs = [interval.costs[None], costs]
     for path, cost in _blend_paths(interval, tracks, jump_row):
         paths.append(path[None])
-        prices.append(cost[None])
-    return np.concatenate(paths), np.concatenate(prices)
+        all_costs.append(cost[None])
+    return np.concatenate(paths), np.concatenate(all_costs)
 
 
 def branch_tracks(
     interval: Interval, rows: IntArray, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return candidate paths from solutions at some rows ``(K, L, C)``; see `branches`.
+    """Return candidate paths ``(K, L, C)`` from solutions at some rows, and costs.
 
     They are the current path and, for each of the rows, its pose, that of the row
     before and the nearest other solutions, each tracked to both ends of the interval.
     """
-    paths, prices = [interval.poses[None]], [interval.costs[None]]
+    paths, all_costs = [interval.poses[None]], [interval.costs[None]]
     for row in rows.tolist():
         current_pose = interval.poses[row]
         starts = [current_pose, interval.poses[max(row - 1, 0)]]
-        starts += list(_scattered(interval, current_pose, count, seed + row))
+        starts += list(_random_starts(interval, current_pose, count, seed + row))
         frames = np.full(len(starts), interval.frames[row])
-        solutions, cost = interval.solved(np.array(starts), frames)
+        solutions, cost = interval.solve_frames(np.array(starts), frames)
         distinct = _distinct(interval.chain, solutions[cost <= cost.min() + EQUAL_COST])
         distances = np.abs(difference(interval.chain, current_pose, distinct)).max(
             axis=1
         )
         distinct = distinct[np.argsort(distances, kind="stable")[:SOLUTIONS_PER_SAMPLE]]
-        tracks, costs = follow_in_both_directions(
-            interval, distinct, row, TRACK_ITERATIONS
-        )
+        tracks, costs = track_both_directions(interval, distinct, row, TRACK_ITERATIONS)
         paths.append(tracks)
-        prices.append(costs)
-    return np.concatenate(paths), np.concatenate(prices)
+        all_costs.append(costs)
+    return np.concatenate(paths), np.concatenate(all_costs)
 
 
-def search_branches(
+def search_long_interval(
     interval: Interval, spacing: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return candidate paths through a long interval ``(K, L, C)``; see `branches`.
+    """Return candidate paths ``(K, L, C)`` through a long interval, and costs.
 
     They are the current path and solutions from seeded starts every ``spacing`` frames,
     each tracked in both directions until it ends or a later layer replaces it.
     """
     length, width = interval.poses.shape
     paths = np.zeros((1 + MAX_LAYERS * SOLUTIONS_PER_SAMPLE, length, width))
-    costs = np.full((len(paths), length), 2 * MISSED_COST)
+    costs = np.full((len(paths), length), 2 * MISS_COST)
     paths[0] = interval.poses
     costs[0] = interval.costs
     search_reach = MAX_LAYERS * spacing // 2
     for i, row in enumerate(range(0, length, spacing)):
         frames = np.full(SOLUTIONS_PER_SAMPLE, interval.frames[row])
-        starts = _scattered(
+        starts = _random_starts(
             interval, interval.poses[row], SOLUTIONS_PER_SAMPLE, seed + i
         )
-        solutions, cost = interval.solved(np.array(list(starts)), frames)
+        solutions, cost = interval.solve_frames(np.array(list(starts)), frames)
         layer = 1 + i % MAX_LAYERS * SOLUTIONS_PER_SAMPLE
         paths[
             layer : layer + SOLUTIONS_PER_SAMPLE,
@@ -231,19 +237,19 @@ def search_branches(
                 slice(row, min(row + search_reach, length)),
                 slice(row, row - search_reach, -1),
             ):
-                rows = np.arange(length)[_from_start(direction)]
-                poses, is_reached = interval.tracked(solutions[k], rows)
+                rows = np.arange(length)[_index_slice(direction)]
+                poses, is_reached = interval.track(solutions[k], rows)
                 paths[layer + k, rows[:is_reached]] = poses[:is_reached]
                 costs[layer + k, rows[:is_reached]] = 0.0
     return paths, costs
 
 
-def _from_start(rows: slice) -> slice:
+def _index_slice(rows: slice) -> slice:
     """Return a slice with a negative stop replaced, so that it reaches index 0."""
     return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
 
-def _scattered(
+def _random_starts(
     interval: Interval, centre: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
     """Return random poses within the limits, or around a pose without limits."""
@@ -257,7 +263,7 @@ def random_poses(
     rng = np.random.default_rng(seed)
     for i in range(count):
         step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
-        pose = moved(chain, centre, step)
+        pose = apply_steps(chain, centre, step)
         for (kind, _, column, follows), numbers in zip(
             chain.nodes[:, :4], with_periods(chain), strict=True
         ):
@@ -281,7 +287,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
     return np.array(distinct).reshape(-1, poses.shape[-1])
 
 
-def follow_in_both_directions(
+def track_both_directions(
     interval: Interval, poses: FloatArray, start_row: int, steps: int = START_ITERATIONS
 ) -> tuple[FloatArray, FloatArray]:
     """Return poses ``(K, C)`` of a row tracked to both ends of the interval."""
@@ -292,10 +298,10 @@ def follow_in_both_directions(
         current = poses
         for row in range(start_row, stop, direction):
             if row != start_row:
-                change = interval.changed(current, row - direction)
-                current = moved(interval.chain, interval.reference[row], change)
+                change = interval.difference_from_reference(current, row - direction)
+                current = apply_steps(interval.chain, interval.reference[row], change)
             frames = np.full(len(current), interval.frames[row])
-            current, costs[:, row] = interval.solved(current, frames, steps)
+            current, costs[:, row] = interval.solve_frames(current, frames, steps)
             tracks[:, row] = current
     return tracks, costs
 
@@ -308,8 +314,8 @@ def _blend_paths(
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
         step = difference(interval.chain, interval.poses, track)
-        blended_poses = moved(interval.chain, interval.poses, weights * step)
-        yield interval.solved(blended_poses, np.array(interval.frames))
+        blended_poses = apply_steps(interval.chain, interval.poses, weights * step)
+        yield interval.solve_frames(blended_poses, np.array(interval.frames))
 
 
 def best_path(
@@ -329,15 +335,15 @@ def best_path(
     ``paths`` ``(K, L, C)``, ``costs`` ``(K, L)``.
     """
     chain = interval.chain
-    drifts = difference(chain, interval.reference[:-1], interval.reference[1:])
-    choice = _kernels.cheapest_ik_path(
+    reference_steps = difference(chain, interval.reference[:-1], interval.reference[1:])
+    path_indices = _kernels.cheapest_ik_path(
         chain.nodes,
         with_periods(chain),
         paths,
         costs,
-        drifts,
+        reference_steps,
         interval.free_step,
         free_start,
         fixed_end,
     )
-    return unwound(chain, paths[choice, np.arange(costs.shape[1])])
+    return unwrap_angles(chain, paths[path_indices, np.arange(costs.shape[1])])

@@ -43,12 +43,12 @@ class Chain:
     length: float  # [m]
 
     @property
-    def arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
-        """The first arguments of IK kernels: chain and goals."""
+    def kernel_arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
+        """Chain and goal arrays, the first arguments of IK kernels."""
         return self.nodes, self.numbers, self.goals, self.goal_numbers
 
     @cached_property
-    def turning(self) -> IntArray:
+    def full_revolution_columns(self) -> IntArray:
         """Columns of the joints that cover a full revolution."""
         return np.flatnonzero(np.isfinite(self.periods[:, 0]))
 
@@ -71,12 +71,12 @@ class Chain:
         q = q.copy()
         columns, ball_frames = self._balls
         q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_frames))
-        if len(self.turning):
-            low, high = self.periods[self.turning].T
-            angles = q[:, self.turning]
+        if len(self.full_revolution_columns):
+            low, high = self.periods[self.full_revolution_columns].T
+            angles = q[:, self.full_revolution_columns]
             revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
             wrapped_angles = np.clip(angles - 2 * np.pi * revolutions, low, high)
-            q[:, self.turning] = np.where(
+            q[:, self.full_revolution_columns] = np.where(
                 (angles < low) | (angles > high), wrapped_angles, angles
             )
         rig_coordinates = coordinates.copy()
@@ -97,10 +97,10 @@ def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     """
     start, end = np.broadcast_arrays(start, end)
     steps = np.zeros((*start.shape[:-1], chain.degrees))
-    columns, dofs, balls = _layout(chain)
+    columns, dofs, balls = _joint_columns(chain)
     angles = end[..., columns[~balls]] - start[..., columns[~balls]]
     revolutions = 2 * np.pi * np.round(angles / (2 * np.pi))
-    angles -= np.where(_endless(chain)[~balls], revolutions, 0.0)
+    angles -= np.where(_unlimited_pins(chain)[~balls], revolutions, 0.0)
     steps[..., dofs[~balls]] = angles
     for column, dof in zip(columns[balls], dofs[balls], strict=True):
         ball = slice(column, column + 4)
@@ -109,11 +109,11 @@ def difference(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     return steps
 
 
-def moved(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
-    """Return poses ``(..., C)`` after steps ``(..., D)``, without limits."""
+def apply_steps(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
+    """Return poses ``(..., C)`` moved by steps ``(..., D)``, ignoring limits."""
     shape = np.broadcast_shapes(start.shape[:-1], step.shape[:-1])
     poses = np.array(np.broadcast_to(start, (*shape, start.shape[-1])))
-    columns, dofs, balls = _layout(chain)
+    columns, dofs, balls = _joint_columns(chain)
     poses[..., columns[~balls]] += step[..., dofs[~balls]]
     for column, dof in zip(columns[balls], dofs[balls], strict=True):
         ball = slice(column, column + 4)
@@ -122,7 +122,7 @@ def moved(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray:
     return poses
 
 
-def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
+def _joint_columns(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
     """Return each joint's first coordinate, first degree of freedom, and if a ball."""
     nodes = chain.nodes[chain.nodes[:, 3] == 0]
     balls = nodes[:, 0] == BALL
@@ -130,9 +130,9 @@ def _layout(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
     return nodes[:, 2], np.cumsum(widths) - widths, balls
 
 
-def unwound(chain: Chain, poses: FloatArray) -> FloatArray:
+def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
     """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
-    columns = _layout(chain)[0][_endless(chain)]
+    columns = _joint_columns(chain)[0][_unlimited_pins(chain)]
     unwrapped_poses = poses.copy()
     unwrapped_poses[:, columns] = np.unwrap(poses[:, columns], axis=0)
     return unwrapped_poses
@@ -155,7 +155,7 @@ def with_periods(chain: Chain) -> FloatArray:
     return numbers
 
 
-def _endless(chain: Chain) -> BoolArray:
+def _unlimited_pins(chain: Chain) -> BoolArray:
     """Return a mask of the joints that are pins without limits."""
     independent = chain.nodes[:, 3] == 0
     is_unlimited = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)

@@ -17,7 +17,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, rows_of
+from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, targets_of_frames
 from animtool.ik.problem import build
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -31,7 +31,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 # Transforms that differ by less are equal up to rounding [m], [rad].
-EQUAL_TRANSFORM = 1e-9
+EQUAL_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,7 @@ class SolveSpan:
     rig: Rig  # its rest pose contains motion outside the joint coordinates
     frames: slice  # of the take
     coordinates: FloatArray  # of the source poses ``(N, Q)``
-    # Of the frames that carry the chains ``(N, E, 3)`` [m].
+    # Positions of the frames above the chains ``(N, E, 3)`` [m].
     carrier_positions: FloatArray
     carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
 
@@ -51,30 +51,30 @@ class SolveSpan:
             self.carrier_rotations[:1], so3.conjugate(self.carrier_rotations)
         )
 
-        part_targets = rows_of(targets, self.frames)
+        span_targets = targets_of_frames(targets, self.frames)
         values_by_kind = {}
         for kind in KINDS:
-            values = np.asarray(getattr(part_targets, kind.targets))
-            if kind.value is TargetValue.ROTATION:
-                values_by_kind[kind.targets] = so3.multiply(rotation, values)
+            values = np.asarray(getattr(span_targets, kind.targets_field))
+            if kind.value_type is TargetValue.ROTATION:
+                values_by_kind[kind.targets_field] = so3.multiply(rotation, values)
             else:
                 offsets = so3.rotate(rotation, values - self.carrier_positions)
-                values_by_kind[kind.targets] = np.asarray(
+                values_by_kind[kind.targets_field] = np.asarray(
                     self.carrier_positions[:1] + offsets
                 )
-        return replace(part_targets, **values_by_kind)
+        return replace(span_targets, **values_by_kind)
 
 
 @dataclass(frozen=True, slots=True)
 class SolveSpans:
-    """The frames of a take as spans of one rig each."""
+    """The frames of a take, divided into spans that are solved on one rig each."""
 
     spans: list[SolveSpan]  # one span, or one per frame if no rig fits all
     # Names of the joints and driver controls that prevent a single span.
     moving_between: tuple[str, ...]
 
 
-def parts_of(
+def spans_of_take(
     rig: Rig,
     local: LocalTransforms,
     world: WorldTransforms,
@@ -82,7 +82,7 @@ def parts_of(
     joints: Collection[str] | None,
     controls: Mapping[str, FloatArray] | None = None,
 ) -> SolveSpans:
-    """Return the frames of a take as spans of one rig each.
+    """Return the spans of a take's frames; each span is solved on one rig.
 
     ``controls``: values ``(F,)`` of the controls that joint drivers read.
     """
@@ -102,18 +102,18 @@ def parts_of(
         for path, chain_root in zip(paths, chain_roots, strict=True)
         for j in path[: chain_root + 1]
     }
-    rests = _rests(rig, local, coordinates)
-    pivots = path_joints - _rotation_joints(goals, paths)
-    changes = _is_translated(local), _is_rotated(local)
-    strays = _is_translated(rests) | _is_rotated(rests)
+    rest_poses = _effective_rest_poses(rig, local, coordinates)
+    pivot_joints = path_joints - _rotation_joints(goals, paths)
+    is_changed = _is_translated(local), _is_rotated(local)
+    leaves_joint_type = _is_translated(rest_poses) | _is_rotated(rest_poses)
     moving_between = [
         j
         for j in sorted(path_joints)
-        if (strays[j] if j in moving else changes[0][j])
-        or (j not in moving | pivots and changes[1][j])
+        if (leaves_joint_type[j] if j in moving else is_changed[0][j])
+        or (j not in moving | pivot_joints and is_changed[1][j])
     ]
     read_controls = _moving_sources(
-        rig, moving & path_joints, moving, changes[0] | changes[1]
+        rig, moving & path_joints, moving, is_changed[0] | is_changed[1]
     )
     moving_between = sorted({*moving_between, *read_controls})
     changing_controls = [
@@ -125,12 +125,14 @@ def parts_of(
         if moving_between or changing_controls
         else [slice(0, count)]
     )
-    positions, rotations = _carriers(world, carriers)
-    of_paths = sorted({j for path in paths for j in path})
+    positions, rotations = _carrier_transforms(world, carriers)
+    path_joint_list = sorted({j for path in paths for j in path})
     spans_of_frames = [
         SolveSpan(
             with_controls(
-                _with_rests(rig, rests, span.start, of_paths), controls, span.start
+                _with_rest_pose(rig, rest_poses, span.start, path_joint_list),
+                controls,
+                span.start,
             ),
             span,
             coordinates[span],
@@ -176,19 +178,21 @@ def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> s
     """Return the joints whose rotation moves a goal, without pivots."""
     rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
-        rotation_joints.update(path[1:] if goal.pivots else path)
+        rotation_joints.update(path[1:] if goal.ignores_joint_rotation else path)
     return rotation_joints
 
 
-def _rests(
+def _effective_rest_poses(
     rig: Rig, local: LocalTransforms, coordinates: FloatArray
 ) -> LocalTransforms:
     """Return rest poses with which the coordinates reproduce the pose exactly."""
     # local = rest · motion, so rest = local · motion⁻¹.
-    model = local_from_coordinates(rig, coordinates)
-    undo = so3.conjugate(rig.rest_rotations)
-    motion_rotations = so3.multiply(undo, model.rotations)
-    motion_translations = so3.rotate(undo, model.translations - rig.rest_translations)
+    modeled_poses = local_from_coordinates(rig, coordinates)
+    inverse_rest = so3.conjugate(rig.rest_rotations)
+    motion_rotations = so3.multiply(inverse_rest, modeled_poses.rotations)
+    motion_translations = so3.rotate(
+        inverse_rest, modeled_poses.translations - rig.rest_translations
+    )
     rotations = so3.multiply(local.rotations, so3.conjugate(motion_rotations))
     translations = local.translations - so3.rotate(rotations, motion_translations)
     return LocalTransforms(translations, rotations)
@@ -197,26 +201,26 @@ def _rests(
 def _is_translated(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose translation changes over the frames."""
     displacement = np.abs(local.translations - local.translations[:1]).max(axis=(0, 2))
-    return np.asarray(displacement > EQUAL_TRANSFORM, np.bool_)
+    return np.asarray(displacement > EQUAL_TOLERANCE, np.bool_)
 
 
 def _is_rotated(local: LocalTransforms) -> BoolArray:
     """Return a mask of the joints whose rotation changes over the frames."""
     angles = so3.angle_between(local.rotations, local.rotations[:1]).max(axis=0)
-    return np.asarray(angles > EQUAL_TRANSFORM, np.bool_)
+    return np.asarray(angles > EQUAL_TOLERANCE, np.bool_)
 
 
-def _with_rests(
+def _with_rest_pose(
     rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
     """Return the rig with the rest pose of a frame, where that differs."""
     joints = list(rig.joints)
     for j in moving:
         translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]
-        differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TRANSFORM
+        differs = np.abs(translation - rig.rest_translations[j]).max() > EQUAL_TOLERANCE
         if (
             differs
-            or so3.angle_between(rotation, rig.rest_rotations[j]) > EQUAL_TRANSFORM
+            or so3.angle_between(rotation, rig.rest_rotations[j]) > EQUAL_TOLERANCE
         ):
             x, y, z = translation.tolist()
             a, b, c, w = rotation.tolist()
@@ -224,7 +228,7 @@ def _with_rests(
     return rig if tuple(joints) == rig.joints else replace(rig, joints=tuple(joints))
 
 
-def _carriers(
+def _carrier_transforms(
     world: WorldTransforms, joints: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
     """Return joints' positions ``(F, E, 3)`` and rotations ``(F, E, 4)``; -1: world."""
@@ -238,7 +242,7 @@ def _carriers(
     return positions, rotations
 
 
-def refuse_scales(
+def check_scales(
     take: Take, effectors: Iterable[tuple[str, str]], path: Path | None = None
 ) -> None:
     """Raise if a joint above an effector is scaled: bone lengths must be constant."""

@@ -13,16 +13,16 @@ from animtool.core.record import dataclass
 from animtool.ik.branches import (
     Interval,
     best_path,
-    forgiving,
-    missed_by,
-    price,
-    weighed,
+    equalize_near_misses,
+    miss_cost,
+    miss_of_cost,
+    weight_misses,
 )
 from animtool.ik.chain import difference
-from animtool.ik.goals import Targets, by_unit, rows_of
-from animtool.ik.jumps import largest_step
+from animtool.ik.goals import Targets, by_unit, targets_of_frames
+from animtool.ik.jumps import jump_threshold
 from animtool.ik.options import IkMethod, IkOptions
-from animtool.ik.path import at_poses, jumping_frames, path_of
+from animtool.ik.path import build_frame_path, find_jumping_frames, with_poses
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.solving import pose_rows, solve
@@ -34,14 +34,14 @@ SMOOTH_ENOUGH = 0.4
 # such changes stay within the millimetre up to which a pose counts as nearest.
 MISS_SLACK = 2.5e-4
 # A pose nearer to the goals by more than this is better [m].
-NEARER_BY = 1e-3
+MIN_IMPROVEMENT = 1e-3
 # Poses nearer than this are equal [rad], [fraction of the length].
-UNCHANGED = 1e-9
+EQUAL_POSES = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
 class FollowOptions:
-    """How to follow targets through a clip.
+    """Options for following targets through a clip.
 
     Attributes:
         solving: Options of each frame; ``ordered`` and ``warm`` are ignored.
@@ -66,13 +66,13 @@ class ClipPath:
         problem: Goals and joints.
         targets: Targets of F frames.
         options: Frame rate and solve options.
-        path: Kernel arguments of the frames.
+        frame_path: Kernel arguments of the frames.
         start: Start poses of the solve ``(F, Q)``.
-        moving: Whether the starts are a motion whose change is solved.
+        is_motion: Whether the starts are a motion that the solve modifies.
         prefer: Preferred poses, weighted by ``rest_weight`` ``(F, Q)``.
         reference: Chain coordinates of the start ``(F, C)``.
-        largest: Jump threshold [rad], [fraction of the length].
-        least: Smallest known cost of each frame ``(F,)``, see `price`.
+        jump_threshold: Jump threshold [rad], [fraction of the length].
+        least_costs: Smallest known cost of each frame ``(F,)``, see `miss_cost`.
     """
 
     def __init__(
@@ -86,17 +86,17 @@ class ClipPath:
         self.problem = problem
         self.targets = targets
         self.options = options
-        self.path = path_of(problem, targets, start, options.solving)
-        self.start = pose_rows(problem, start, len(self.path.targets), "start")
-        self.moving = start is not None and np.ndim(start) == 2
+        self.frame_path = build_frame_path(problem, targets, start, options.solving)
+        self.start = pose_rows(problem, start, len(self.frame_path.targets), "start")
+        self.is_motion = start is not None and np.ndim(start) == 2
         self.prefer = (
             self.start
             if prefer is None
             else pose_rows(problem, prefer, len(self.start), "prefer")
         )
         self.reference = problem.chain.from_rig(self.start)
-        self.largest = largest_step(options.fps)
-        self.least = np.full(len(self.start), np.inf)
+        self.jump_threshold = jump_threshold(options.fps)
+        self.least_costs = np.full(len(self.start), np.inf)
 
     def __len__(self) -> int:
         """Return the number of frames."""
@@ -107,60 +107,73 @@ class ClipPath:
         """Extra miss allowed for a smoother path [fraction of the length]."""
         return MISS_SLACK / self.problem.length
 
-    def poses(self, result: IkResult) -> FloatArray:
+    def chain_poses(self, result: IkResult) -> FloatArray:
         """Return the chain coordinates of a result ``(F, C)``."""
         return self.problem.chain.from_rig(result.coordinates)
 
-    def solved(self, frames: slice, starts: FloatArray) -> IkResult:
+    def solve_frames(self, frames: slice, starts: FloatArray) -> IkResult:
         """Return frames solved in order, or each from its start if the clip moves."""
         frame_options = replace(
-            self.options.solving, ordered=True, warm=not self.moving
+            self.options.solving, ordered=True, warm=not self.is_motion
         )
         return solve(
             self.problem,
-            starts[frames] if self.moving or not len(starts) else starts[frames.start],
-            rows_of(self.targets, frames),
+            starts[frames]
+            if self.is_motion or not len(starts)
+            else starts[frames.start],
+            targets_of_frames(self.targets, frames),
             frame_options,
             prefer=self.prefer[frames],
         )
 
-    def jumping(self, poses: FloatArray) -> IntArray:
-        """Return the frames to which a joint jumps, ascending."""
-        source = self.start if self.moving else None
-        return jumping_frames(self.path, poses, self.start, source, self.options.fps)
+    def find_jumping_frames(self, poses: FloatArray) -> IntArray:
+        """Return the frames at which a joint jumps, ascending."""
+        source = self.start if self.is_motion else None
+        return find_jumping_frames(
+            self.frame_path, poses, self.start, source, self.options.fps
+        )
 
-    def strains(self, poses: FloatArray, first: int = 0) -> FloatArray:
+    def jump_ratios(self, poses: FloatArray, first: int = 0) -> FloatArray:
         """Return the largest step to each next frame over the jump threshold [1].
 
         ``poses`` ``(L, C)`` of the frames from the first on.
         """
-        steps = self.path.frames(slice(first, first + len(poses))).steps(poses)
-        return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.largest)
+        steps = self.frame_path.select_frames(slice(first, first + len(poses))).steps(
+            poses
+        )
+        return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.jump_threshold)
 
-    def strain(self, poses: FloatArray, first: int) -> float:
+    def max_jump_ratio(self, poses: FloatArray, first: int) -> float:
         """Return the maximum of `strains`."""
-        return float(self.strains(poses, first).max(initial=0.0))
+        return float(self.jump_ratios(poses, first).max(initial=0.0))
 
     def interval(self, poses: FloatArray, window: slice, frame: int) -> Interval:
         """Return an interval of the clip with poses ``(L, C)`` that jump at a frame."""
-        path = self.path.frames(window)
-        shares = path.measured(poses)
-        misses = shares * by_unit(self.problem.length, 1.0)
-        counts = weighed(self.problem, misses, rows_of(self.targets, window))
+        frame_path = self.frame_path.select_frames(window)
+        misses_in_tolerances = frame_path.measure_misses(poses)
+        misses = misses_in_tolerances * by_unit(self.problem.length, 1.0)
+        weighted_misses = weight_misses(
+            self.problem, misses, targets_of_frames(self.targets, window)
+        )
         return Interval(
             self.problem,
             self.targets,
             range(window.start, window.stop),
             frame,
             poses,
-            price(counts, path.excess(shares) <= 1),
+            miss_cost(
+                weighted_misses,
+                frame_path.max_tolerance_ratio(misses_in_tolerances) <= 1,
+            ),
             self.reference[window],
-            np.full(len(path.drifts), SMOOTH_ENOUGH * self.largest),
+            np.full(
+                len(frame_path.preserved_steps), SMOOTH_ENOUGH * self.jump_threshold
+            ),
             self.prefer,
             replace(self.options.solving, method=IkMethod.DAMPED),
         )
 
-    def best(
+    def best_route(
         self,
         interval: Interval,
         paths: FloatArray,
@@ -175,7 +188,7 @@ class ClipPath:
         Misses within the slack of the smallest count as equal, and ``source_weight`` is
         the cost per squared radian of distance from the source clip.
         """
-        costs = forgiving(costs, self.slack)
+        costs = equalize_near_misses(costs, self.slack)
         if source_weight > 0:
             source_distances = difference(self.problem.chain, interval.reference, paths)
             costs = costs + source_weight * (source_distances**2).sum(axis=2)
@@ -183,11 +196,11 @@ class ClipPath:
             interval, paths, costs, fixed_end=fixed_end, free_start=free_start
         )
 
-    def judged(self, result: IkResult) -> IkResult:
+    def with_steadier_status(self, result: IkResult) -> IkResult:
         """Return a result with STEADIER status where a nearer pose is known."""
         all_frames = slice(0, len(self))
-        costs = self.interval(self.poses(result), all_frames, 0).costs
-        path_misses, least_misses = missed_by(costs), missed_by(self.least)
+        costs = self.interval(self.chain_poses(result), all_frames, 0).costs
+        path_misses, least_misses = miss_of_cost(costs), miss_of_cost(self.least_costs)
         # Misses that overflow are infinite at the nearest pose, too.
         excess = np.subtract(
             path_misses,
@@ -199,49 +212,55 @@ class ClipPath:
         statuses = tuple(
             IkStatus.STEADIER if status is IkStatus.NEAREST and is_beyond else status
             for status, is_beyond in zip(
-                result.statuses, excess > NEARER_BY, strict=True
+                result.statuses, excess > MIN_IMPROVEMENT, strict=True
             )
         )
         return replace(result, statuses=statuses)
 
-    def joined(self, result: IkResult, window: slice, poses: FloatArray) -> IkResult:
+    def with_window(
+        self, result: IkResult, window: slice, poses: FloatArray
+    ) -> IkResult:
         """Return a result with a window replaced and later frames solved again."""
         chain = self.problem.chain
-        current = self.poses(result)
-        misses = self.path.frames(window).measured(poses)
-        part = at_poses(_frames(result, window), poses, misses, self.path)
-        results = [_frames(result, slice(0, window.start)), part]
+        current_poses = self.chain_poses(result)
+        misses = self.frame_path.select_frames(window).measure_misses(poses)
+        window_result = with_poses(
+            _select_frames(result, window), poses, misses, self.frame_path
+        )
+        results = [_select_frames(result, slice(0, window.start)), window_result]
         later_frames = slice(window.stop, len(self))
         if later_frames.start < len(self):
             is_unchanged = np.abs(
-                difference(chain, current[later_frames.start - 1], poses[-1])
+                difference(chain, current_poses[later_frames.start - 1], poses[-1])
             ).max()
-            if self.moving or is_unchanged < UNCHANGED:
-                results.append(_frames(result, later_frames))
+            if self.is_motion or is_unchanged < EQUAL_POSES:
+                results.append(_select_frames(result, later_frames))
             else:
-                starts = np.broadcast_to(part.coordinates[-1], self.start.shape)
-                results.append(self.solved(later_frames, starts))
-        return _concatenated(results)
+                starts = np.broadcast_to(
+                    window_result.coordinates[-1], self.start.shape
+                )
+                results.append(self.solve_frames(later_frames, starts))
+        return _concatenate(results)
 
 
-def _frames(result: IkResult, frames: slice) -> IkResult:
+def _select_frames(result: IkResult, frames: slice) -> IkResult:
     """Return some of the frames of a result."""
-    values = {name: getattr(result, name)[frames] for name in _by_frame()}
+    values = {name: getattr(result, name)[frames] for name in _per_frame_fields()}
     return replace(result, **values)
 
 
-def _concatenated(parts: Sequence[IkResult]) -> IkResult:
+def _concatenate(results: Sequence[IkResult]) -> IkResult:
     """Return the concatenated frames of results."""
     values: dict[str, Any] = {}
-    for name in _by_frame():
-        parts_values = [getattr(part, name) for part in parts]
+    for name in _per_frame_fields():
+        field_values = [getattr(result, name) for result in results]
         if name == "statuses":
-            values[name] = tuple(status for part in parts_values for status in part)
+            values[name] = tuple(status for result in field_values for status in result)
         else:
-            values[name] = np.concatenate(parts_values)
-    return replace(parts[0], **values)
+            values[name] = np.concatenate(field_values)
+    return replace(results[0], **values)
 
 
-def _by_frame() -> list[str]:
+def _per_frame_fields() -> list[str]:
     """Return the names of the per-frame fields of a result."""
     return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]

@@ -12,15 +12,15 @@ from animtool.ik.branches import (
     EQUAL_COST,
     Interval,
     branch_tracks,
-    branches,
-    follow_in_both_directions,
-    forgiving,
-    search_branches,
+    equalize_near_misses,
+    find_branches,
+    search_long_interval,
+    track_both_directions,
 )
 from animtool.ik.clip_path import SMOOTH_ENOUGH, ClipPath, FollowOptions
 from animtool.ik.goals import Targets
 from animtool.ik.nearest import frames_out_of_reach, with_nearest_poses
-from animtool.ik.path import jumps_of, rate_faults, smooth
+from animtool.ik.path import find_clip_jumps, smooth, smoothing_faults
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
 
@@ -97,7 +97,7 @@ def follow(
     clip = ClipPath(problem, start, targets, options, prefer)
     result = _solve_in_order(clip)
     if options.smooth > 0:
-        source_motion = start if clip.moving else None
+        source_motion = start if clip.is_motion else None
         result = smooth(
             result,
             targets,
@@ -106,11 +106,12 @@ def follow(
             start=source_motion,
             options=options.solving,
         )
-    return replace(result, jumps=jumps_of(result, targets, start, options.fps))
+    return replace(result, jumps=find_clip_jumps(result, targets, start, options.fps))
 
 
 def _check(options: FollowOptions) -> None:
-    faults = rate_faults(options.smooth, options.fps)
+    """Raise if options are invalid."""
+    faults = smoothing_faults(options.smooth, options.fps)
     faults += [
         Fault("IK014", f"{name} must be at least 0, not {getattr(options, name)}")
         for name in ("branches", "back")
@@ -122,44 +123,44 @@ def _check(options: FollowOptions) -> None:
 
 def _solve_in_order(clip: ClipPath) -> IkResult:
     """Return the frames solved in order, with avoidable jumps removed."""
-    result = clip.solved(slice(0, len(clip)), clip.start)
-    for attempt in range(MAX_SEARCHES if _is_thin(clip) else 0):
-        if not _is_worth_search(clip, clip.poses(result), attempt):
+    result = clip.solve_frames(slice(0, len(clip)), clip.start)
+    for attempt in range(MAX_SEARCHES if _has_small_solution_set(clip) else 0):
+        if not _is_worth_search(clip, clip.chain_poses(result), attempt):
             break
-        previous, result = result, _searched(clip, result, attempt)
+        previous, result = result, _search_full_clip(clip, result, attempt)
         if result is previous:
             break
-    result = _nearest(clip, result)
+    result = _with_nearer_frames(clip, result)
     last_checked = 0
     while True:
-        poses = clip.poses(result)
-        jumps = clip.jumping(poses)
+        poses = clip.chain_poses(result)
+        jumps = clip.find_jumping_frames(poses)
         remaining_jumps = jumps[jumps > last_checked]
         if not len(remaining_jumps):
             break
         last_checked = int(remaining_jumps[0])
-        if _can_be_passed(clip, poses, last_checked):
-            result = _with_detour(clip, result, last_checked)
-    if clip.moving:
-        result = _branch_switched(clip, result)
-    return clip.judged(result)
+        if _is_avoidable(clip, poses, last_checked):
+            result = _with_shorter_jump(clip, result, last_checked)
+    if clip.is_motion:
+        result = _switch_branches(clip, result)
+    return clip.with_steadier_status(result)
 
 
-def _is_thin(clip: ClipPath) -> bool:
+def _has_small_solution_set(clip: ClipPath) -> bool:
     """Whether the solution set of a frame is small enough to search exhaustively."""
     redundancy = clip.problem.degrees - clip.problem.rows
-    return not clip.moving and redundancy <= MAX_REDUNDANCY
+    return not clip.is_motion and redundancy <= MAX_REDUNDANCY
 
 
 def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
     """Whether the worst step is a jump that another path may avoid."""
-    strains = clip.strains(poses)
-    if not len(strains) or strains.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
+    ratios = clip.jump_ratios(poses)
+    if not len(ratios) or ratios.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
         return False
-    return _can_be_passed(clip, poses, int(strains.argmax()) + 1)
+    return _is_avoidable(clip, poses, int(ratios.argmax()) + 1)
 
 
-def _can_be_passed(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
+def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     """Whether a frame has other solutions with a smaller jump.
 
     Without any, as where targets return into reach and straight limbs bend, searching
@@ -168,31 +169,31 @@ def _can_be_passed(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     window = slice(frame - 1, frame + 1)
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
-    frame_pairs, costs = branches(interval, options.branches, options.solving.seed)
-    current_strain = clip.strain(poses[window], window.start)
+    frame_pairs, costs = find_branches(interval, options.branches, options.solving.seed)
+    current_ratio = clip.max_jump_ratio(poses[window], window.start)
     return any(
-        clip.strain(frame_pair, window.start) < MIN_REDUCTION * current_strain
+        clip.max_jump_ratio(frame_pair, window.start) < MIN_REDUCTION * current_ratio
         for frame_pair in frame_pairs[
             (costs <= interval.costs + EQUAL_COST).all(axis=1)
         ]
     )
 
 
-def _searched(clip: ClipPath, result: IkResult, attempt: int) -> IkResult:
+def _search_full_clip(clip: ClipPath, result: IkResult, attempt: int) -> IkResult:
     """Return the best path through the full clip, if it jumps less."""
-    poses = clip.poses(result)
+    poses = clip.chain_poses(result)
     all_frames = slice(0, len(clip))
     interval = clip.interval(poses, all_frames, 0)
     spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
     seed = clip.options.solving.seed + attempt * len(clip)
-    paths, costs = search_branches(interval, spacing, seed)
+    paths, costs = search_long_interval(interval, spacing, seed)
     path = _best_even_path(clip, interval, paths, costs, fixed_end=False)
-    if clip.strain(path, 0) < MIN_REDUCTION * clip.strain(poses, 0):
-        return clip.joined(result, all_frames, path)
+    if clip.max_jump_ratio(path, 0) < MIN_REDUCTION * clip.max_jump_ratio(poses, 0):
+        return clip.with_window(result, all_frames, path)
     return result
 
 
-def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
+def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     """Return a result whose frames that miss goals are searched individually.
 
     A frame solved from a missed one stays on its branch; here it may switch to a nearer
@@ -201,72 +202,81 @@ def _nearest(clip: ClipPath, result: IkResult) -> IkResult:
     frames = frames_out_of_reach(result, clip.options.solving)
     if not len(frames):
         return result
-    independent = with_nearest_poses(
+    independent_result = with_nearest_poses(
         clip.problem, result, clip.targets, clip.options.solving, clip.prefer
     )
-    poses, independent_poses = clip.poses(result), clip.poses(independent)
+    poses, independent_poses = (
+        clip.chain_poses(result),
+        clip.chain_poses(independent_result),
+    )
     all_frames = slice(0, len(clip))
     interval = clip.interval(poses, all_frames, int(frames[0]))
     costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
-    clip.least = np.minimum(interval.costs, costs)
-    smallest = forgiving(np.stack([interval.costs, costs]), clip.slack)
-    gains = np.where(smallest[0] > smallest[1], interval.costs - costs, 0.0)
-    if not gains.any():
+    clip.least_costs = np.minimum(interval.costs, costs)
+    equalized_costs = equalize_near_misses(
+        np.stack([interval.costs, costs]), clip.slack
+    )
+    improvements = np.where(
+        equalized_costs[0] > equalized_costs[1], interval.costs - costs, 0.0
+    )
+    if not improvements.any():
         return result
-    paths, prices = (
+    paths, all_costs = (
         [poses[None], independent_poses[None]],
         [interval.costs[None], costs[None]],
     )
-    for row in np.argsort(-gains, kind="stable")[:MAX_SEARCHES]:
-        if gains[row] > 0:
-            tracks, cost = follow_in_both_directions(
+    for row in np.argsort(-improvements, kind="stable")[:MAX_SEARCHES]:
+        if improvements[row] > 0:
+            tracks, cost = track_both_directions(
                 interval, independent_poses[row : row + 1], int(row)
             )
             paths.append(tracks)
-            prices.append(cost)
-    candidates = np.concatenate(paths), np.concatenate(prices)
-    return clip.joined(
-        result, all_frames, clip.best(interval, *candidates, free_start=True)
+            all_costs.append(cost)
+    candidates = np.concatenate(paths), np.concatenate(all_costs)
+    return clip.with_window(
+        result, all_frames, clip.best_route(interval, *candidates, free_start=True)
     )
 
 
-def _with_detour(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
+def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
     """Return a result with a better path to a frame that jumps."""
-    poses = clip.poses(result)
-    smallest = clip.strain(poses[frame - 1 : frame + 1], frame - 1)
+    poses = clip.chain_poses(result)
+    smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
     best_result: tuple[slice, FloatArray] | None = None
-    for first in _beginnings(clip, frame):
+    for first in _window_starts(clip, frame):
         frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
         window = slice(first, min(frame + frames_after + 1, len(clip)))
-        detour = _detour(clip, poses, window, frame)
-        strain = clip.strain(detour, first)
-        if strain < MIN_REDUCTION * smallest:
-            smallest, best_result = strain, (window, detour)
-        if smallest <= SMOOTH_ENOUGH:
+        detour = _best_window_path(clip, poses, window, frame)
+        ratio = clip.max_jump_ratio(detour, first)
+        if ratio < MIN_REDUCTION * smallest_ratio:
+            smallest_ratio, best_result = ratio, (window, detour)
+        if smallest_ratio <= SMOOTH_ENOUGH:
             break
-    return result if best_result is None else clip.joined(result, *best_result)
+    return result if best_result is None else clip.with_window(result, *best_result)
 
 
-def _beginnings(clip: ClipPath, frame: int) -> list[int]:
+def _window_starts(clip: ClipPath, frame: int) -> list[int]:
     """Return the first frames of the intervals to search, the shortest first."""
-    beginnings: list[int] = []
+    starts: list[int] = []
     seconds_before = FIRST_INTERVAL
-    while seconds_before <= clip.options.back and (
-        not beginnings or beginnings[-1] > 0
-    ):
-        first = max(frame - max(round(seconds_before * clip.options.fps), 2), 0)
-        if first < frame and first not in beginnings:
-            beginnings.append(first)
+    while seconds_before <= clip.options.back and (not starts or starts[-1] > 0):
+        start = max(frame - max(round(seconds_before * clip.options.fps), 2), 0)
+        if start < frame and start not in starts:
+            starts.append(start)
         seconds_before *= 2
-    return beginnings
+    return starts
 
 
-def _detour(clip: ClipPath, poses: FloatArray, window: slice, frame: int) -> FloatArray:
+def _best_window_path(
+    clip: ClipPath, poses: FloatArray, window: slice, frame: int
+) -> FloatArray:
     """Return the best path through a window, with its speed evened out."""
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
-    paths, costs = branches(interval, options.branches, options.solving.seed)
-    fixed_end = (clip.moving or _is_thin(clip)) and window.stop < len(clip)
+    paths, costs = find_branches(interval, options.branches, options.solving.seed)
+    fixed_end = (clip.is_motion or _has_small_solution_set(clip)) and window.stop < len(
+        clip
+    )
     return _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
 
 
@@ -283,70 +293,75 @@ def _best_even_path(
     If it still jumps and begins with the clip, its first pose is free.
     """
     window = slice(interval.frames.start, interval.frames.stop)
-    path = clip.path.frames(window)
-    smoothest = path.evened(clip.best(interval, paths, costs, fixed_end=fixed_end))[0]
-    smallest = clip.strain(smoothest, window.start)
-    if window.start > 0 or smallest <= 1:
-        return smoothest
-    free_route = clip.best(interval, paths, costs, fixed_end=fixed_end, free_start=True)
-    free_route = path.evened(free_route, free_start=True)[0]
+    path = clip.frame_path.select_frames(window)
+    best_even_path = path.even_speed(
+        clip.best_route(interval, paths, costs, fixed_end=fixed_end)
+    )[0]
+    smallest_ratio = clip.max_jump_ratio(best_even_path, window.start)
+    if window.start > 0 or smallest_ratio <= 1:
+        return best_even_path
+    free_route = clip.best_route(
+        interval, paths, costs, fixed_end=fixed_end, free_start=True
+    )
+    free_route = path.even_speed(free_route, free_start=True)[0]
     return (
         free_route
-        if clip.strain(free_route, window.start) < MIN_REDUCTION * smallest
-        else smoothest
+        if clip.max_jump_ratio(free_route, window.start)
+        < MIN_REDUCTION * smallest_ratio
+        else best_even_path
     )
 
 
-def _branch_switched(clip: ClipPath, result: IkResult) -> IkResult:
+def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
     """Return the best path of a moving clip across branches, if steadier.
 
     It may begin and end on any branch, and stays as near to the clip as steps allow.
     """
     all_frames = slice(0, len(clip))
     for attempt in range(MAX_SEARCHES):
-        poses = clip.poses(result)
-        strains = _jump_strains(clip, poses)
-        if not strains.any():
+        poses = clip.chain_poses(result)
+        jump_sizes = _squared_jump_ratios(clip, poses)
+        if not jump_sizes.any():
             break
-        rows = np.sort(np.argsort(-strains, kind="stable")[: 1 + attempt]) + 1
-        rows = rows[strains[rows - 1] > 0]
+        rows = np.sort(np.argsort(-jump_sizes, kind="stable")[: 1 + attempt]) + 1
+        rows = rows[jump_sizes[rows - 1] > 0]
         interval = clip.interval(poses, all_frames, int(rows[0]))
         seed = clip.options.solving.seed + attempt * len(clip)
         paths, costs = branch_tracks(interval, rows, clip.options.branches, seed)
-        path = clip.best(
+        path = clip.best_route(
             interval, paths, costs, free_start=True, source_weight=BRANCH_COST
         )
         path = _even_speed(clip, path)
-        if _jump_strains(clip, path).sum() < MIN_REDUCTION * strains.sum():
-            result = clip.joined(result, all_frames, path)
+        if _squared_jump_ratios(clip, path).sum() < MIN_REDUCTION * jump_sizes.sum():
+            result = clip.with_window(result, all_frames, path)
     return result
 
 
-def _jump_strains(clip: ClipPath, poses: FloatArray) -> FloatArray:
+def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
     """Return squared strains of jumps, 0 for other steps ``(F - 1,)``."""
-    strains = np.zeros(max(len(poses) - 1, 0))
-    rows = clip.jumping(poses) - 1
-    strains[rows] = clip.strains(poses)[rows] ** 2
-    return strains
+    ratios = np.zeros(max(len(poses) - 1, 0))
+    rows = clip.find_jumping_frames(poses) - 1
+    ratios[rows] = clip.jump_ratios(poses)[rows] ** 2
+    return ratios
 
 
 def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
     """Return a path with its speed evened out around each jump, where that helps."""
     poses = poses.copy()
-    for frame in clip.jumping(poses).tolist():
+    for frame in clip.find_jumping_frames(poses).tolist():
         for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):
             half_width = max(round(seconds * clip.options.fps), 2)
             window = slice(
                 max(frame - half_width, 0), min(frame + half_width, len(clip))
             )
-            path = clip.path.frames(window)
-            smallest = clip.strain(poses[window], window.start)
+            path = clip.frame_path.select_frames(window)
+            smallest_ratio = clip.max_jump_ratio(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.
             for free_start in (False, True)[: 2 if window.start == 0 else 1]:
-                even_path = path.evened(poses[window], free_start=free_start)[0]
-                strain = clip.strain(even_path, window.start)
-                if strain < MIN_REDUCTION * smallest:
-                    poses[window], smallest = even_path, strain
-            if smallest <= SMOOTH_ENOUGH:
+                even_path = path.even_speed(poses[window], free_start=free_start)[0]
+                ratio = clip.max_jump_ratio(even_path, window.start)
+                if ratio < MIN_REDUCTION * smallest_ratio:
+                    poses[window], smallest_ratio = even_path, ratio
+            if smallest_ratio <= SMOOTH_ENOUGH:
                 break
     return poses

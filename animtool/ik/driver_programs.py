@@ -30,13 +30,13 @@ from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 # Node kind of an instruction row, and the mimic flag of a joint driven by a program.
 INSTRUCTION, FOLLOWS_PROGRAM = 3, 2
 # Operations, in the kernel's order.
-_OPS = (
+_OPERATIONS = (
     *("number", "coordinate", "ball", "result", "point", "curve"),
     *("+", "-", "*", "/", "neg", "abs", "atan2", "ceil", "clamp", "cos", "exp"),
     *("floor", "lerp", "log", "max", "min", "pow", "sign", "sin", "smoothstep"),
     *("sqrt", "tan"),
 )
-_NUMBER = {name: i for i, name in enumerate(_OPS)}
+_OPERATION_NUMBERS = {name: i for i, name in enumerate(_OPERATIONS)}
 
 # An operation, its reference (counted from 1), and its numbers.
 _Row = tuple[str, int, tuple[float, ...]]
@@ -50,7 +50,7 @@ def with_sources(
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
     plan, moving_joints = plan_of(rig), set(moving)
-    joints_above_goals = {j for goal in goals for j in _below_root(rig, goal)}
+    joints_above_goals = {j for goal in goals for j in _joints_below_root(rig, goal)}
     for j in sorted(joints_above_goals.intersection(plan.joints)):
         if joints is None and j not in moving:
             # It moves no goal.
@@ -66,7 +66,7 @@ def with_sources(
     return moving_joints
 
 
-def _below_root(rig: Rig, goal: Goal) -> list[int]:
+def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
     joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root not in rig.names:
         return joints_above
@@ -103,7 +103,7 @@ class Programs:
         """Evaluation order of the rig's drivers."""
         return plan_of(self.rig)
 
-    def ask(self, joint: int) -> int:
+    def request_index(self, joint: int) -> int:
         """Request a driven joint's program; return its index."""
         target = f"joint/{self.rig.names[joint]}"
         return self.requested.setdefault(target, len(self.requested))
@@ -122,19 +122,21 @@ class Programs:
         needed_inputs = set(self.requested)
         for target in reversed(self.plan.order):
             if target in needed_inputs:
-                needed_inputs.update(self._reads(target))
+                needed_inputs.update(self._targets_read(target))
         order = [target for target in self.plan.order if target in needed_inputs]
         self._numbers = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
         for target, number in self._numbers.items():
-            for name, reference, values in self._program(target, sources, scales):
+            for name, reference, values in self._program_rows(target, sources, scales):
                 # The reference is counted from 1: 0 marks joint rows.
-                nodes.append([INSTRUCTION, number, _NUMBER[name], reference + 1])
+                nodes.append(
+                    [INSTRUCTION, number, _OPERATION_NUMBERS[name], reference + 1]
+                )
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return [self._numbers[target] for target in self.requested], nodes, numbers
 
-    def _reads(self, target: str) -> list[str]:
+    def _targets_read(self, target: str) -> list[str]:
         """Return the targets whose results a program may read."""
         kind, _, name = target.partition("/")
         names: list[str] = []
@@ -149,7 +151,7 @@ class Programs:
                 names += control.driven.names
             else:
                 names += [
-                    source for drive in self._drives(name) for source in drive.names
+                    source for drive in self._drives_of(name) for source in drive.names
                 ]
         return [
             f"joint/{joint}"
@@ -159,9 +161,10 @@ class Programs:
         ]
 
     def _control_of(self, name: str) -> Control:
+        """Return a control of the rig by its name."""
         return next(control for control in self.rig.controls if control.name == name)
 
-    def _drives(self, control: str) -> list[Driver]:
+    def _drives_of(self, control: str) -> list[Driver]:
         """Return the drives that other controls add to a control."""
         return [
             Driver(drive.expression, master.name, drive.curve, drive.smooth)
@@ -170,39 +173,41 @@ class Programs:
             if drive.target == f"control/{control}"
         ]
 
-    def _program(
+    def _program_rows(
         self, target: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> list[_Row]:
+        """Return the rows that compute a target: a control or a driven joint."""
         kind, _, name = target.partition("/")
         if kind == "control":
             control = self._control_of(name)
             if control.driven is not None:
-                return self._driver(control.driven, sources, scales)
+                return self._driver_rows(control.driven, sources, scales)
             rows: list[_Row] = [("number", 0, (control.default,))]
-            for drive in self._drives(name):
-                rows += [*self._driver(drive, sources, scales), ("+", 0, ())]
+            for drive in self._drives_of(name):
+                rows += [*self._driver_rows(drive, sources, scales), ("+", 0, ())]
             return rows
         joint = self.rig.index(name)
         driven, spec = self.plan.driver(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
             leader = self.rig.joints[self.rig.index(driven.joint)]
             part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
-            rows = self._read(f"{leader.name}.{part}", sources, scales)
-            rows += [*_times(driven.gain), *_plus(driven.offset)]
+            rows = self._source_rows(f"{leader.name}.{part}", sources, scales)
+            rows += [*_multiply_rows(driven.gain), *_add_rows(driven.offset)]
         else:
-            rows = self._driver(driven, sources, scales)
+            rows = self._driver_rows(driven, sources, scales)
         if isinstance(spec.limits, RangeLimit):
             limits = (spec.limits.low, spec.limits.high)
             rows += [("number", 0, (limit,)) for limit in limits]
             rows.append(("clamp", 0, ()))
         return rows
 
-    def _driver(
+    def _driver_rows(
         self,
         driver: Driver,
         sources: Mapping[int, CoordinateSource],
         scales: FloatArray,
     ) -> list[_Row]:
+        """Return the rows that evaluate a driver's expression and curve."""
         rows: list[_Row] = []
         if driver.expression is None:
             rows += self._input_rows(driver, driver.by, sources, scales)
@@ -222,7 +227,7 @@ class Programs:
                     rows.append(("number", 0, (float(value),)))
                 else:
                     rows.append((str(value), 0, ()))
-        return rows + _times(driver.unit)
+        return rows + _multiply_rows(driver.unit)
 
     def _input_rows(
         self,
@@ -232,12 +237,13 @@ class Programs:
         scales: FloatArray,
     ) -> list[_Row]:
         """Return the program rows that read a driver's input in its unit."""
-        rows = self._read(name, sources, scales)
-        return rows + _times(1.0 / driver.unit_of(name))
+        rows = self._source_rows(name, sources, scales)
+        return rows + _multiply_rows(1.0 / driver.unit_of(name))
 
-    def _read(
+    def _source_rows(
         self, name: str, sources: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> list[_Row]:
+        """Return the rows that read a control or a joint coordinate."""
         joint, part = split_coordinate(name)
         target = f"joint/{joint}" if joint else f"control/{name}"
         if target in self._numbers:
@@ -253,7 +259,7 @@ class Programs:
         if spec.type is JointType.BALL:
             return [("ball", column + 1, _ball_weights(spec, part))]
         rows: list[_Row] = [("coordinate", column + 1, (float(scales[column]),))]
-        return [*rows, *_times(source.gain), *_plus(source.shift)]
+        return [*rows, *_multiply_rows(source.gain), *_add_rows(source.shift)]
 
     def _static_coordinate(self, j: int, part: str) -> float:
         """Return a coordinate of a static joint."""
@@ -264,11 +270,13 @@ class Programs:
         return float(values[0, 0])
 
 
-def _times(factor: float) -> list[_Row]:
+def _multiply_rows(factor: float) -> list[_Row]:
+    """Return the rows that multiply by a factor; none for 1."""
     return [] if factor == 1.0 else [("number", 0, (factor,)), ("*", 0, ())]
 
 
-def _plus(term: float) -> list[_Row]:
+def _add_rows(term: float) -> list[_Row]:
+    """Return the rows that add a term; none for 0."""
     return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
 
 

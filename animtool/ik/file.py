@@ -64,12 +64,14 @@ def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:
     check_version(document, "targets")
     model = validate_document(document, TargetsModel)
     with Archives() as archives:
-        tracks = _TargetsReader(document, model, rig, archives).tracks()
+        tracks = _TargetsReader(document, model, rig, archives).read_tracks()
     document.check()
     return tracks
 
 
 class _TargetsReader:
+    """Reads the goals of a validated targets document."""
+
     def __init__(
         self,
         document: Document,
@@ -78,27 +80,27 @@ class _TargetsReader:
         archives: Archives,
     ) -> None:
         self.document, self.model, self.rig = document, model, rig
-        self.first, self.last = self._range()
+        self.first, self.last = self._read_range()
         count = None
         if self.first is not None and self.last is not None and self.first <= self.last:
             count = int((self.last - self.first) // 1) + 1
         self.values = ValueReader(
             document,
             rig,
-            self._units(),
+            self._read_units(),
             project_roots(document.path),
             archives,
             self.first,
             count,
         )
 
-    def tracks(self) -> TargetTracks:
-        fps = self._fps()
+    def read_tracks(self) -> TargetTracks:
+        fps = self._read_rate()
         warn_of_order(self.document)
         goals = [
             track
             for i, goal in enumerate(self.model.goals)
-            if (track := self._goal(("goals", i), goal)) is not None
+            if (track := self._read_goal(("goals", i), goal)) is not None
         ]
         frames = None
         if self.first is not None and self.last is not None:
@@ -145,7 +147,7 @@ class _TargetsReader:
         other = replace(unknown[0], message=message, hint=hint)
         faults[:] = [other, *(fault for fault in faults if fault not in unknown)]
 
-    def _units(self) -> ClipUnits:
+    def _read_units(self) -> ClipUnits:
         rig, units = self.rig, self.model.units
         length = 1.0 if rig is None else rig.meters_per_unit
         angle = math.radians(1.0) if rig is None else rig.radians_per_unit
@@ -155,7 +157,7 @@ class _TargetsReader:
             angle = math.radians(1.0) if units.angle == "deg" else 1.0
         return ClipUnits(length, angle)
 
-    def _fps(self) -> Fraction | None:
+    def _read_rate(self) -> Fraction | None:
         if self.model.fps is None:
             return None
         try:
@@ -164,32 +166,33 @@ class _TargetsReader:
             self.document.add(error.code, ("fps",), str(error))
             return None
 
-    def _range(self) -> tuple[Fraction | None, Fraction | None]:
+    def _read_range(self) -> tuple[Fraction | None, Fraction | None]:
         if self.model.range is None or self.document.is_placeholder(("range",)):
             return None, None
         first, last = self.model.range
         return checked_range(self.document, first, last)
 
-    def _goal(self, at: Location, model: GoalModel) -> GoalTrack | None:
-        joint, chain = self._effector((*at, "effector"), model.effector)
-        root = self._root(at, model, joint, chain)
-        spans = self._spans((*at, "hold"), model.hold)
-        during = self._spans((*at, "during"), model.during)
-        values = {kind.name: self._value(at, model, kind) for kind in KINDS}
+    def _read_goal(self, location: Location, model: GoalModel) -> GoalTrack | None:
+        """Return the track of a goal; None if it is faulty."""
+        joint, chain = self._read_effector((*location, "effector"), model.effector)
+        root = self._read_root(location, model, joint, chain)
+        spans = self._read_spans((*location, "hold"), model.hold)
+        during = self._read_spans((*location, "during"), model.during)
+        values = {kind.name: self._read_value(location, model, kind) for kind in KINDS}
         parts_to_hold = _hold_parts(values, chain) if spans else frozenset[str]()
         value_parts = {part for part in PARTS if getattr(model, part) is not None}
         is_empty = not value_parts - {"pole"} and not model.hold
-        if is_empty and not self.document.has_placeholder_below(at):
+        if is_empty and not self.document.has_placeholder_below(location):
             message = f"has no goal for {model.effector!r}"
             hint = "add a position, an orientation, an aim or spans to hold"
-            self.document.add("TGT002", at, message, hint)
-        weights = self._weights(
-            (*at, "weight"), model.weight, value_parts | parts_to_hold
+            self.document.add("TGT002", location, message, hint)
+        weights = self._read_weights(
+            (*location, "weight"), model.weight, value_parts | parts_to_hold
         )
         axes = [
-            self._axis((*at, kind.name, "axis"), part.axis)
+            self._read_axis((*location, kind.name, "axis"), part.axis)
             for kind in KINDS
-            if kind.axis and (part := getattr(model, kind.name)) is not None
+            if kind.has_axis and (part := getattr(model, kind.name)) is not None
         ]
         if joint is None:
             return None
@@ -214,18 +217,26 @@ class _TargetsReader:
             tuple(spans),
             model.ease,
             frozenset(parts_to_hold),
-            location=self.document.position(at),
+            location=self.document.position(location),
             during=tuple(during),
         )
 
-    def _value(self, at: Location, model: GoalModel, kind: GoalKind) -> Value | None:
+    def _read_value(
+        self, location: Location, model: GoalModel, kind: GoalKind
+    ) -> Value | None:
         """Return the value of a part of a goal; None if absent."""
-        at, value, key = (*at, kind.name), getattr(model, kind.name), kind.name
-        if kind.axis and value is not None:
-            at, value, key = (*at, "at"), value.at, "at"
-        return self.values.value(at, value, key)
+        location, value, key = (
+            (*location, kind.name),
+            getattr(model, kind.name),
+            kind.name,
+        )
+        if kind.has_axis and value is not None:
+            location, value, key = (*location, "at"), value.at, "at"
+        return self.values.read_value(location, value, key)
 
-    def _effector(self, at: Location, name: str) -> tuple[str | None, IkChain | None]:
+    def _read_effector(
+        self, location: Location, name: str
+    ) -> tuple[str | None, IkChain | None]:
         """Return the joint of an effector, and the chain whose tip it is."""
         if self.rig is None:
             return name, None
@@ -234,13 +245,13 @@ class _TargetsReader:
                 return chain.tip, chain
         if name in self.rig.names:
             return name, None
-        if not self.document.is_placeholder(at):
+        if not self.document.is_placeholder(location):
             names = [*(chain.name for chain in self.rig.chains), *self.rig.names]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
-            self.document.add("TGT001", at, message, nearest(name, names))
+            self.document.add("TGT001", location, message, nearest(name, names))
         return None, None
 
-    def _root(
+    def _read_root(
         self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
     ) -> str | None:
         name = model.root
@@ -260,22 +271,23 @@ class _TargetsReader:
             self.document.add("TGT012", location, message)
         return name
 
-    def _spans(
-        self, at: Location, pairs: list[list[float]]
+    def _read_spans(
+        self, location: Location, spans_in_file: list[list[float]]
     ) -> list[tuple[float, float]]:
+        """Return spans in order; reversed or overlapping ones are faults."""
         spans: list[tuple[float, float, int]] = []
-        for i, span in enumerate(pairs):
-            if self.document.is_placeholder((*at, i)):
+        for i, span in enumerate(spans_in_file):
+            if self.document.is_placeholder((*location, i)):
                 continue
             first, last = span
             if first > last:
                 message = f"the span from {first:g} to {last:g} is reversed"
                 hint = f"write [{last:g}, {first:g}]"
-                self.document.add("TGT005", (*at, i), message, hint)
+                self.document.add("TGT005", (*location, i), message, hint)
                 continue
             if max(abs(first), abs(last)) > MAX_FRAME:
                 message = f"a frame is beyond {MAX_FRAME:.0e}"
-                self.document.add("TGT005", (*at, i), message)
+                self.document.add("TGT005", (*location, i), message)
                 continue
             spans.append((first, last, i))
         spans.sort()
@@ -283,30 +295,32 @@ class _TargetsReader:
             if next_first <= last:
                 message = f"the span from {next_first:g} to {end:g} overlaps that from "
                 message += f"{first:g} to {last:g}"
-                self.document.add("TGT005", (*at, i), message, "merge them")
+                self.document.add("TGT005", (*location, i), message, "merge them")
         return [(first, last) for first, last, _ in spans]
 
-    def _axis(self, at: Location, axis: list[float]) -> Vector:
+    def _read_axis(self, location: Location, axis: list[float]) -> Vector:
         length = math.hypot(*axis)
         if not length > MIN_DIRECTION:
             message = f"direction {axis} has zero length"
             hint = "write the direction to aim, such as [0, 0, 1]"
-            self.document.add("TGT008", at, message, hint)
+            self.document.add("TGT008", location, message, hint)
             return (0.0, 0.0, 1.0)
         x, y, z = (value / length for value in axis)
         return (x, y, z)
 
-    def _weights(
+    def _read_weights(
         self,
-        at: Location,
+        location: Location,
         model: float | WeightsModel,
         goal_kinds: AbstractSet[str],
     ) -> dict[str, Value]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
-            if model == 0 and not self.document.is_placeholder(at):
+            if model == 0 and not self.document.is_placeholder(location):
                 hint = "remove the goal"
-                self.document.add("TGT002", at, "a weight of 0 has no effect", hint)
+                self.document.add(
+                    "TGT002", location, "a weight of 0 has no effect", hint
+                )
             if model == 1:
                 return {}
             return {part: Constant((float(model),)) for part in PARTS}
@@ -317,20 +331,22 @@ class _TargetsReader:
                 continue
             if part not in goal_kinds:
                 message = f"the weight of the {part} has no effect: the goal has none"
-                self.document.warn("TGT101", (*at, part), message)
-            curve = self._weight((*at, part), weight)
+                self.document.warn("TGT101", (*location, part), message)
+            curve = self._read_weight((*location, part), weight)
             if curve is not None:
                 weights[part] = curve
         return weights
 
-    def _weight(self, at: Location, model: float | CurveModel) -> Value | None:
+    def _read_weight(
+        self, location: Location, model: float | CurveModel
+    ) -> Value | None:
         if not isinstance(model, CurveModel):
             return Constant((float(model),))
-        curve = self.values.curve(at, model, "weight")
+        curve = self.values.read_curve(location, model, "weight")
         if curve is not None and (curve.channel.values < 0).any():
             k = int(np.argmax(curve.channel.values[:, 0] < 0))
             message = f"weight {curve.channel.values[k, 0]:g} is less than 0"
-            self.document.add("TGT007", (*at, "keys", k, "v"), message)
+            self.document.add("TGT007", (*location, "keys", k, "v"), message)
         return curve
 
 

@@ -7,10 +7,10 @@ import math
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.ik.chain import unwound
+from animtool.ik.chain import unwrap_angles
 from animtool.ik.goals import Targets
 from animtool.ik.problem import Problem
-from animtool.ik.solving import chain_targets, pose_rows
+from animtool.ik.solving import pack_for_chain, pose_rows
 from animtool.ik.sub_rig import with_mimics
 
 # Weight that pulls a path to its per-frame solutions: only motion that no goal
@@ -50,21 +50,22 @@ class FitResult:
     Attributes:
         coordinates: Rig coordinates ``(F, Q)``.
         misses: Position miss of each goal ``(F, E)`` [m].
-        searched: Frames solved from a start instead of the previous frames ``(F,)``.
-        taken: Index of the target assigned to each goal ``(F, E)``: its own unless
-            labels were swapped; -1 without target.
+        is_restarted: Mask of the frames solved from a start instead of the previous
+            frames ``(F,)``.
+        target_indices: Index of the target assigned to each goal ``(F, E)``: its own
+            unless labels were swapped; -1 without target.
         rounds: Number of iterations over all frames together.
-        before: Objective before these iterations [1].
-        after: Objective after these iterations [1].
+        cost_before: Objective before these iterations [1].
+        cost_after: Objective after these iterations [1].
     """
 
     coordinates: FloatArray
     misses: FloatArray
-    searched: BoolArray
-    taken: IntArray
+    is_restarted: BoolArray
+    target_indices: IntArray
     rounds: int
-    before: float
-    after: float
+    cost_before: float
+    cost_after: float
 
 
 def fit(
@@ -102,16 +103,16 @@ def fit(
         1987. A. Blake, A. Zisserman, Visual reconstruction, 1987.
     """
     chain = problem.chain
-    packed = chain_targets(problem, targets)
+    packed = pack_for_chain(problem, targets)
     count = len(packed)
-    begins = pose_rows(problem, starts, count, "starts")
-    start_path = begins if path is None else pose_rows(problem, path, count, "path")
+    start_rows = pose_rows(problem, starts, count, "starts")
+    start_path = start_rows if path is None else pose_rows(problem, path, count, "path")
     acceleration_weight = (options.fps**2 / options.acceleration) ** 2
     output = _kernels.fit_ik(
-        *chain.arrays,
-        path=unwound(chain, chain.from_rig(start_path)),
+        *chain.kernel_arrays,
+        path=unwrap_angles(chain, chain.from_rig(start_path)),
         targets=packed,
-        starts=chain.from_rig(begins),
+        starts=chain.from_rig(start_rows),
         anchor=ANCHOR_WEIGHT,
         speed=0.0,
         acceleration=acceleration_weight,
@@ -124,15 +125,17 @@ def fit(
         rounds=options.rounds,
         tracked=path is None or first > 0,
     )
-    coordinates, misses, searched, taken, rounds, before, after = output
+    coordinates, misses, searched, target_indices, rounds, cost_before, cost_after = (
+        output
+    )
     return FitResult(
         with_mimics(
             problem.rig, chain.into_rig(coordinates, start_path), problem.joints
         ),
         misses[:, :, 0] * chain.length,
         searched > 0,
-        taken,
+        target_indices,
         rounds,
-        before,
-        after,
+        cost_before,
+        cost_after,
     )

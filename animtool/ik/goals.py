@@ -32,14 +32,14 @@ class GoalKind:
     """A kind of goal; the kernel has a type for each."""
 
     name: str  # its weight field in `Goal`, and its key in targets files
-    targets: str  # its field in `Targets`
-    value: TargetValue
+    targets_field: str  # its field in `Targets`
+    value_type: TargetValue
     rows: int  # number of residuals
-    metric: bool  # whether its miss is a length [m], else an angle [rad]
-    turning: bool = True  # whether it depends on the joint's rotation about its point
-    directed: bool = False  # whether only the direction of its target counts
-    axis: bool = False  # whether it has an axis of the joint, also in targets files
-    pulls: bool = True  # whether cyclic coordinate descent supports it
+    is_length: bool  # whether its miss is a length [m], else an angle [rad]
+    depends_on_rotation: bool = True  # whether rotating about the point changes it
+    is_direction: bool = False  # whether only the direction of its target counts
+    has_axis: bool = False  # whether it has an axis of the joint, also in targets files
+    supports_ccd: bool = True  # whether cyclic coordinate descent supports it
     description: str = ""  # description of its key in targets files
     example: object = None  # example of its value in targets files
     weight_description: str = ""
@@ -53,8 +53,8 @@ KINDS = (
         "positions",
         TargetValue.POINT,
         rows=3,
-        metric=True,
-        turning=False,
+        is_length=True,
+        depends_on_rotation=False,
         description="Target of the point: three numbers, an array (F, 3), keys or a "
         "prim.",
         example="hands.npz#left",
@@ -66,8 +66,8 @@ KINDS = (
         "rotations",
         TargetValue.ROTATION,
         rows=3,
-        metric=False,
-        directed=True,
+        is_length=False,
+        is_direction=True,
         description="Target rotation of the joint: [w, x, y, z], an array (F, 4) of "
         "those, keys or a prim.",
         example=[1.0, 0.0, 0.0, 0.0],
@@ -79,9 +79,9 @@ KINDS = (
         "aims",
         TargetValue.POINT,
         rows=2,
-        metric=False,
-        directed=True,
-        axis=True,
+        is_length=False,
+        is_direction=True,
+        has_axis=True,
         description="An axis of the joint that points at a target.",
         example={"axis": [0.0, 0.0, 1.0], "at": [0.0, 1.5, 4.0]},
         weight_description="Weight of the aim, likewise.",
@@ -92,10 +92,10 @@ KINDS = (
         "poles",
         TargetValue.POINT,
         rows=1,
-        metric=False,
-        turning=False,
-        directed=True,
-        pulls=False,
+        is_length=False,
+        depends_on_rotation=False,
+        is_direction=True,
+        supports_ccd=False,
         description="The point that the middle of the limb points towards, written "
         "like a `position`. Default: as in the start clip, else the "
         "chain's `pole_dir`.",
@@ -106,14 +106,14 @@ KINDS = (
 )
 PARTS = tuple(kind.name for kind in KINDS)
 # Columns of each target in a kernel row, followed by the weight factors.
-_ENDS = tuple(accumulate(kind.value.value for kind in KINDS))
-COLUMNS = {
-    kind.name: slice(end - kind.value.value, end)
-    for kind, end in zip(KINDS, _ENDS, strict=True)
+_TARGET_ENDS = tuple(accumulate(kind.value_type.value for kind in KINDS))
+TARGET_COLUMNS = {
+    kind.name: slice(end - kind.value_type.value, end)
+    for kind, end in zip(KINDS, _TARGET_ENDS, strict=True)
 }
-WEIGHTS = slice(_ENDS[-1], _ENDS[-1] + len(KINDS))
-WEIGHT = {part: WEIGHTS.start + i for i, part in enumerate(PARTS)}
-METRIC = np.array([kind.metric for kind in KINDS], np.bool_)
+WEIGHT_COLUMNS = slice(_TARGET_ENDS[-1], _TARGET_ENDS[-1] + len(KINDS))
+WEIGHT_COLUMN = {part: WEIGHT_COLUMNS.start + i for i, part in enumerate(PARTS)}
+IS_LENGTH = np.array([kind.is_length for kind in KINDS], np.bool_)
 
 
 def by_unit(length: float, angle: float) -> FloatArray:
@@ -122,7 +122,7 @@ def by_unit(length: float, angle: float) -> FloatArray:
     >>> by_unit(1e-3, 0.1).tolist()
     [0.001, 0.1, 0.1, 0.1]
     """
-    return np.where(METRIC, length, angle)
+    return np.where(IS_LENGTH, length, angle)
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,10 +173,9 @@ class Goal:
                     f"{kind.name} of the goal {self.joint!r} is a weight, a number "
                 )
                 message += f"from 0, not {excerpt(str(weight))}"
-                hint = (
-                    f"targets are arguments of the solve: Targets({kind.targets}=...), "
-                )
-                hint += f"one of {kind.value.value} numbers for each goal of each pose"
+                field, count = kind.targets_field, kind.value_type.value
+                hint = f"targets are arguments of the solve: Targets({field}=...), "
+                hint += f"one of {count} numbers for each goal of each pose"
                 raise OptionError(Fault("TGT007", message, hint=hint))
 
     @property
@@ -195,9 +194,11 @@ class Goal:
         return sum(kind.rows for kind in self.kinds)
 
     @property
-    def pivots(self) -> bool:
-        """Whether rotating its joint about the joint's origin changes no residual."""
-        return not any(self.offset) and not any(kind.turning for kind in self.kinds)
+    def ignores_joint_rotation(self) -> bool:
+        """Whether rotating the joint about its origin changes no residual."""
+        return not any(self.offset) and not any(
+            kind.depends_on_rotation for kind in self.kinds
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +211,7 @@ class Targets:
         positions: ``(B, E, 3)`` [m].
         rotations: Quaternions ``(B, E, 4)``, x y z w; normalised.
         aims: Points to aim at ``(B, E, 3)`` [m].
-        poles: Points that the limbs' middle joints lie towards ``(B, E, 3)`` [m].
+        poles: Points that the limbs bend towards ``(B, E, 3)`` [m].
         weights: Factors of the goals' weights of position, orientation, aim and pole
             ``(B, E, 4)``; None is 1. A factor of 0 disables the goal's part in that
             problem, and its target may be anything.
@@ -274,22 +275,26 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     return [Fault("TGT012", message, where=where)]
 
 
-def rows_of(targets: Targets, frames: IntArray | slice) -> Targets:
+def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:
     """Return the targets of some frames."""
-    parts = [getattr(targets, part.name) for part in fields(Targets)]
-    return Targets(*[None if p is None else np.asarray(p)[frames] for p in parts])
+    arrays = [getattr(targets, field.name) for field in fields(Targets)]
+    return Targets(
+        *[None if array is None else np.asarray(array)[frames] for array in arrays]
+    )
 
 
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     """Return targets packed for kernels ``(B, E, W)``; unused numbers are finite."""
     faults: list[Fault] = []
-    columns_by_name = [(kind.targets, COLUMNS[kind.name]) for kind in KINDS]
+    columns_by_name = [
+        (kind.targets_field, TARGET_COLUMNS[kind.name]) for kind in KINDS
+    ]
     checked_arrays = [
         (
             columns,
             _checked_shape(name, getattr(targets, name), len(goals), columns, faults),
         )
-        for name, columns in [*columns_by_name, ("weights", WEIGHTS)]
+        for name, columns in [*columns_by_name, ("weights", WEIGHT_COLUMNS)]
     ]
     supplied_arrays = [
         (columns, checked) for columns, checked in checked_arrays if checked is not None
@@ -297,33 +302,39 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     batches = {len(checked) for _, checked in supplied_arrays}
     if len(batches) > 1:
         faults.append(Fault("IK010", f"targets of {sorted(batches)} problems at once"))
-    packed_targets = np.zeros((min(batches, default=1), len(goals), WEIGHTS.stop))
-    packed_targets[:, :, [*_identities(), *range(WEIGHTS.start, WEIGHTS.stop)]] = 1.0
+    packed_targets = np.zeros(
+        (min(batches, default=1), len(goals), WEIGHT_COLUMNS.stop)
+    )
+    packed_targets[
+        :,
+        :,
+        [*_quaternion_w_columns(), *range(WEIGHT_COLUMNS.start, WEIGHT_COLUMNS.stop)],
+    ] = 1.0
     for columns, checked in supplied_arrays:
         packed_targets[:, :, columns] = checked[: len(packed_targets)]
     active = _active_parts(goals, packed_targets)
-    missing = active & [getattr(targets, kind.targets) is None for kind in KINDS]
-    if faults or missing.any() or not _is_plain(packed_targets):
+    missing = active & [getattr(targets, kind.targets_field) is None for kind in KINDS]
+    if faults or missing.any() or not _all_values_valid(packed_targets):
         faults += _value_faults(packed_targets, active, missing)
         np.nan_to_num(packed_targets, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
     for kind in KINDS:
-        if kind.directed:
-            _bring_in(packed_targets[:, :, COLUMNS[kind.name]])
+        if kind.is_direction:
+            _limit_direction_sizes(packed_targets[:, :, TARGET_COLUMNS[kind.name]])
     return packed_targets
 
 
-def _identities() -> list[int]:
+def _quaternion_w_columns() -> list[int]:
     """Return the columns of the scalar parts of rotations."""
-    return [COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
+    return [TARGET_COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
 
 
 def _is_rotation(kind: GoalKind) -> bool:
-    return kind.value is TargetValue.ROTATION
+    return kind.value_type is TargetValue.ROTATION
 
 
-def _bring_in(directions: FloatArray) -> None:
+def _limit_direction_sizes(directions: FloatArray) -> None:
     """Scale huge direction targets so that their squares do not overflow."""
     sizes = np.abs(directions).max(axis=2, keepdims=True)
     if (sizes > MAX_COORDINATE).any():
@@ -333,7 +344,7 @@ def _bring_in(directions: FloatArray) -> None:
 def _checked_shape(
     name: str,
     values: ArrayLike | None,
-    goals: int,
+    goal_count: int,
     columns: slice,
     faults: list[Fault],
 ) -> FloatArray | None:
@@ -341,7 +352,7 @@ def _checked_shape(
     if values is None:
         return None
     width = columns.stop - columns.start
-    expected = f"(B, {goals}, {width})"
+    expected = f"(B, {goal_count}, {width})"
     try:
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
@@ -349,7 +360,7 @@ def _checked_shape(
         message = f"{name} must be numbers of shape {expected}"
         faults.append(Fault("IK010", message))
         return None
-    if array.ndim == 3 and array.shape[1:] == (goals, width):
+    if array.ndim == 3 and array.shape[1:] == (goal_count, width):
         return array
     message = f"{name} must have shape {expected}, not {array.shape}"
     faults.append(Fault("IK010", message))
@@ -359,17 +370,17 @@ def _checked_shape(
 def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
     """Return a mask of the goal parts that each problem uses ``(B, E, 4)``."""
     weighted = np.array([goal.weights for goal in goals]) > 0
-    return np.asarray(weighted & (packed[:, :, WEIGHTS] > 0))
+    return np.asarray(weighted & (packed[:, :, WEIGHT_COLUMNS] > 0))
 
 
-def _is_plain(packed: FloatArray) -> bool:
+def _all_values_valid(packed: FloatArray) -> bool:
     """Return whether all values are valid, whether used or not."""
     rotations_valid = all(
-        packed[:, :, COLUMNS[kind.name]].any(axis=2).all()
+        packed[:, :, TARGET_COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS
         if _is_rotation(kind)
     )
-    weights_valid = (packed[:, :, WEIGHTS] >= 0).all()
+    weights_valid = (packed[:, :, WEIGHT_COLUMNS] >= 0).all()
     return bool(np.isfinite(packed).all() and rotations_valid and weights_valid)
 
 
@@ -378,29 +389,29 @@ def _value_faults(
 ) -> list[Fault]:
     """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
-    weights = packed[:, :, WEIGHTS]
+    weights = packed[:, :, WEIGHT_COLUMNS]
     is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if is_invalid.any():
         b, e = (int(i) for i in np.argwhere(is_invalid)[0])
         message = f"weights[{b}, {e}] are not finite numbers from 0"
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(KINDS):
-        name = kind.targets
+        name = kind.targets_field
         if missing[..., i].any():
             goal = int(np.argwhere(missing[..., i])[0, 1])
             faults.append(Fault("IK010", f"goal {goal} needs {name}"))
             continue
-        part = packed[:, :, COLUMNS[kind.name]]
-        is_invalid = ~np.isfinite(part).all(axis=2)
+        kind_targets = packed[:, :, TARGET_COLUMNS[kind.name]]
+        is_invalid = ~np.isfinite(kind_targets).all(axis=2)
         if _is_rotation(kind):
-            is_invalid |= ~part.any(axis=2)
+            is_invalid |= ~kind_targets.any(axis=2)
         is_invalid &= active[..., i]
         if is_invalid.any():
             b, e = (int(i) for i in np.argwhere(is_invalid)[0])
-            problem = (
+            reason = (
                 ("is not a rotation")
                 if _is_rotation(kind)
                 else "are not finite numbers"
             )
-            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {problem}"))
+            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {reason}"))
     return faults

@@ -53,7 +53,7 @@ class Jump:
         return "m" if self.slides else "rad"
 
 
-def largest_step(fps: float) -> float:
+def jump_threshold(fps: float) -> float:
     """Return the jump threshold of a frame: rotation [rad], slide [chain lengths]."""
     return min(MIN_JUMP + MIN_SPEED / fps, MAX_ROTATION)
 
@@ -70,9 +70,9 @@ def find_jumps(
 ) -> tuple[Jump, ...]:
     """Return the jumps of joints, by frame and joint.
 
-    A joint jumps where it rotates by more than `largest_step` beyond the source, or by
-    more than .5 rad and .1 rad beyond it; where it jerks from rest and stops again; and
-    where the motion around a step does not predict it, as in rule MOT202.
+    A joint jumps where it rotates by more than `jump_threshold` beyond the source, or
+    by more than .5 rad and .1 rad beyond it; where it jerks from rest and stops again;
+    and where the motion around a step does not predict it, as in rule MOT202.
 
     Args:
         names: Names of the J joints.
@@ -97,60 +97,62 @@ def find_jumps(
         None if source_poses is None else _select_joints(source_poses, moving)
     )
     windings = None if windings is None else windings[:, moving]
-    is_cut = np.zeros(count - 1, np.bool_)
-    moves = goal_moves[:, None]
-    rotations, old_steps = (
+    is_cut_before = np.zeros(count - 1, np.bool_)
+    goal_steps = goal_moves[:, None]
+    rotations, source_steps = (
         _rotation_steps(solved_poses.rotations),
         _rotation_steps(solved_poses.rotations[:1].repeat(count, 0)),
     )
     if source_poses is not None:
-        old_steps = _rotation_steps(source_poses.rotations)
-    angles, old_angles = (
+        source_steps = _rotation_steps(source_poses.rotations)
+    angles, source_angles = (
         np.linalg.norm(rotations, axis=2),
-        np.linalg.norm(old_steps, axis=2),
+        np.linalg.norm(source_steps, axis=2),
     )
     if windings is not None:
         angles = angles + windings
-    excess = angles - old_angles
+    excess = angles - source_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
-    is_jump |= (excess > largest_step(fps)) | _is_jerk(excess, moves)
-    is_pop = rotation_pops(rotations, 1.0 / fps, is_cut)[0]
-    is_jump |= is_pop & ~rotation_pops(old_steps, 1.0 / fps, is_cut)[0]
-    jumps = _jumps_at(names, is_jump, angles, old_angles, moves)
-    shifts = np.diff(solved_poses.translations, axis=0)
-    old_steps = np.zeros_like(shifts)
+    is_jump |= (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
+    is_pop = rotation_pops(rotations, 1.0 / fps, is_cut_before)[0]
+    is_jump |= is_pop & ~rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
+    jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
+    displacements = np.diff(solved_poses.translations, axis=0)
+    source_steps = np.zeros_like(displacements)
     if source_poses is not None:
-        old_steps = np.diff(source_poses.translations, axis=0)
-    sizes, old_sizes = (
-        np.linalg.norm(rows, axis=2) / length for rows in (shifts, old_steps)
+        source_steps = np.diff(source_poses.translations, axis=0)
+    sizes, source_sizes = (
+        np.linalg.norm(rows, axis=2) / length for rows in (displacements, source_steps)
     )
-    excess = sizes - old_sizes
-    is_jump = (excess > largest_step(fps)) | _is_jerk(excess, moves)
-    limits = (1.0 / fps, is_cut, MIN_SLIDE * length, SLIDE_NOISE * length)
+    excess = sizes - source_sizes
+    is_jump = (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
+    limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_jump |= (
-        translation_pops(shifts, *limits)[0] & ~translation_pops(old_steps, *limits)[0]
+        translation_pops(displacements, *limits)[0]
+        & ~translation_pops(source_steps, *limits)[0]
     )
-    jumps += _jumps_at(names, is_jump, sizes, old_sizes, moves, length=length)
+    jumps += _jumps_at(names, is_jump, sizes, source_sizes, goal_steps, length=length)
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
 
 def _moving_joints(
-    before: LocalTransforms | None,
-    after: LocalTransforms,
+    source_poses: LocalTransforms | None,
+    solved_poses: LocalTransforms,
     windings: FloatArray | None,
 ) -> IntArray:
     """Return the joints that move: static ones cannot jump."""
-    moves = np.zeros(after.rotations.shape[1], np.bool_)
-    for poses in (after, before):
+    is_moving = np.zeros(solved_poses.rotations.shape[1], np.bool_)
+    for poses in (solved_poses, source_poses):
         if poses is not None:
             for values in (poses.rotations, poses.translations):
-                moves |= (values != values[:1]).any(axis=(0, 2))
+                is_moving |= (values != values[:1]).any(axis=(0, 2))
     if windings is not None:
-        moves |= windings.any(axis=0)
-    return np.asarray(np.flatnonzero(moves))
+        is_moving |= windings.any(axis=0)
+    return np.asarray(np.flatnonzero(is_moving))
 
 
 def _select_joints(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
+    """Return the poses of some joints."""
     return LocalTransforms(poses.translations[:, joints], poses.rotations[:, joints])
 
 
@@ -159,7 +161,7 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
     return so3.log(so3.multiply(rotations[1:], so3.conjugate(rotations[:-1])))
 
 
-def _is_jerk(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
+def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
     """Return a mask of steps ``(F - 1, N)`` that far exceed their neighbours."""
     largest_neighbour = np.zeros_like(steps)
     for offset in range(1, NEIGHBOURS + 1):

@@ -15,7 +15,7 @@ from animtool.ik.goals import Goal
 from animtool.rig.skeleton import Rig
 
 # Joints nearer than this fraction of the rig's size share an origin.
-MIN_BONE = 1e-9
+MIN_BONE_FRACTION = 1e-9
 
 
 def limb_joints(
@@ -29,7 +29,7 @@ def limb_joints(
 
     The goal's ``point`` ``(3,)`` and ``origins`` ``(J, 3)`` are of any one pose.
     """
-    min_bone = MIN_BONE * (np.ptp(origins, axis=0).max() + 1e-300)
+    min_bone = MIN_BONE_FRACTION * (np.ptp(origins, axis=0).max() + 1e-300)
     joints: list[int] = []
     lengths: list[float] = []
     below_point, j = point, rig.index(goal.joint)
@@ -49,7 +49,7 @@ def limb_joints(
 
 
 # Lengths below this fraction of the problem's length count as zero.
-NO_LENGTH = 1e-12
+ZERO_LENGTH = 1e-12
 # A limb within this fraction of its full length is straight.
 STRAIGHT = 1e-9
 
@@ -61,8 +61,10 @@ class GoalLimb:
     goal: int  # index of the goal in the problem
     joints: tuple[int, ...]  # joints whose translations are the limb's bones
     origin: FloatArray  # of its root [fraction of the problem's length] ``(3,)``
-    reach: float  # its largest extension within limits [same unit]
-    bones: float  # growth of the reach per relative growth of the bones [same unit]
+    max_length: float  # its largest extension within limits [same unit]
+    bone_length: (
+        float  # growth of the reach per relative growth of the bones [same unit]
+    )
     soft: float  # fraction of the reach over which its extension eases out
     stretch: float  # largest relative growth of its bones
 
@@ -80,8 +82,8 @@ def find_limbs(
     for e, goal in enumerate(goals):
         if not (goal.soft > 0 or goal.stretch > 0):
             continue
-        limb = _limb(rig, goal, e, moving, chain)
-        message = _fault(rig, goal, limb, moving, chain)
+        limb = _goal_limb(rig, goal, e, moving, chain)
+        message = _limb_fault(rig, goal, limb, moving, chain)
         if goal.stretch > 0 and stretched_joints & set(limb.joints):
             message = "another goal already stretches its bones"
         if goal.stretch > 0:
@@ -92,20 +94,27 @@ def find_limbs(
     return tuple(limbs), faults
 
 
-def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> GoalLimb:
-    path = _path(chain, e)
+def _goal_limb(
+    rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain
+) -> GoalLimb:
+    """Return the limb of a goal."""
+    path = _goal_nodes(chain, e)
     joints_above = rig.upwards(rig.index(goal.joint))
     top_index = max(i for i, j in enumerate(joints_above) if j in moving)
-    bone, tool = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
+    bone_offset, tool_offset = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
     length_between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
-    tip_offset = bone + tool
-    length = float(np.linalg.norm(tip_offset))
+    tip_offset = bone_offset + tool_offset
+    tip_length = float(np.linalg.norm(tip_offset))
     alignment = (
-        max(float(bone @ tip_offset) / length, 0.0) if length > NO_LENGTH else 0.0
+        max(float(bone_offset @ tip_offset) / tip_length, 0.0)
+        if tip_length > ZERO_LENGTH
+        else 0.0
     )
-    straight = length_between + length
+    straight_length = length_between + tip_length
     extension = (
-        min(_reach(chain, path, tip_offset) / straight, 1.0) if straight > 0 else 1.0
+        min(_limb_reach(chain, path, tip_offset) / straight_length, 1.0)
+        if straight_length > 0
+        else 1.0
     )
     if extension > 1 - STRAIGHT:
         extension = 1.0
@@ -113,20 +122,20 @@ def _limb(rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain) -> GoalL
         e,
         tuple(joints_above[:top_index]),
         chain.numbers[path[0], 9:12],
-        extension * straight,
+        extension * straight_length,
         extension * (length_between + alignment),
         goal.soft,
         goal.stretch,
     )
 
 
-def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
+def _limb_reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     """Return the reach of a limb of two bones and a pin; infinity for others.
 
     ``end`` ``(3,)``: the goal's point in the frame of the path's last node.
     """
     bending_nodes = [
-        n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > NO_LENGTH
+        n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > ZERO_LENGTH
     ]
     last_node = path[-1]
     if (
@@ -153,13 +162,14 @@ def _reach(chain: Chain, path: list[int], end: FloatArray) -> float:
     return float(np.sqrt(max(square, 0.0)))
 
 
-def _fault(
+def _limb_fault(
     rig: Rig, goal: Goal, limb: GoalLimb, moving: set[int], chain: Chain
 ) -> str | None:
+    """Return why a goal's limb can be neither soft nor stretch; None if it can."""
     description = "a limb with soft or stretch"
     if not goal.position > 0:
         return f"{description} needs a position goal"
-    if (chain.nodes[_path(chain, limb.goal), 0] == SLIDE).any():
+    if (chain.nodes[_goal_nodes(chain, limb.goal), 0] == SLIDE).any():
         return f"{description} needs joints that rotate, and a root that stays in place"
     joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root is not None:
@@ -168,12 +178,12 @@ def _fault(
         if other_joints:
             name = rig.joints[other_joints[0]].name
             return f"{description} needs a root that stays in place: {name!r} moves it"
-    if goal.stretch > 0 and limb.bones <= NO_LENGTH:
+    if goal.stretch > 0 and limb.bone_length <= ZERO_LENGTH:
         return "it has no bones to stretch"
     return None
 
 
-def _path(chain: Chain, e: int) -> list[int]:
+def _goal_nodes(chain: Chain, e: int) -> list[int]:
     """Return the nodes that move a goal, from the root."""
     path, node = [], int(chain.goals[e, 0])
     while node >= 0:
@@ -184,19 +194,23 @@ def _path(chain: Chain, e: int) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class SoftReach:
-    """Soft and stretched extension of the limbs of B problems."""
+    """Targets of B problems in reach of soft and stretching limbs."""
 
-    reachable: FloatArray  # packed targets within reach of the limbs ``(B, E, W)``
-    scales: FloatArray  # bone length scales ``(B, E)``
+    reachable_targets: (
+        FloatArray  # packed targets within reach of the limbs ``(B, E, W)``
+    )
+    bone_scales: FloatArray  # bone length scales ``(B, E)``
     # Where only soft extension keeps a limb from its target ``(B, E)``.
-    softened: BoolArray
+    is_softened: BoolArray
 
     def __getitem__(self, rows: IntArray) -> SoftReach:
         """Return the rows of some of the problems."""
-        return SoftReach(self.reachable[rows], self.scales[rows], self.softened[rows])
+        return SoftReach(
+            self.reachable_targets[rows], self.bone_scales[rows], self.is_softened[rows]
+        )
 
 
-def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
+def extend_softly(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
     """Return targets moved within reach of their limbs, and bone length scales.
 
     The bones grow by the distance that the softened extension lacks, up to their
@@ -220,7 +234,7 @@ def extend(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
 def limb_arrays(limbs: Sequence[GoalLimb]) -> tuple[IntArray, FloatArray]:
     """Return kernel arrays of limbs: goals ``(L,)`` and numbers ``(L, 7)``."""
     rows = [
-        [*limb.origin, limb.reach, limb.bones, limb.soft, limb.stretch]
+        [*limb.origin, limb.max_length, limb.bone_length, limb.soft, limb.stretch]
         for limb in limbs
     ]
     goals = np.array([limb.goal for limb in limbs], np.int64)

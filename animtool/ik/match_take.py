@@ -22,7 +22,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
-from animtool.ik.chain_frame import refuse_scales
+from animtool.ik.chain_frame import check_scales
 from animtool.ik.goals import PARTS
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
@@ -42,17 +42,17 @@ from animtool.rig.skeleton import Joint, Rig
 # Takes of at most this many frames are written as keys, one per frame, unless reduced.
 MAX_KEYED_FRAMES = 12
 # Joints within this distance of their rest pose are at rest [m], [rad].
-AT_REST = 1e-6
+REST_TOLERANCE = 1e-6
 MAX_LISTED_NAMES = 8
 # Channel targets of both kinds.
 _ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
 
 
-def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
+def match_chains(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     """Return the chains of a rig that match names or patterns; no pattern is all.
 
     >>> rig = Rig("a", (Joint("a", -1),), chains=(IkChain("arm", "a", "a"),))
-    >>> [chain.name for chain in chains_of(rig, ["a*"])]
+    >>> [chain.name for chain in match_chains(rig, ["a*"])]
     ['arm']
     """
     if not rig.chains:
@@ -74,10 +74,10 @@ def chains_of(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
     )
 
 
-def arrays_of(path: Path) -> Path:
-    """Return the path of the array file beside a targets file.
+def array_file_of(path: Path) -> Path:
+    """Return the path of a targets file's array file.
 
-    >>> arrays_of(Path("walk.targets.yaml")).name
+    >>> array_file_of(Path("walk.targets.yaml")).name
     'walk.targets.npz'
     """
     return path.with_suffix(".npz")
@@ -102,13 +102,13 @@ def match_take(
         path: Path of the targets file.
         reduce: Tolerance of keys [m], > 0; for rotations at a point 3 cm from the tip.
     """
-    part, indices = sub_rig(take.rig, [chain.tip for chain in chains])
-    refuse_scales(take, [(chain.name, chain.tip) for chain in chains])
+    part_rig, indices = sub_rig(take.rig, [chain.tip for chain in chains])
+    check_scales(take, [(chain.name, chain.tip) for chain in chains])
     motion = take.motion
     world = forward_kinematics(
-        part, motion.translations.gather(indices), motion.rotations.gather(indices)
+        part_rig, motion.translations.gather(indices), motion.rotations.gather(indices)
     )
-    matched_limbs = match(part, chains, world)
+    matched_limbs = match(part_rig, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
     last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
@@ -118,7 +118,7 @@ def match_take(
     values = _ValueBuilder(
         clock,
         ClipUnits.of_rig(take.rig),
-        None if as_keys else arrays_of(path).name,
+        None if as_keys else array_file_of(path).name,
         first,
         reduce,
     )
@@ -129,7 +129,7 @@ def match_take(
     return TargetTracks(path, clock.fps, first, last, goals)
 
 
-def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
+def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
     """Return a note if targets of chains do not reproduce all motion of their tips.
 
     That is the case if joints above the chains leave their rest pose, or bones change
@@ -152,12 +152,14 @@ def left_out(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
         if chain.stretch > 0
     }
     motion = take.motion
-    moving_joints = _leaving(
+    moving_joints = _joints_off_rest(
         motion.translations,
         rig.rest_translations,
         joints_above | roots | chain_joints - stretching_joints,
     )
-    rotating_joints = _leaving(motion.rotations, rig.rest_rotations, joints_above)
+    rotating_joints = _joints_off_rest(
+        motion.rotations, rig.rest_rotations, joints_above
+    )
     names = [rig.names[j] for j in sorted(moving_joints | rotating_joints)]
     if not names:
         return []
@@ -173,7 +175,7 @@ def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
     return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
-def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
+def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
     """Return the joints that are off their rest values in any frame."""
     joint_indices = np.array(sorted(joints), np.int64)
     values, rest_values = channel.gather(joint_indices), rest[joint_indices]
@@ -181,22 +183,25 @@ def _leaving(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
         distances = so3.angle_between(values, rest_values)
     else:
         distances = np.linalg.norm(values - rest_values, axis=2)
-    return set(joint_indices[(distances > AT_REST).any(axis=0)].tolist())
+    return set(joint_indices[(distances > REST_TOLERANCE).any(axis=0)].tolist())
 
 
 def _track(
     rig: Rig,
     chain: IkChain,
-    e: int,
+    index: int,
     matched: Matched,
-    form: _ValueBuilder,
+    builder: _ValueBuilder,
 ) -> GoalTrack:
-    goal = matched.goals[e]
+    """Return the target track of a chain."""
+    goal = matched.goals[index]
     values: dict[str, Value | None] = dict.fromkeys(PARTS)
     for kind in goal.kinds:
-        rows = np.asarray(getattr(matched.targets, kind.targets))[:, e]
+        rows = np.asarray(getattr(matched.targets, kind.targets_field))[:, index]
         name = f"{chain.name}_{kind.name}"
-        values[kind.name] = form.value(rows, name, rig.joints[rig.index(chain.tip)])
+        values[kind.name] = builder.build_value(
+            rows, name, rig.joints[rig.index(chain.tip)]
+        )
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
     )
@@ -213,7 +218,7 @@ class _ValueBuilder:
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
     names: set[str] = field(default_factory=set)  # of the arrays so far
 
-    def value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
+    def build_value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
@@ -224,12 +229,13 @@ class _ValueBuilder:
         if (rows == rows[0]).all():
             return Constant(tuple(rows[0].tolist()))
         if self.reduce is not None:
-            return self._sparse(rows, joint, self.reduce)
+            return self._fit_sparse_keys(rows, joint, self.reduce)
         if self.arrays is None:
-            return Keyed(self._keys(rows))
+            return Keyed(self._keys_per_frame(rows))
         return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
 
     def _unique_name(self, name: str) -> str:
+        """Return a name that no other array has, with word characters only."""
         unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:
@@ -237,7 +243,7 @@ class _ValueBuilder:
         self.names.add(unique)
         return unique
 
-    def _keys(self, rows: FloatArray) -> ClipChannel:
+    def _keys_per_frame(self, rows: FloatArray) -> ClipChannel:
         """Return a key for each frame."""
         count, width = rows.shape
         is_rotation = width == 4
@@ -253,7 +259,9 @@ class _ValueBuilder:
             np.zeros((count, 3)),
         )
 
-    def _sparse(self, rows: FloatArray, joint: Joint, tolerance: float) -> Value:
+    def _fit_sparse_keys(
+        self, rows: FloatArray, joint: Joint, tolerance: float
+    ) -> Value:
         """Return few keys that stay within the tolerance."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)

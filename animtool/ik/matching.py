@@ -15,9 +15,9 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
-from animtool.ik.problem import moving_joints
+from animtool.ik.problem import find_moving_joints
 from animtool.ik.sub_rig import with_types
-from animtool.ik.two_bone import perpendicular
+from animtool.ik.two_bone import perpendicular_vectors
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.parts import IkChain
@@ -91,16 +91,16 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
         tip = rig.index(chain.tip)
         positions[:, e] = world.positions[:, tip]
         rotations[:, e] = so3.align_signs(so3.split_scale(world.linear[:, tip])[0])
-        goal = _goal(chain)
-        limb = _limb(rig, chain, goal, rest_transforms)
+        goal = _goal_of_chain(chain)
+        limb = _bending_limb(rig, chain, goal, rest_transforms)
         if limb is not None:
             goal = replace(goal, pole=1.0)
-            poles[:, e] = _poles(limb, world)
+            poles[:, e] = _pole_positions(limb, world)
         goals.append(goal)
     return Matched(tuple(goals), Targets(positions, rotations, poles=poles))
 
 
-def _goal(chain: IkChain) -> Goal:
+def _goal_of_chain(chain: IkChain) -> Goal:
     """Return the goal of a chain, without a pole."""
     return Goal(
         chain.tip,
@@ -131,14 +131,16 @@ class _BendingLimb:
     hinge: FloatArray
 
 
-def _limb(
+def _bending_limb(
     rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms
 ) -> _BendingLimb | None:
     """Return the limb of a chain as its goal is solved; None without one."""
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
-    joints = limb_joints(rig, goal, moving_joints(rig, [goal]), origins, origins[tip])
+    joints = limb_joints(
+        rig, goal, find_moving_joints(rig, [goal]), origins, origins[tip]
+    )
     if joints is None:
         return None
     root, middle = joints
@@ -163,41 +165,48 @@ def _limb(
     )
 
 
-def _poles(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
+def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
     """Return a limb's pole positions ``(F, 3)`` [m]."""
     root, middle, tip = (
         world.positions[:, j] for j in (limb.root, limb.middle, limb.tip)
     )
     min_distance = MIN_SIDE_DISTANCE * limb.length
-    line, distinct = _directions(tip - root, min_distance)
-    line[~distinct] = 0.0
-    middle_on_line = np.sum((middle - root) * line, axis=1, keepdims=True) * line
-    sides, has_side = _directions(middle - root - middle_on_line, min_distance)
+    line_directions, has_direction = _normalize(tip - root, min_distance)
+    line_directions[~has_direction] = 0.0
+    middle_on_line = (
+        np.sum((middle - root) * line_directions, axis=1, keepdims=True)
+        * line_directions
+    )
+    sides, has_side = _normalize(middle - root - middle_on_line, min_distance)
     if not has_side.all():
-        bend = _bend(limb, world, sides, has_side)
-        outward = bend - np.sum(bend * line, axis=1, keepdims=True) * line
-        # If a transported side lies along the line, any side will do.
-        transported_sides, is_transported = _directions(
-            outward, np.sqrt(MIN_SIDE_DISTANCE)
+        bend_sides = _transport_bend_sides(limb, world, sides, has_side)
+        outward_sides = (
+            bend_sides
+            - np.sum(bend_sides * line_directions, axis=1, keepdims=True)
+            * line_directions
         )
-        transported_sides[~is_transported] = _directions(
-            perpendicular(line[~is_transported]), 0.0
+        # If a transported side lies along the line, any side will do.
+        transported_sides, is_transported = _normalize(
+            outward_sides, np.sqrt(MIN_SIDE_DISTANCE)
+        )
+        transported_sides[~is_transported] = _normalize(
+            perpendicular_vectors(line_directions[~is_transported]), 0.0
         )[0]
         sides = np.where(has_side[:, None], sides, transported_sides)
     return np.asarray(root + middle_on_line + sides * limb.length / 2)
 
 
-def _directions(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
+def _normalize(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
     """Return unit vectors ``(F, 3)``, and a mask of those above a length ``(F,)``."""
     lengths = np.linalg.norm(vectors, axis=1)
     is_longer = lengths > min_length
     return vectors / np.where(is_longer, lengths, 1.0)[:, None], is_longer
 
 
-def _bend(
+def _transport_bend_sides(
     limb: _BendingLimb, world: WorldTransforms, sides: FloatArray, has_side: BoolArray
 ) -> FloatArray:
-    """Return the bend sides carried by the root joint to every frame ``(F, 3)``."""
+    """Return the bend sides transported by the root joint to every frame ``(F, 3)``."""
     rotations = so3.split_scale(world.linear[:, limb.root])[0]
     if has_side.any():
         local_sides = so3.rotate(so3.conjugate(rotations), sides)

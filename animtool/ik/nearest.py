@@ -9,9 +9,9 @@ from itertools import product
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
-from animtool.ik.branches import price, random_poses, weighed
+from animtool.ik.branches import miss_cost, random_poses, weight_misses
 from animtool.ik.chain import BALL, Chain, with_periods
-from animtool.ik.goals import Targets, rows_of
+from animtool.ik.goals import Targets, targets_of_frames
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
@@ -24,7 +24,7 @@ MAX_STARTS, MANY_DEGREES = 27, 12
 # many times that of the current pose is dropped.
 TRIAL_ITERATIONS, FULL_ITERATIONS, HOPELESS_RATIO = 8, 100, 1.3
 # Number of the most promising starts that are solved to convergence.
-MAX_FOLLOWED = 4
+MAX_REFINED = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
@@ -34,7 +34,7 @@ def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
     return np.flatnonzero([status is IkStatus.NEAREST for status in result.statuses])
 
 
-def nearest(
+def find_nearest_poses(
     problem: Problem,
     result: IkResult,
     targets: Targets,
@@ -57,36 +57,43 @@ def nearest(
         method=IkMethod.DAMPED,
     )
     preferred = np.asarray(prefer, np.float64)
-    trial, descent = (
+    trial_options, descent_options = (
         replace(frame_options, iterations=n)
         for n in (TRIAL_ITERATIONS, FULL_ITERATIONS)
     )
     trial_results: list[FloatArray] = []
     costs: list[FloatArray] = []
-    for start in _starts(problem, result.coordinates[0], options.seed):
+    for start in _start_poses(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        trial_result = solve(problem, rows, targets, trial, prefer=preferred)
+        trial_result = solve(problem, rows, targets, trial_options, prefer=preferred)
         trial_results.append(trial_result.coordinates)
-        costs.append(cost_of(trial_result, targets))
+        costs.append(miss_costs(trial_result, targets))
     best_result, order = result, np.argsort(costs, axis=0, kind="stable")
-    for choice in order[:MAX_FOLLOWED]:
-        best_costs = np.array(costs)[choice, np.arange(len(choice))]
-        hopeful = np.flatnonzero(
-            best_costs < HOPELESS_RATIO * cost_of(best_result, targets)
+    for start_indices in order[:MAX_REFINED]:
+        best_costs = np.array(costs)[start_indices, np.arange(len(start_indices))]
+        promising = np.flatnonzero(
+            best_costs < HOPELESS_RATIO * miss_costs(best_result, targets)
         )
-        if len(hopeful):
-            starts = np.array(trial_results)[choice[hopeful], hopeful]
-            hopeful_targets = rows_of(targets, hopeful)
+        if len(promising):
+            starts = np.array(trial_results)[start_indices[promising], promising]
+            promising_targets = targets_of_frames(targets, promising)
             trial_result = solve(
-                problem, starts, hopeful_targets, descent, prefer=preferred[hopeful]
+                problem,
+                starts,
+                promising_targets,
+                descent_options,
+                prefer=preferred[promising],
             )
             is_better = (
-                cost_of(trial_result, hopeful_targets)
-                < cost_of(best_result, targets)[hopeful]
+                miss_costs(trial_result, promising_targets)
+                < miss_costs(best_result, targets)[promising]
             )
             best_result = _replace_rows(
-                best_result, trial_result, hopeful[is_better], np.flatnonzero(is_better)
+                best_result,
+                trial_result,
+                promising[is_better],
+                np.flatnonzero(is_better),
             )
     return best_result
 
@@ -103,28 +110,30 @@ def with_nearest_poses(
     if not len(rows):
         return result
     missed_frames = _select_rows(result, rows)
-    nearer = nearest(
-        problem, missed_frames, rows_of(targets, rows), options, prefer[rows]
+    nearer = find_nearest_poses(
+        problem, missed_frames, targets_of_frames(targets, rows), options, prefer[rows]
     )
     return _replace_rows(result, nearer, rows, np.arange(len(rows)))
 
 
-def cost_of(result: IkResult, targets: Targets) -> FloatArray:
-    """Return the miss costs of a result ``(B,)``, see `price`."""
-    misses = weighed(result.problem, result.misses, targets)
-    return price(misses, result.converged)
+def miss_costs(result: IkResult, targets: Targets) -> FloatArray:
+    """Return the miss costs of a result ``(B,)``, see `miss_cost`."""
+    misses = weight_misses(result.problem, result.misses, targets)
+    return miss_cost(misses, result.converged)
 
 
-def _starts(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
+def _start_poses(problem: Problem, home: FloatArray, seed: int) -> Iterator[FloatArray]:
     """Yield start poses ``(C,)``: combinations of limits, and random ones."""
     chain = problem.chain
     max_starts = MAX_STARTS if problem.degrees <= MANY_DEGREES else MAX_STARTS // 9
     pose = chain.from_rig(home[None])[0]
-    yield from _corners(chain, pose, max_starts)
+    yield from _limit_combinations(chain, pose, max_starts)
     yield from random_poses(chain, pose, max_starts, [seed])
 
 
-def _corners(chain: Chain, home: FloatArray, max_poses: int) -> Iterator[FloatArray]:
+def _limit_combinations(
+    chain: Chain, home: FloatArray, max_poses: int
+) -> Iterator[FloatArray]:
     """Yield combinations of the first joint limits, at most ``max_poses``."""
     ranges = []
     for (kind, _, column, follows), numbers in zip(
@@ -150,7 +159,7 @@ def _replace_rows(
     for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
         statuses[row] = other.statuses[source]
     arrays = {}
-    for name in _arrays():
+    for name in _per_problem_arrays():
         values = getattr(result, name).copy()
         values[rows] = getattr(other, name)[from_rows]
         arrays[name] = values
@@ -159,12 +168,12 @@ def _replace_rows(
 
 def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
     """Return a subset of a result's problems."""
-    arrays = {name: getattr(result, name)[rows] for name in _arrays()}
+    arrays = {name: getattr(result, name)[rows] for name in _per_problem_arrays()}
     statuses = tuple(result.statuses[row] for row in rows.tolist())
     return replace(result, statuses=statuses, **arrays)
 
 
-def _arrays() -> list[str]:
+def _per_problem_arrays() -> list[str]:
     """Return the names of a result's per-problem arrays."""
     excluded_fields = {"problem", "jumps", "statuses"}
     return [

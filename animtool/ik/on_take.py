@@ -1,4 +1,4 @@
-"""Solves a take for targets: each frame is an IK problem near its source pose."""
+"""Solves a take for targets; each frame starts at its source pose."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.names import nearest
 from animtool.core.old_names import renamed_arguments
-from animtool.ik.chain_frame import parts_of, refuse_scales
+from animtool.ik.chain_frame import check_scales, spans_of_take
 from animtool.ik.goals import PARTS, Goal, Targets
 from animtool.ik.options import TakeOptions
 from animtool.ik.pole_lines import poles_on_lines
 from animtool.ik.sub_rig import sub_rig, with_types
 from animtool.ik.take_run import (
-    SolvedPart,
+    SpanSolution,
     TakeIk,
     TakeSolver,
     check_options,
-    gathered_take,
+    gather_take,
 )
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks
 from animtool.motion.driving import drive_take
@@ -38,18 +38,18 @@ from animtool.rig.skeleton import Rig
 SolveTracks = Callable[[TargetTracks, tuple[Take, ...]], Take]
 
 
-def rounds(tracks: TargetTracks) -> int:
-    """Return how often a take is solved: more than once if goals have spans.
+def count_solves(tracks: TargetTracks) -> int:
+    """Return the number of solves of a take; more than one if goals have spans.
 
     Goals with the same spans fade together and need one more solve if there are other
     goals. With several different spans, each needs one, with the others active.
     """
-    spans = len(_spans(tracks.goals))
+    spans = len(_distinct_spans(tracks.goals))
     needs_bare_take = spans > 0 and any(not track.during for track in tracks.goals)
     return 1 + needs_bare_take + (spans if spans > 1 else 0)
 
 
-def takes_released(
+def solve_fade_sources(
     take: Take, tracks: TargetTracks, solve_tracks: SolveTracks
 ) -> tuple[Take, ...]:
     """Return for each goal the take that it fades from and to.
@@ -57,34 +57,35 @@ def takes_released(
     That is the take solved for all goals except those with the same spans. Where two
     spans overlap in their eases, the other's ease is ignored.
     """
-    spans = _spans(tracks.goals)
+    spans = _distinct_spans(tracks.goals)
     takes: dict[object, Take] = {_ALWAYS_ACTIVE: take}
     if spans:
         always_active = [track for track in tracks.goals if not track.during]
-        bare_take = _released_take(take, tracks, always_active, take, solve_tracks)
+        bare_take = _solve_for_goals(take, tracks, always_active, take, solve_tracks)
         takes |= dict.fromkeys(spans, bare_take)
     if len(spans) > 1:
         for span in spans:
-            other_goals = [track for track in tracks.goals if _span(track) != span]
-            takes[span] = _released_take(
+            other_goals = [track for track in tracks.goals if _span_key(track) != span]
+            takes[span] = _solve_for_goals(
                 take, tracks, other_goals, bare_take, solve_tracks
             )
-    return tuple(takes[_span(track)] for track in tracks.goals)
+    return tuple(takes[_span_key(track)] for track in tracks.goals)
 
 
 _ALWAYS_ACTIVE: object = ()
 
 
-def _span(track: GoalTrack) -> object:
+def _span_key(track: GoalTrack) -> object:
+    """Return what goals must share to fade together."""
     return (track.during, track.ease) if track.during else _ALWAYS_ACTIVE
 
 
-def _spans(goals: Sequence[GoalTrack]) -> list[object]:
+def _distinct_spans(goals: Sequence[GoalTrack]) -> list[object]:
     """Return the distinct spans and eases of goals."""
-    return list(dict.fromkeys(_span(track) for track in goals if track.during))
+    return list(dict.fromkeys(_span_key(track) for track in goals if track.during))
 
 
-def _released_take(
+def _solve_for_goals(
     take: Take,
     tracks: TargetTracks,
     goals: Sequence[GoalTrack],
@@ -134,26 +135,26 @@ def solve_take(
     """
     options = options or TakeOptions()
     check_options(options)
-    tracks = tracks.placed(take.clock)
+    tracks = tracks.at_clock(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
-    refuse_scales(take, effectors, tracks.path)
-    round_count, rounds_done = rounds(tracks), 0
+    check_scales(take, effectors, tracks.path)
+    solve_count, solves_done = count_solves(tracks), 0
     seconds_spent = 0.0
 
     def solve_round(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> TakeIk:
         def report(fraction: float) -> None:
             if progress is not None:
-                progress((rounds_done + fraction) / round_count)
+                progress((solves_done + fraction) / solve_count)
 
         return _solve_take(take, tracks, fade_sources, options, static, only, report)
 
-    def bring_take(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> Take:
-        nonlocal rounds_done, seconds_spent
-        solved = solve_round(tracks, fade_sources)
-        rounds_done, seconds_spent = rounds_done + 1, seconds_spent + solved.seconds
-        return solved.take
+    def solve_fade_source(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> Take:
+        nonlocal solves_done, seconds_spent
+        solution = solve_round(tracks, fade_sources)
+        solves_done, seconds_spent = solves_done + 1, seconds_spent + solution.seconds
+        return solution.take
 
-    fade_sources = takes_released(take, tracks, bring_take)
+    fade_sources = solve_fade_sources(take, tracks, solve_fade_source)
     result = solve_round(tracks, fade_sources)
     driven = drive_take(result.take)
     return replace(result, take=driven, seconds=seconds_spent + result.seconds)
@@ -177,10 +178,10 @@ def _solve_take(
         take.motion.translations.gather(indices), take.motion.rotations.gather(indices)
     )
     world = forward_kinematics(rig, local.translations, local.rotations)
-    solved_parts: list[SolvedPart] = []
+    solved_parts: list[SpanSolution] = []
     with _locate_faults(tracks):
         fade_transforms = tuple(
-            _world(rig, indices, fade_take, world) for fade_take in fade_sources
+            _world_like(rig, indices, fade_take, world) for fade_take in fade_sources
         )
         targets = tracks.sample(rig, take.clock, world, fade_transforms)
         if only is not None:
@@ -190,23 +191,25 @@ def _solve_take(
         rate = float(take.clock.rate)
         run = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
         controls = _controls(rig, take)
-        spans = parts_of(rig, local, world, goals, joints, controls)
-        for part in spans.spans:
-            solved_parts.append(run.solved(part))
-            progress(solved_parts[-1].part.frames.stop / take.clock.count)
-    solved = gathered_take(take, indices, local, tracks, targets, solved_parts, rate)
+        solve_spans = spans_of_take(rig, local, world, goals, joints, controls)
+        for part in solve_spans.spans:
+            solved_parts.append(run.solve_span(part))
+            progress(solved_parts[-1].span.frames.stop / take.clock.count)
+    solved = gather_take(take, indices, local, tracks, targets, solved_parts, rate)
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
     has_poles = bool(solved.active[:, :, PARTS.index("pole")].any())
     return replace(
         solved,
-        open_poles=_open_poles(rig, indices, solved, targets) if has_poles else None,
-        moving_between=spans.moving_between,
-        away=_away(goals, rig, world, targets),
+        open_poles=_find_open_poles(rig, indices, solved, targets)
+        if has_poles
+        else None,
+        moving_between=solve_spans.moving_between,
+        away=_min_target_distances(goals, rig, world, targets),
         size=max(rig_size, solved.problem.length),
     )
 
 
-def _open_poles(
+def _find_open_poles(
     rig: Rig, indices: IntArray, solved: TakeIk, targets: Targets
 ) -> BoolArray:
     """Return where poles lie on the line of their solved limb ``(F, E)``."""
@@ -232,7 +235,7 @@ def _controls(rig: Rig, take: Take) -> dict[str, FloatArray]:
     }
 
 
-def _away(
+def _min_target_distances(
     goals: Sequence[Goal], rig: Rig, world: WorldTransforms, targets: Targets
 ) -> tuple[float, ...]:
     """Return the smallest distance of each goal's targets from its effector [m]."""
@@ -246,7 +249,7 @@ def _away(
     return tuple(0.0 if distance == np.inf else distance for distance in distances)
 
 
-def _world(
+def _world_like(
     rig: Rig, indices: IntArray, take: Take, reference: WorldTransforms
 ) -> WorldTransforms:
     """Return world transforms of a take, one frame repeated to another's length."""

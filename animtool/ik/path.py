@@ -11,15 +11,22 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.chain import REVOLUTION_EXCESS, difference, unwound
-from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Targets, TargetValue, by_unit
+from animtool.ik.chain import REVOLUTION_EXCESS, difference, unwrap_angles
+from animtool.ik.goals import (
+    KINDS,
+    TARGET_COLUMNS,
+    WEIGHT_COLUMNS,
+    Targets,
+    TargetValue,
+    by_unit,
+)
 from animtool.ik.jumps import Jump, find_jumps
-from animtool.ik.limbs import SoftReach, extend
+from animtool.ik.limbs import SoftReach, extend_softly
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.rig_solver import WARM_DAMPING
-from animtool.ik.solving import chain_targets, pose_rows
+from animtool.ik.solving import pack_for_chain, pose_rows
 from animtool.ik.sub_rig import with_mimics
 from animtool.maths import so3
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
@@ -28,8 +35,8 @@ from animtool.rig.skeleton import JointType, Rig
 
 # Maximum number of Gauss-Newton iterations, each over all frames.
 MAX_ITERATIONS = 30
-# Frames that a smoothed path looks ahead, in smoothing times: what is that far off
-# counts e^(-12 / sqrt 2), .0002.
+# Lookahead of a smoothed block, in smoothing times; frames at its end have a weight of
+# e^(-12 / sqrt 2), .0002.
 LOOKAHEAD = 12
 # Fewest frames of a block.
 MIN_BLOCK = 256
@@ -44,61 +51,63 @@ class FramePath:
     Attributes:
         problem: Goals and joints.
         targets: Packed targets ``(F, E, W)``.
-        limbs: Extension of soft and stretching limbs.
-        drifts: Motion between frames that smoothing preserves ``(F - 1, D)``.
+        soft_reach: Extension of soft and stretching limbs.
+        preserved_steps: Motion between frames that smoothing preserves ``(F - 1, D)``.
         options: Tolerances.
     """
 
     problem: Problem
     targets: FloatArray
-    limbs: SoftReach
-    drifts: FloatArray
+    soft_reach: SoftReach
+    preserved_steps: FloatArray
     options: IkOptions
 
-    def frames(self, rows: slice) -> FramePath:
+    def select_frames(self, rows: slice) -> FramePath:
         """Return some consecutive frames."""
-        drifts = self.drifts[rows.start : rows.stop - 1]
+        drifts = self.preserved_steps[rows.start : rows.stop - 1]
         row_indices = np.arange(len(self.targets))[rows]
-        targets, limbs = self.targets[rows], self.limbs[row_indices]
-        return replace(self, targets=targets, limbs=limbs, drifts=drifts)
+        targets, limbs = self.targets[rows], self.soft_reach[row_indices]
+        return replace(self, targets=targets, soft_reach=limbs, preserved_steps=drifts)
 
     def steps(self, poses: FloatArray) -> FloatArray:
         """Return steps of poses ``(F, C)`` from frame to frame, minus the drifts."""
-        return difference(self.problem.chain, poses[:-1], poses[1:]) - self.drifts
+        return (
+            difference(self.problem.chain, poses[:-1], poses[1:]) - self.preserved_steps
+        )
 
-    def smoothed(
+    def smooth(
         self, poses: FloatArray, acceleration: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return smoothed poses ``(F, C)``, and misses ``(F, E, 4)``.
+        """Return smoothed poses ``(F, C)`` and their misses ``(F, E, 4)``.
 
-        Long paths are smoothed block by block: each goes on from the one before, and
-        sees the frames after it as far as they count.
+        Long paths are smoothed in blocks. Each continues the previous one and looks
+        ahead as far as later frames matter.
         """
         weights = (1.0, 0.0, acceleration)
-        ahead = math.ceil(LOOKAHEAD * acceleration**0.25)
-        size = max(MIN_BLOCK, 4 * ahead)
+        lookahead_frames = math.ceil(LOOKAHEAD * acceleration**0.25)
+        size = max(MIN_BLOCK, 4 * lookahead_frames)
         smooth_poses = np.zeros_like(poses)
         misses = []
         begin = 0
         while begin < len(poses):
-            last = begin + size + ahead >= len(poses)
-            end = len(poses) if last else begin + size
+            is_last = begin + size + lookahead_frames >= len(poses)
+            end = len(poses) if is_last else begin + size
             first = max(begin - 2, 0)
-            window = slice(first, min(end + ahead, len(poses)))
+            window = slice(first, min(end + lookahead_frames, len(poses)))
             starts = np.concatenate(
                 [smooth_poses[first:begin], poses[begin : window.stop]]
             )
-            moving = (begin - first, len(starts))
-            path, missed = self.frames(window)._run(
-                starts, weights, moving, MAX_ITERATIONS
+            moving_range = (begin - first, len(starts))
+            path, path_misses = self.select_frames(window)._run_kernel(
+                starts, weights, moving_range, MAX_ITERATIONS
             )
             block = slice(begin - first, end - first)
             smooth_poses[begin:end] = path[block]
-            misses.append(missed[block])
+            misses.append(path_misses[block])
             begin = end
         return smooth_poses, np.concatenate(misses)
 
-    def evened(
+    def even_speed(
         self, poses: FloatArray, *, free_start: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return poses that move from the first to the last pose at an even speed.
@@ -106,38 +115,38 @@ class FramePath:
         The last pose is fixed, and so is the first unless ``free_start``.
         """
         moving = (0 if free_start else 1, len(poses) - 1)
-        return self._run(poses, (PATH_WEIGHT, 1.0, 0.0), moving, MAX_ITERATIONS)
+        return self._run_kernel(poses, (PATH_WEIGHT, 1.0, 0.0), moving, MAX_ITERATIONS)
 
-    def measured(self, poses: FloatArray) -> FloatArray:
+    def measure_misses(self, poses: FloatArray) -> FloatArray:
         """Return the misses of poses ``(F, E, 4)``."""
-        return self._run(poses, (1.0, 0.0, 0.0), (0, 0), 0)[1]
+        return self._run_kernel(poses, (1.0, 0.0, 0.0), (0, 0), 0)[1]
 
-    def excesses(self, misses: FloatArray) -> FloatArray:
+    def tolerance_ratios(self, misses: FloatArray) -> FloatArray:
         """Return the miss of each goal in tolerances ``(F, E)``."""
         tolerances = by_unit(self.options.tolerance, self.options.angle_tolerance)
         return np.asarray((misses / tolerances).max(axis=2, initial=0.0))
 
-    def excess(self, misses: FloatArray) -> FloatArray:
+    def max_tolerance_ratio(self, misses: FloatArray) -> FloatArray:
         """Return the largest miss of each frame in tolerances ``(F,)``."""
-        return np.asarray(self.excesses(misses).max(axis=1, initial=0.0))
+        return np.asarray(self.tolerance_ratios(misses).max(axis=1, initial=0.0))
 
-    def _run(
+    def _run_kernel(
         self,
         poses: FloatArray,
         weights: tuple[float, float, float],
-        moving: tuple[int, int],
-        rounds: int,
+        moving_range: tuple[int, int],
+        max_iterations: int,
     ) -> tuple[FloatArray, FloatArray]:
         chain = self.problem.chain
         anchor, speed, acceleration = weights
-        first, end = moving
+        first, end = moving_range
         smoothed = _kernels.smooth_ik(
-            *chain.arrays,
-            path=unwound(chain, poses),
+            *chain.kernel_arrays,
+            path=unwrap_angles(chain, poses),
             targets=self.targets,
-            reachable=self.limbs.reachable,
-            stretches=self.limbs.scales,
-            drifts=self.drifts,
+            reachable=self.soft_reach.reachable_targets,
+            stretches=self.soft_reach.bone_scales,
+            drifts=self.preserved_steps,
             anchor=anchor,
             speed=speed,
             acceleration=acceleration,
@@ -146,49 +155,54 @@ class FramePath:
             length_tolerance=self.options.tolerance,
             angle_tolerance=self.options.angle_tolerance,
             damping=WARM_DAMPING,
-            rounds=rounds,
+            rounds=max_iterations,
         )
         return smoothed[0], smoothed[1]
 
 
-def path_of(
+def build_frame_path(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
 ) -> FramePath:
     """Return the path of a problem; a start ``(F, Q)`` is motion to keep."""
-    packed = chain_targets(problem, targets)
+    packed = pack_for_chain(problem, targets)
     drifts = np.zeros((max(len(packed) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:
         source = problem.chain.from_rig(pose_rows(problem, start, len(packed), "start"))
         drifts = difference(problem.chain, source[:-1], source[1:])
-    return FramePath(problem, packed, extend(problem.limbs, packed), drifts, options)
+    return FramePath(
+        problem, packed, extend_softly(problem.limbs, packed), drifts, options
+    )
 
 
-def goal_moves(problem: Problem, targets: FloatArray) -> FloatArray:
+def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
     """Return the largest motion of the goals from frame to frame ``(F - 1,)``.
 
     In radians, or fractions of the problem's length, over the goals that are active in
     both frames. ``targets`` ``(F, E, W)``.
     """
-    is_weighted = targets[:, :, WEIGHTS] > 0
+    is_weighted = targets[:, :, WEIGHT_COLUMNS] > 0
     is_active = is_weighted[1:] & is_weighted[:-1]
-    goals = np.array([goal.weights for goal in problem.goals]) > 0
-    moves = np.stack(
-        [_moves(kind.value, targets[:, :, COLUMNS[kind.name]]) for kind in KINDS],
+    is_used = np.array([goal.weights for goal in problem.goals]) > 0
+    steps = np.stack(
+        [
+            _target_steps(kind.value_type, targets[:, :, TARGET_COLUMNS[kind.name]])
+            for kind in KINDS
+        ],
         axis=2,
     )
     return np.asarray(
-        np.where(is_active & goals, moves, 0.0).max(axis=(1, 2), initial=0.0)
+        np.where(is_active & is_used, steps, 0.0).max(axis=(1, 2), initial=0.0)
     )
 
 
-def _moves(value: TargetValue, targets: FloatArray) -> FloatArray:
+def _target_steps(value: TargetValue, targets: FloatArray) -> FloatArray:
     """Return the steps of targets ``(F, E, W)``, lengths or angles ``(F - 1, E)``."""
     if value is TargetValue.ROTATION:
         return so3.angle_between(targets[1:], targets[:-1])
     return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
 
 
-def jumps_of(
+def find_clip_jumps(
     result: IkResult, targets: Targets, start: ArrayLike | None, fps: float
 ) -> tuple[Jump, ...]:
     """Return the jumps of a clip's poses, see `find_jumps`.
@@ -199,12 +213,14 @@ def jumps_of(
     source = None
     if start is not None and np.ndim(start) == 2:
         source = pose_rows(problem, start, len(result.coordinates), "start")
-    moves = goal_moves(problem, chain_targets(problem, targets))
-    longer = result.local_translations()
-    return _jumps(problem, result.coordinates, longer, source, moves, fps)
+    steps = goal_steps(problem, pack_for_chain(problem, targets))
+    stretched_translations = result.local_translations()
+    return _find_jumps(
+        problem, result.coordinates, stretched_translations, source, steps, fps
+    )
 
 
-def jumping_frames(
+def find_jumping_frames(
     path: FramePath,
     poses: FloatArray,
     rows: FloatArray,
@@ -222,17 +238,17 @@ def jumping_frames(
     """
     problem = path.problem
     rows = with_mimics(problem.rig, problem.chain.into_rig(poses, rows), problem.joints)
-    moves = goal_moves(problem, path.targets)
-    jumps = _jumps(problem, rows, None, source, moves, fps)
+    steps = goal_steps(problem, path.targets)
+    jumps = _find_jumps(problem, rows, None, source, steps, fps)
     return np.unique(np.array([jump.frame for jump in jumps], np.int64))
 
 
-def _jumps(
+def _find_jumps(
     problem: Problem,
     rows: FloatArray,
     translations: FloatArray | None,
     source: FloatArray | None,
-    moves: FloatArray,
+    steps: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
     """Return the jumps of coordinates ``(F, Q)``, with stretched bones if any."""
@@ -243,14 +259,14 @@ def _jumps(
         problem.rig.names,
         None if source is None else local_from_coordinates(problem.rig, source),
         local,
-        moves,
+        steps,
         fps=fps,
         length=problem.length,
-        windings=windings(problem.rig, rows),
+        windings=full_revolutions(problem.rig, rows),
     )
 
 
-def windings(rig: Rig, rows: FloatArray) -> FloatArray:
+def full_revolutions(rig: Rig, rows: FloatArray) -> FloatArray:
     """Return full revolutions of pins from frame to frame ``(F - 1, J)`` [rad].
 
     For pins with limits wider than a revolution: their rotation does not show the
@@ -259,8 +275,8 @@ def windings(rig: Rig, rows: FloatArray) -> FloatArray:
     revolutions = np.zeros((max(len(rows) - 1, 0), len(rig.joints)))
     for j, columns in enumerate(coordinate_slices(rig)):
         limits = rig.joints[j].limits
-        joint = rig.joints[j].type is JointType.PIN
-        if not joint or not isinstance(limits, RangeLimit):
+        is_pin = rig.joints[j].type is JointType.PIN
+        if not is_pin or not isinstance(limits, RangeLimit):
             continue
         if 2 * np.pi + REVOLUTION_EXCESS < limits.high - limits.low < np.inf:
             steps = np.diff(rows[:, columns.start]) / (2 * np.pi)
@@ -304,18 +320,18 @@ def smooth(
     of 48 smoothing times, at least 256 frames.
     """
     options = options or IkOptions()
-    faults = rate_faults(seconds, fps)
+    faults = smoothing_faults(seconds, fps)
     if faults:
         raise OptionError(faults)
     if seconds == 0 or len(result.coordinates) < 3:
         return result
-    path = path_of(result.problem, targets, start, options)
+    path = build_frame_path(result.problem, targets, start, options)
     poses = result.problem.chain.from_rig(result.coordinates)
-    poses, misses = path.smoothed(poses, (seconds * fps) ** 4)
-    return at_poses(result, poses, misses, path)
+    poses, misses = path.smooth(poses, (seconds * fps) ** 4)
+    return with_poses(result, poses, misses, path)
 
 
-def rate_faults(seconds: float, fps: float) -> list[Fault]:
+def smoothing_faults(seconds: float, fps: float) -> list[Fault]:
     """Return the faults of a smoothing time and a frame rate."""
     faults = []
     if not (np.isfinite(seconds) and seconds >= 0):
@@ -325,12 +341,12 @@ def rate_faults(seconds: float, fps: float) -> list[Fault]:
     return faults
 
 
-def at_poses(
+def with_poses(
     result: IkResult, poses: FloatArray, misses: FloatArray, path: FramePath
 ) -> IkResult:
     """Return a result with its chain poses ``(F, C)`` and misses replaced."""
     chain = result.problem.chain
-    is_reached = path.excess(misses) <= 1
+    is_reached = path.max_tolerance_ratio(misses) <= 1
     statuses = tuple(
         IkStatus.CONVERGED
         if is_hit
@@ -348,5 +364,5 @@ def at_poses(
         ),
         statuses=statuses,
         misses=misses * by_unit(chain.length, 1.0),
-        reached=path.excesses(misses) <= 1,
+        reached=path.tolerance_ratios(misses) <= 1,
     )

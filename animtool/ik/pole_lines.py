@@ -1,4 +1,4 @@
-"""Poles on the line of their limb, which leave the direction of its middle open."""
+"""Finds poles on the line of their limb, which do not determine its bend."""
 
 from __future__ import annotations
 
@@ -33,8 +33,10 @@ def poles_on_lines(
         targets: Positions and poles in world space.
         active: Mask of the active parts of goals ``(F, E, 4)``.
     """
-    on_line = np.zeros(active.shape[:2], np.bool_)
-    moving = {j for j, joint in enumerate(rig.joints) if joint.type != JointType.FIXED}
+    is_on_line = np.zeros(active.shape[:2], np.bool_)
+    moving_joints = {
+        j for j, joint in enumerate(rig.joints) if joint.type != JointType.FIXED
+    }
     origins = world.positions
     for e, goal in enumerate(goals):
         is_active = active[:, e, PARTS.index("pole")]
@@ -42,7 +44,7 @@ def poles_on_lines(
             continue
         tip = rig.index(goal.joint)
         points = origins[:, tip] + world.linear[:, tip] @ np.array(goal.offset)
-        limb = limb_joints(rig, goal, moving, origins[0], points[0])
+        limb = limb_joints(rig, goal, moving_joints, origins[0], points[0])
         if limb is None:
             continue
         root, middle = (origins[:, j] for j in limb)
@@ -55,13 +57,13 @@ def poles_on_lines(
         length += np.linalg.norm(points - middle, axis=1)
         pole_distance = _distances(np.asarray(targets.poles)[:, e], root, ends)
         is_bent = _distances(middle, root, points) > STRAIGHT * length
-        on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
-    return on_line
+        is_on_line[:, e] = is_active & is_bent & (pole_distance < ON_LINE * length)
+    return is_on_line
 
 
 def _distances(points: FloatArray, root: FloatArray, end: FloatArray) -> FloatArray:
     """Return distances of points from lines through root and end ``(F,)`` [m]."""
     line = end - root
     length = np.maximum(np.linalg.norm(line, axis=1), 1e-300)
-    crossed = np.cross(points - root, line / length[:, None])
-    return np.asarray(np.linalg.norm(crossed, axis=1))
+    cross_products = np.cross(points - root, line / length[:, None])
+    return np.asarray(np.linalg.norm(cross_products, axis=1))

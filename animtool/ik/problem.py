@@ -124,7 +124,7 @@ def build(
     pose_coordinates = (
         np.zeros(width) if pose is None else as_floats(pose, (width,), "pose")
     )
-    moving = moving_joints(rig, goals, joints)
+    moving = find_moving_joints(rig, goals, joints)
     faults = _immovable_faults(rig, goals, moving)
     if faults:
         raise OptionError(faults)
@@ -165,7 +165,7 @@ def _faults(
     for name in joints or ():
         if name not in names:
             faults.append(Fault("TGT001", f"unknown joint {name!r} of {rig.name!r}"))
-    faults += rest_faults(rest_weight)
+    faults += rest_weight_faults(rest_weight)
     for joint in rig.joints:
         if _is_reversed(joint.limits):
             message = f"the limits of {joint.name!r} are reversed or not numbers"
@@ -178,7 +178,7 @@ def _faults(
     return faults
 
 
-def rest_faults(weight: float) -> list[Fault]:
+def rest_weight_faults(weight: float) -> list[Fault]:
     """Return the faults of a rest weight."""
     if np.isfinite(weight) and weight >= 0:
         return []
@@ -186,6 +186,7 @@ def rest_faults(weight: float) -> list[Fault]:
 
 
 def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
+    """Return whether limits are reversed."""
     match limits:
         case RangeLimit(low, high):
             return not low <= high
@@ -195,26 +196,34 @@ def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
     return False
 
 
-def moving_joints(
+def find_moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
     """Return the joints that move a goal, among those allowed; None allows all."""
-    moving: set[int] = set()
+    moving_indices: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
         # A joint does not move a point at its origin.
-        pivots = goal.pivots
+        ignores_rotation = goal.ignores_joint_rotation
         while j >= 0:
             joint = rig.joints[j]
-            rotates = joint.type in {JointType.PIN, JointType.BALL}
+            is_rotating = joint.type in {JointType.PIN, JointType.BALL}
             is_allowed = joints is None or joint.name in joints
-            moves = joint.type is not JointType.FIXED and not (pivots and rotates)
-            if moves and is_allowed:
-                moving.add(j)
-            slides = joint.type in {JointType.FREE, JointType.PRISMATIC}
-            pivots = pivots and not slides and not any(joint.translation)
+            is_movable = joint.type is not JointType.FIXED and not (
+                ignores_rotation and is_rotating
+            )
+            if is_movable and is_allowed:
+                moving_indices.add(j)
+            is_sliding = joint.type in {JointType.FREE, JointType.PRISMATIC}
+            ignores_rotation = (
+                ignores_rotation and not is_sliding and not any(joint.translation)
+            )
             j = -1 if joint.name == goal.root else joint.parent
-    return with_sources(rig, moving, goals, joints) if rig.is_driven else moving
+    return (
+        with_sources(rig, moving_indices, goals, joints)
+        if rig.is_driven
+        else moving_indices
+    )
 
 
 def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list[Fault]:
@@ -224,7 +233,9 @@ def _immovable_faults(rig: Rig, goals: Sequence[Goal], moving: set[int]) -> list
         joints_above = rig.upwards(rig.index(goal.joint))
         if moving.intersection(joints_above):
             continue
-        movable_names = [rig.joints[j].name for j in sorted(moving_joints(rig, [goal]))]
+        movable_names = [
+            rig.joints[j].name for j in sorted(find_moving_joints(rig, [goal]))
+        ]
         hint = "a joint cannot move a position at its own origin: set an offset"
         if movable_names:
             hint = f"none of the joints that could move it may: {listed(movable_names)}"

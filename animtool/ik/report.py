@@ -18,7 +18,7 @@ from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.ik.axes import unit_hint, up_axis_hint
-from animtool.ik.goals import METRIC, PARTS, by_unit
+from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES
@@ -59,7 +59,7 @@ class Misses:
     @property
     def metric(self) -> bool:
         """Whether the miss is a length [m], not an angle [rad]."""
-        return bool(METRIC[PARTS.index(self.part)])
+        return bool(IS_LENGTH[PARTS.index(self.part)])
 
     @property
     def unit(self) -> str:
@@ -115,7 +115,9 @@ def goal_reports(
     times = solved.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
     reports = []
-    is_yielded = np.array([s is IkStatus.YIELDED for s in solved.statuses], np.bool_)
+    is_yielded = np.array(
+        [status is IkStatus.YIELDED for status in solved.statuses], np.bool_
+    )
     for e, track in enumerate(solved.tracks.goals):
         is_targeted, misses = solved.active[:, e], solved.misses[:, e]
         miss_reports = tuple(
@@ -136,6 +138,7 @@ def goal_reports(
 
 
 def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
+    """Return the statistics of one part's misses."""
     worst_frame = int(np.argmax(misses))
     return Misses(
         part,
@@ -162,8 +165,8 @@ def _spans(
             MissedSpan(
                 float(times[first]),
                 float(times[end - 1]),
-                float(span_misses[:, METRIC].max()),
-                float(span_misses[:, ~METRIC].max()),
+                float(span_misses[:, IS_LENGTH].max()),
+                float(span_misses[:, ~IS_LENGTH].max()),
                 float(times[worst_frame]),
                 IkStatus.STEADIER
                 if IkStatus.STEADIER in solved.statuses[first:end]
@@ -179,8 +182,8 @@ def take_notices(
     """Return all warnings of a solved take."""
     return [
         *span_notices(solved),
-        *single_frame_notices(solved, smooth=smooth),
-        *away_notices(solved, reports),
+        *independent_frame_notices(solved, smooth=smooth),
+        *far_target_notices(solved, reports),
         *missed_notices(solved, reports),
         *pole_notices(solved),
         *jump_notices(solved),
@@ -192,7 +195,7 @@ def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     return [
         replace(
             _goal_warning(solved, "IK101", i, _miss_text(report)),
-            hint=_advice(solved, report, i),
+            hint=_miss_hint(solved, report, i),
         )
         for i, report in enumerate(reports)
         if report.spans
@@ -224,7 +227,7 @@ def pole_notices(solved: TakeIk) -> list[Fault]:
     return notices
 
 
-def _advice(solved: TakeIk, report: GoalReport, i: int) -> str | None:
+def _miss_hint(solved: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
     worst = max(report.spans, key=lambda span: span.distance)
     hint = up_axis_hint(solved, i, worst.frame) if worst.distance > 0 else None
@@ -307,7 +310,7 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     """Return a warning if joints jump, with the largest jump."""
     if not solved.jumps:
         return []
-    largest = max(solved.jumps, key=_excess(solved))
+    largest = max(solved.jumps, key=_jump_sort_key(solved))
     first, last = (
         frame_label(solved.take.clock.times[largest.frame - frames_back])
         for frames_back in (1, 0)
@@ -328,7 +331,7 @@ def jump_notices(solved: TakeIk) -> list[Fault]:
     return [Fault("IK102", message, path, (), _jump_hint(solved, largest), level)]
 
 
-def _excess(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
+def _jump_sort_key(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
     """Return a sort key of jumps; slides are measured in chain lengths."""
 
     def bad(jump: Jump) -> tuple[bool, float]:
@@ -345,13 +348,13 @@ def _step_text(jump: Jump, size: float) -> str:
 
 def _jump_hint(solved: TakeIk, worst: Jump) -> str:
     """Return a hint that reduces the jumps of a take."""
-    steadier = solved.steadier
-    if steadier is not None:
+    smoothing = solved.steadier
+    if smoothing is not None:
         remaining_text = "leaves no jump"
-        if steadier.angle > 0:
+        if smoothing.angle > 0:
             remaining_text = "leaves rotations of "
-            remaining_text += f"{angle_text(math.degrees(steadier.angle), 3)} at most"
-        return f"{argument('smooth', f'{steadier.seconds:g}')} {remaining_text}"
+            remaining_text += f"{angle_text(math.degrees(smoothing.angle), 3)} at most"
+        return f"{argument('smooth', f'{smoothing.seconds:g}')} {remaining_text}"
     track = _fading_goal(solved, worst)
     if track is not None:
         hint = f"the goal {track.name!r} starts or ends there within "
@@ -402,13 +405,13 @@ def _straightening_goal(solved: TakeIk, worst: Jump) -> str | None:
         if (
             snaps
             and worst.joint in _chain_names(solved, track)
-            and _may_ease(solved, e)
+            and _may_be_soft(solved, e)
         ):
             return track.name
     return None
 
 
-def _may_ease(solved: TakeIk, e: int) -> bool:
+def _may_be_soft(solved: TakeIk, e: int) -> bool:
     """Return whether a goal may be soft."""
     problem = solved.problem
     goals = list(problem.goals)
@@ -417,7 +420,7 @@ def _may_ease(solved: TakeIk, e: int) -> bool:
     return not find_limbs(problem.rig, goals, moving, problem.chain)[1]
 
 
-def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+def far_target_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal whose targets are far from its effector's start.
 
     Missed goals get another warning.
@@ -440,7 +443,7 @@ def away_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     return notices
 
 
-def single_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
+def independent_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
     """Return a notice if each frame was solved individually: a warning if ``smooth``.
 
     Args:
@@ -475,11 +478,12 @@ def _goal_warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
 
 
 def _miss_text(report: GoalReport) -> str:
+    """Return where and by how much a goal is missed, as text."""
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
-    frames_text = listed([_frames(span) for span in report.spans], max_items=6)
+    frames_text = listed([_frames_text(span) for span in report.spans], max_items=6)
     amounts = []
     if worst.distance > 0:
-        amounts.append(_length(worst.distance))
+        amounts.append(_length_or_infinite(worst.distance))
     if worst.angle > 0:
         amounts.append(angle_text(float(np.degrees(worst.angle))))
     message = f"{report.name!r} is not reached at {frames_text}: "
@@ -489,14 +493,15 @@ def _miss_text(report: GoalReport) -> str:
     return f"{message}, {worst.status}"
 
 
-def _length(meters: float) -> str:
-    """Return a distance as text, also an infinite one."""
+def _length_or_infinite(meters: float) -> str:
+    """Return a distance as text, including infinity."""
     if not np.isfinite(meters):
         return f"over {OVERFLOW_DISTANCE:g} m"
     return length_text(meters)
 
 
-def _frames(span: MissedSpan) -> str:
+def _frames_text(span: MissedSpan) -> str:
+    """Return the frames of a span as text."""
     if span.first == span.last:
         return f"frame {frame_label(span.first)}"
     return f"frames {span_label(span.first, span.last)}"

@@ -26,7 +26,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 
 # A coordinate within this distance of its limit is on it [rad] or [m]; must exceed the
 # tolerance of limits.
-ON_LIMIT = 1e-8
+LIMIT_TOLERANCE = 1e-8
 
 
 class IkStatus(StrEnum):
@@ -87,19 +87,19 @@ class IkResult:
     stretches: FloatArray
     jumps: tuple[Jump, ...] = ()
     # World transforms of a session's result. Not a field, so that `replace` drops them.
-    _placed: ClassVar[WorldTransforms | None] = None
+    _cached_world: ClassVar[WorldTransforms | None] = None
 
     def world(self) -> WorldTransforms:
         """Return the joints' world transforms in the poses, with stretched bones."""
-        if self._placed is not None:
-            return self._placed
+        if self._cached_world is not None:
+            return self._cached_world
         rig = self.problem.rig
         rotations = local_from_coordinates(rig, self.coordinates).rotations
         return forward_kinematics(rig, self.local_translations(), rotations)
 
     def with_world(self, world: WorldTransforms) -> IkResult:
         """Cache the world transforms of the joints; return the result itself."""
-        object.__setattr__(self, "_placed", world)
+        object.__setattr__(self, "_cached_world", world)
         return self
 
     @property
@@ -198,23 +198,27 @@ def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, Boo
     """
     rig, names = problem.rig, set(problem.joints)
     return {
-        joint.name: _on_limit(joint.limits, coordinates[:, columns])
+        joint.name: _is_on_limit(joint.limits, coordinates[:, columns])
         for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True)
         if joint.name in names and joint.limits is not None
     }
 
 
-def _on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
+def _is_on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
+    """Return in which poses a coordinate is on its limit ``(B,)``."""
     if isinstance(limit, RangeLimit):
         distance = np.minimum(
             coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0]
         )
-        return np.asarray(distance <= ON_LIMIT)
+        return np.asarray(distance <= LIMIT_TOLERANCE)
     # A pose outside a slightly narrower limit is on the true one.
     swing, twist = limit.swing, limit.twist
     if swing is not None:
-        swing = (max(swing[0] - ON_LIMIT, 0.0), max(swing[1] - ON_LIMIT, 0.0))
-    if twist is not None and twist[1] - twist[0] > 2 * ON_LIMIT:
-        twist = (twist[0] + ON_LIMIT, twist[1] - ON_LIMIT)
+        swing = (
+            max(swing[0] - LIMIT_TOLERANCE, 0.0),
+            max(swing[1] - LIMIT_TOLERANCE, 0.0),
+        )
+    if twist is not None and twist[1] - twist[0] > 2 * LIMIT_TOLERANCE:
+        twist = (twist[0] + LIMIT_TOLERANCE, twist[1] - LIMIT_TOLERANCE)
     inner = BallLimit(swing, twist, limit.twist_axis)
-    return np.asarray(inner.excess(coordinates[:, -4:]) > ON_LIMIT / 10)
+    return np.asarray(inner.excess(coordinates[:, -4:]) > LIMIT_TOLERANCE / 10)

@@ -12,14 +12,14 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.ik.limbs import limb_arrays
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
-from animtool.ik.sub_rig import mimics
-from animtool.ik.two_bone import fits
+from animtool.ik.sub_rig import find_mimics
+from animtool.ik.two_bone import is_two_bone_limb
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
 # Coordinates, misses, reports, seconds, mask of reached goals, bone length scales,
 # positions and linear parts of the joints.
-RigSolved: TypeAlias = tuple[
+KernelSolution: TypeAlias = tuple[
     FloatArray,
     FloatArray,
     IntArray,
@@ -62,13 +62,14 @@ def closed_form(problem: Problem) -> ClosedForm:
 
 
 def _closed_form(problem: Problem) -> ClosedForm:
-    if fits(problem):
+    """Compute the closed form of a problem, or NONE."""
+    if is_two_bone_limb(problem):
         return ClosedForm.LIMB
-    arm = _kernels.arm_kind(*problem.chain.arrays, problem.rest_weight)
+    arm = _kernels.arm_kind(*problem.chain.kernel_arrays, problem.rest_weight)
     return ClosedForm.ARM if arm else ClosedForm.NONE
 
 
-def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
+def build_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
     """Return a solver of a problem; it keeps the last solved frame."""
     form = (
         closed_form(problem)
@@ -81,11 +82,11 @@ def make_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
         **problem.solver_cache["arrays"],
         rest_weight=problem.rest_weight,
         closed=int(form),
-        **option_numbers(options),
+        **kernel_options(options),
     )
 
 
-def option_numbers(options: IkOptions) -> dict[str, Any]:
+def kernel_options(options: IkOptions) -> dict[str, Any]:
     """Return options as arguments of kernel solvers."""
     return {
         "length_tolerance": options.tolerance,
@@ -105,8 +106,8 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
     """Return the kernel arguments of a problem's chain, goals, limbs and rig."""
     chain, rig = problem.chain, problem.rig
     limbs, limb_numbers = limb_arrays(problem.limbs)
-    bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
-    mimic_columns, numbers = _mimic_columns(rig, problem.joints)
+    stretching_bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
+    mimic_columns, mimic_numbers = _mimic_columns(rig, problem.joints)
     types, columns, axes = rig.joint_arrays
     return {
         "nodes": chain.nodes,
@@ -123,10 +124,10 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
             -1, 4
         ),
         "mimics": mimic_columns,
-        "mimic_numbers": numbers,
+        "mimic_numbers": mimic_numbers,
         "limbs": limbs,
         "limb_numbers": limb_numbers,
-        "limb_joints": np.array(bones, np.int64).reshape(-1, 2),
+        "limb_joints": np.array(stretching_bones, np.int64).reshape(-1, 2),
         "parents": rig.parents,
         "types": types,
         "joint_columns": columns,
@@ -136,13 +137,15 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
     }
 
 
-def _mimic_columns(rig: Rig, moved: tuple[str, ...]) -> tuple[IntArray, FloatArray]:
+def _mimic_columns(
+    rig: Rig, moved_names: tuple[str, ...]
+) -> tuple[IntArray, FloatArray]:
     """Return columns of mimic and lead joints ``(M, 2)``, gains and offsets ``(M, 2)``.
 
     Lead joints come before their mimics. A rig with drivers has none: drivers evaluate
     mimics too.
     """
-    names = [] if rig.is_driven else mimics(rig, moved)
+    names = [] if rig.is_driven else find_mimics(rig, moved_names)
     slices = coordinate_slices(rig)
     columns, numbers = [], []
     ready_names = set(rig.names) - set(names)
@@ -150,14 +153,14 @@ def _mimic_columns(rig: Rig, moved: tuple[str, ...]) -> tuple[IntArray, FloatArr
         joint.name: joint.mimic for joint in rig.joints if joint.mimic is not None
     }
     while names:
-        is_ready = [
+        ready_mimics = [
             name for name in names if mimic_of[name].joint in ready_names
         ] or names
-        for name in is_ready:
+        for name in ready_mimics:
             joint_pair = rig.index(name), rig.index(mimic_of[name].joint)
             columns.append([slices[index].start for index in joint_pair])
             numbers.append([mimic_of[name].gain, mimic_of[name].offset])
-        ready_names.update(is_ready)
+        ready_names.update(ready_mimics)
         names = [name for name in names if name not in ready_names]
     return (
         np.array(columns, np.int64).reshape(-1, 2),

@@ -91,7 +91,9 @@ def _with_kinds(base: type[FileModel], *, weights: bool) -> type[FileModel]:
     """Return a model with a key for each kind of goal: its weight, or its target."""
     fields: dict[str, Any] = {}
     for kind in KINDS:
-        target = AimModel if kind.axis else _VALUES[kind.value] | str | ValueModel
+        target = (
+            AimModel if kind.has_axis else _VALUES[kind.value_type] | str | ValueModel
+        )
         fields[kind.name] = (
             (Weight | CurveModel if weights else target) | None,
             key(

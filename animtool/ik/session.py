@@ -11,12 +11,12 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
-from animtool.ik.goals import COLUMNS, KINDS, WEIGHTS, Goal, Targets, pack
+from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, rest_pose
 from animtool.ik.result import IkResult
-from animtool.ik.rig_solver import ClosedForm, closed_form, make_solver
-from animtool.ik.solving import check_options, pose_rows, result_of, solve
+from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
+from animtool.ik.solving import check_options, pose_rows, result_of_kernel, solve
 
 if TYPE_CHECKING:
     from animtool import _kernels
@@ -124,21 +124,25 @@ class Session:
         packed, values = self._fill_buffer(values_by_goal)
         if self.options.near or self.rig.is_driven:
             return solve(
-                packed.problem, start, _targets(values), self.options, prefer=prefer
+                packed.problem,
+                start,
+                _targets_of_buffer(values),
+                self.options,
+                prefer=prefer,
             )
         problem = packed.problem
         rows = packed.rest if start is None else np.asarray(start, np.float64)[None]
         preferred = None if prefer is None else np.asarray(prefer, np.float64)[None]
         try:
-            solved = packed.solver.solve(rows, values, preferred, placed=True)
+            solution = packed.solver.solve(rows, values, preferred, placed=True)
         except (TypeError, ValueError):
             # Invalid numbers or shapes: packing again raises the full error.
-            pack_again = pack(_targets(values), problem.goals)
+            repack = pack(_targets_of_buffer(values), problem.goals)
             rows = pose_rows(problem, start, 1, "start")
             if prefer is not None:
                 preferred = pose_rows(problem, prefer, 1, "prefer")
-            solved = packed.solver.solve(rows, pack_again, preferred, placed=True)
-        return result_of(problem, solved)
+            solution = packed.solver.solve(rows, repack, preferred, placed=True)
+        return result_of_kernel(problem, solution)
 
     def branches(
         self,
@@ -171,9 +175,9 @@ class Session:
             return packed.solver.branches(row, values[0])
         except (TypeError, ValueError):
             # As in `solve`.
-            pack_again = pack(_targets(values), problem.goals)
+            repack = pack(_targets_of_buffer(values), problem.goals)
             row = pose_rows(problem, start, 1, "start")[0]
-            return packed.solver.branches(row, pack_again[0])
+            return packed.solver.branches(row, repack[0])
 
     def _fill_buffer(
         self, values_by_goal: Mapping[str, Any]
@@ -183,7 +187,7 @@ class Session:
         values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
-                raise self._unknown(name)
+                raise self._unknown_goal_error(name)
             goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
             requested.append((name, kind_mask))
             values += goal_parts
@@ -199,7 +203,7 @@ class Session:
             raise _shape_error(values_by_goal) from error
         return packed, packed.targets
 
-    def _unknown(self, name: str) -> OptionError:
+    def _unknown_goal_error(self, name: str) -> OptionError:
         suggestions = most_similar(name, self._goals)
         hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"the session has no goal {excerpt(name)}"
@@ -208,7 +212,7 @@ class Session:
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of some goals, with an initial target buffer."""
         goals = [
-            _requested_goal(self._goals[name], name, kind_mask)
+            _goal_of_call(self._goals[name], name, kind_mask)
             for name, kind_mask in requested
         ]
         problem = build(
@@ -218,16 +222,16 @@ class Session:
             pose=self._pose,
             rest_weight=self._rest_weight,
         )
-        targets = np.zeros((1, len(goals), WEIGHTS.stop))
-        targets[:, :, COLUMNS["orientation"].stop - 1] = 1.0
-        targets[:, :, WEIGHTS] = 1.0
+        targets = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
+        targets[:, :, TARGET_COLUMNS["orientation"].stop - 1] = 1.0
+        targets[:, :, WEIGHT_COLUMNS] = 1.0
         views = [
-            targets[0, e, COLUMNS[kind.name]]
+            targets[0, e, TARGET_COLUMNS[kind.name]]
             for e, goal in enumerate(goals)
             for kind in goal.kinds
         ]
         return _PackedProblem(
-            *(problem, make_solver(problem, self.options)),
+            *(problem, build_solver(problem, self.options)),
             *(closed_form(problem) is ClosedForm.ARM, rest_pose(problem)[None]),
             *(targets, tuple(views)),
         )
@@ -274,22 +278,26 @@ def _target_parts(
     return [part for part in value if part is not None], kind_mask
 
 
-def _requested_goal(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
+def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
     if goal is not None:
         return goal
     return Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))
 
 
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
+    """Return the error of targets whose shapes do not fit their goals."""
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"
     return OptionError(Fault("IK010", message, hint=hint))
 
 
-def _targets(values: FloatArray) -> Targets:
+def _targets_of_buffer(values: FloatArray) -> Targets:
     """Return targets from a packed buffer."""
     return Targets(
-        **{kind.targets: values[:, :, COLUMNS[kind.name]] for kind in KINDS},
-        weights=values[:, :, WEIGHTS],
+        **{
+            kind.targets_field: values[:, :, TARGET_COLUMNS[kind.name]]
+            for kind in KINDS
+        },
+        weights=values[:, :, WEIGHT_COLUMNS],
     )

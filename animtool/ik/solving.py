@@ -14,7 +14,7 @@ from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem, rest_pose
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.rig_solver import CLOSED_FORM_METHODS, RigSolved, make_solver
+from animtool.ik.rig_solver import CLOSED_FORM_METHODS, KernelSolution, build_solver
 from animtool.ik.sub_rig import with_mimics
 from animtool.ik.two_bone import incompatibility
 from animtool.rig.kinematics import WorldTransforms
@@ -87,17 +87,19 @@ def solve(
     starts = pose_rows(problem, start, len(packed), "start")
     if prefer is not None:
         prefer = pose_rows(problem, prefer, len(packed), "prefer")
-    solver = make_solver(problem, options)
-    result = result_of(problem, solver.solve(starts, packed, prefer, placed=False))
+    solver = build_solver(problem, options)
+    result = result_of_kernel(
+        problem, solver.solve(starts, packed, prefer, placed=False)
+    )
     if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
         preferred = starts if prefer is None else prefer
-        return _pulled_to_preferred(problem, packed, preferred, options, result)
+        return _pull_to_preferred(problem, packed, preferred, options, result)
     return result
 
 
-def result_of(problem: Problem, solved: RigSolved) -> IkResult:
+def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
     """Return a kernel solver's output as a result."""
-    rows, misses, reports, seconds, reached, scales, positions, linear = solved
+    rows, misses, reports, seconds, reached, scales, positions, linear = solution
     if problem.rig.is_driven:
         rows = with_mimics(problem.rig, rows, problem.joints)
         positions = positions[:0]
@@ -117,7 +119,7 @@ def result_of(problem: Problem, solved: RigSolved) -> IkResult:
     return result.with_world(WorldTransforms(positions, linear))
 
 
-def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
+def pack_for_chain(problem: Problem, targets: Targets) -> FloatArray:
     """Return targets packed in the chain's units and frames ``(B, E, W)``."""
     packed = pack(targets, problem.goals)
     chain = problem.chain
@@ -125,7 +127,7 @@ def chain_targets(problem: Problem, targets: Targets) -> FloatArray:
     return packed
 
 
-def _pulled_to_preferred(
+def _pull_to_preferred(
     problem: Problem,
     packed: FloatArray,
     preferred: FloatArray,
@@ -146,20 +148,20 @@ def _pulled_to_preferred(
     ):
         return result
     pull_options = replace(options, method=IkMethod.DAMPED, restarts=0)
-    poses, pulled = result.coordinates[rows], result
+    poses, pulled_result = result.coordinates[rows], result
     for weight in PULL_WEIGHTS:
-        solver = make_solver(replace(problem, rest_weight=weight), pull_options)
+        solver = build_solver(replace(problem, rest_weight=weight), pull_options)
         solved = solver.solve(poses, packed[rows], preferred[rows], placed=False)
-        pulled = result_of(problem, solved)
-        poses = pulled.coordinates
+        pulled_result = result_of_kernel(problem, solved)
+        poses = pulled_result.coordinates
     chain = problem.chain
     distance_before, distance_after = (
         np.linalg.norm(difference(chain, chain.from_rig(preferred[rows]), q), axis=1)
         for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
     )
-    is_improved = pulled.reached.all(axis=1) & (distance_after < distance_before)
+    is_improved = pulled_result.reached.all(axis=1) & (distance_after < distance_before)
     result.coordinates[rows[is_improved]] = poses[is_improved]
-    result.misses[rows[is_improved]] = pulled.misses[is_improved]
+    result.misses[rows[is_improved]] = pulled_result.misses[is_improved]
     return result
 
 
@@ -168,18 +170,20 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
     faults: dict[str, list[Fault]] = {}
     for name in ("tolerance", "angle_tolerance"):
         value = getattr(options, name)
-        faults[name] = _unless(value > 0, name, "more than 0", value)
+        faults[name] = _fault_unless(value > 0, name, "more than 0", value)
     for name, (low, high) in COUNT_RANGES.items():
         value = getattr(options, name)
         is_valid = bool(isinstance(value, (int, np.integer)) and low <= value <= high)
         rule = f"a whole number from {low} to {high}"
-        faults[name] = _unless(is_valid, name, rule, value)
+        faults[name] = _fault_unless(is_valid, name, rule, value)
     is_valid = options.seconds >= 0
-    faults["seconds"] = _unless(is_valid, "seconds", "at least 0", options.seconds)
+    faults["seconds"] = _fault_unless(
+        is_valid, "seconds", "at least 0", options.seconds
+    )
     return faults
 
 
-def _unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
+def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
     """Return the fault of an option unless it is valid."""
     message = f"{name} must be {rule}, not {value}"
     return [] if is_valid else [Fault("IK014", message)]
@@ -188,7 +192,9 @@ def _unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
 def check_options(options: IkOptions) -> None:
     """Raise if options are invalid."""
     faults = [
-        fault for of_option in option_faults(options).values() for fault in of_option
+        fault
+        for faults_of_option in option_faults(options).values()
+        for fault in faults_of_option
     ]
     if faults:
         raise OptionError(faults)
@@ -210,7 +216,7 @@ def pose_rows(
     return repeated
 
 
-def serving(problem: Problem) -> list[IkMethod]:
+def supported_methods(problem: Problem) -> list[IkMethod]:
     """Return the methods that support a problem.
 
     >>> from animtool.ik.goals import Goal
@@ -218,7 +224,7 @@ def serving(problem: Problem) -> list[IkMethod]:
     >>> from animtool.rig.skeleton import Joint, JointType, Rig
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
     >>> problem = build(door, [Goal("hinge", position=0.0, orientation=1.0)])
-    >>> [str(method) for method in serving(problem)]
+    >>> [str(method) for method in supported_methods(problem)]
     ['auto', 'damped', 'gradient', 'newton', 'ccd']
     """
     return [method for method in IkMethod if _obstacle(problem, method) is None]
@@ -227,12 +233,12 @@ def serving(problem: Problem) -> list[IkMethod]:
 def check_method(problem: Problem, method: IkMethod) -> None:
     """Raise if a method does not support a problem."""
     if method not in set(IkMethod):
-        hint = f"methods for this problem: {', '.join(serving(problem))}"
+        hint = f"methods for this problem: {', '.join(supported_methods(problem))}"
         raise OptionError(Fault("IK015", f"unknown method {method!r}", hint=hint))
     obstacle = _obstacle(problem, method)
     if obstacle is None:
         return
-    hint = f"methods for this problem: {', '.join(serving(problem))}"
+    hint = f"methods for this problem: {', '.join(supported_methods(problem))}"
     if method == IkMethod.FABRIK and _translating_joints(problem):
         hint += "; or choose joints that do not translate, or a root below them"
     raise OptionError(Fault("IK015", f"{method} {obstacle}", hint=hint))
@@ -247,32 +253,32 @@ def _obstacle(problem: Problem, method: IkMethod) -> str | None:
         return reason and f"does not apply: {reason}"
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
-    slides = _translating_joints(problem)
-    levels = bool(problem.chain.goals[:, 3].any())
+    sliding_joints = _translating_joints(problem)
+    has_priorities = bool(problem.chain.goals[:, 3].any())
     rules = [
         (
-            levels,
+            has_priorities,
             {*simple_methods, IkMethod.GRADIENT, IkMethod.NEWTON},
             "ignores priorities",
         ),
         (problem.rest_weight > 0, simple_methods, "ignores the preferred pose"),
         *(
-            (not kind.pulls, simple_methods, f"ignores {kind.targets}")
+            (not kind.supports_ccd, simple_methods, f"ignores {kind.targets_field}")
             for kind in kinds
         ),
         (
-            any(kind.turning for kind in kinds),
+            any(kind.depends_on_rotation for kind in kinds),
             {IkMethod.FABRIK},
             "is for positions only",
         ),
-        (bool(slides), {IkMethod.FABRIK}, _stiff(slides)),
+        (bool(sliding_joints), {IkMethod.FABRIK}, _sliding_text(sliding_joints)),
     ]
-    reasons = (
+    matching_rules = (
         obstacle
         for applies, methods, obstacle in rules
         if applies and method in methods
     )
-    return next(reasons, None)
+    return next(matching_rules, None)
 
 
 def _translating_joints(problem: Problem) -> list[str]:
@@ -282,5 +288,6 @@ def _translating_joints(problem: Problem) -> list[str]:
     return [n for n in problem.joints if rig.joints[rig.index(n)].type in kinds]
 
 
-def _stiff(sliding: list[str]) -> str:
+def _sliding_text(sliding: list[str]) -> str:
+    """Return why joints that slide are not supported, as text."""
     return f"is for joints that only rotate, but {listed(sliding)} may translate"

@@ -16,32 +16,35 @@ from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
-def mimics(rig: Rig, moved: Collection[str]) -> list[str]:
-    """Return the joints that mimic given joints, directly or not, in rig order.
+def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
+    """Return the joints that mimic or are driven by given joints, in rig order.
 
     Joints driven from them count too.
 
     >>> from animtool.rig.skeleton import Joint, JointType, Mimic
     >>> lead = Joint("lead", -1, JointType.PIN)
     >>> tail = Joint("tail", -1, JointType.PIN, mimic=Mimic("lead"))
-    >>> mimics(Rig("pair", (lead, tail)), ["lead"])
+    >>> find_mimics(Rig("pair", (lead, tail)), ["lead"])
     ['tail']
     """
-    moving = set(moved)
+    moving_names = set(joint_names)
     remaining = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
-    while new := {name for name, lead in remaining.items() if lead in moving} - moving:
-        moving |= new
-    followers = {name for name in moving if name in remaining}
+    while (
+        new := {name for name, lead in remaining.items() if lead in moving_names}
+        - moving_names
+    ):
+        moving_names |= new
+    mimic_names = {name for name in moving_names if name in remaining}
     if rig.is_driven:
-        followers.update(plan_of(rig).dependent_joints(moving))
-    return [name for name in rig.names if name in followers]
+        mimic_names.update(plan_of(rig).dependent_joints(moving_names))
+    return [name for name in rig.names if name in mimic_names]
 
 
 def with_mimics(
-    rig: Rig, coordinates: FloatArray, moved: Collection[str]
+    rig: Rig, coordinates: FloatArray, moved_names: Collection[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
-    names = mimics(rig, moved)
+    names = find_mimics(rig, moved_names)
     if not names:
         return coordinates
     slices = coordinate_slices(rig)
@@ -50,12 +53,12 @@ def with_mimics(
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
         mimics_only = [name for name in names if name not in driven_names]
         return driven_coordinates(
-            plan_of(rig), _set_mimics(rig, updated_coordinates, slices, mimics_only)
+            plan_of(rig), _apply_mimics(rig, updated_coordinates, slices, mimics_only)
         )
-    return _set_mimics(rig, updated_coordinates, slices, names)
+    return _apply_mimics(rig, updated_coordinates, slices, names)
 
 
-def _set_mimics(
+def _apply_mimics(
     rig: Rig, updated_coordinates: FloatArray, slices: list[slice], names: list[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic joints set from their leads."""
@@ -113,7 +116,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     smaller_rig = Rig(rig.name, joints, rig.meters_per_unit, rig.up, chains=rig.chains)
     if links:
         smaller_rig = replace(
-            smaller_rig, controls=_read_controls(rig, smaller_rig.names)
+            smaller_rig, controls=_supported_controls(rig, smaller_rig.names)
         )
     return smaller_rig, np.array(indices, np.int64)
 
@@ -123,13 +126,13 @@ def _driver_links(rig: Rig) -> dict[int, list[int]]:
     linked_joints: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).joints_read.items():
         for source_name in sources:
-            pair = rig.index(name), rig.index(source_name)
-            for joint, linked_joint in (pair, pair[::-1]):
+            joint_pair = rig.index(name), rig.index(source_name)
+            for joint, linked_joint in (joint_pair, joint_pair[::-1]):
                 linked_joints.setdefault(joint, []).append(linked_joint)
     return linked_joints
 
 
-def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
+def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
     """Return the controls with the drivers and drives that a reduced rig supports."""
     available = set(names)
     return tuple(
@@ -138,14 +141,17 @@ def _read_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
             drives=tuple(d for d in control.drives if d.target.startswith("control/")),
             driven=control.driven
             if control.driven is not None
-            and all(_joint_known(name, available) for name in control.driven.names)
+            and all(
+                _is_joint_available(name, available) for name in control.driven.names
+            )
             else None,
         )
         for control in rig.controls
     )
 
 
-def _joint_known(name: str, available_names: Collection[str]) -> bool:
+def _is_joint_available(name: str, available_names: Collection[str]) -> bool:
+    """Return whether the joint of a coordinate's name is available."""
     joint = split_coordinate(name)[0]
     return not joint or joint in available_names
 
@@ -165,7 +171,7 @@ def with_types(rig: Rig) -> Rig:
     return replace(rig, joints=joints)
 
 
-def dressed(rig: Rig, other: Rig) -> Rig:
+def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     """Return a rig with the joint data of another rig, matched by name.
 
     Copies types, axes, limits and rest poses, and the chains whose joints all exist in
@@ -174,36 +180,42 @@ def dressed(rig: Rig, other: Rig) -> Rig:
     >>> from animtool.rig.skeleton import Joint
     >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))
     >>> typed = Rig("b", (Joint("knee", -1, JointType.PIN),))
-    >>> [str(joint.type) for joint in dressed(plain, typed).joints]
+    >>> [str(joint.type) for joint in with_joint_data_of(plain, typed).joints]
     ['free', 'pin']
     """
-    typed_joints = {joint.name: joint for joint in other.joints}
+    typed_joints = {joint.name: joint for joint in typed_rig.joints}
     names = set(rig.names)
     joints = []
     for joint in with_types(rig).joints:
-        typed = typed_joints.get(joint.name)
-        if typed is None:
+        typed_joint = typed_joints.get(joint.name)
+        if typed_joint is None:
             joints.append(joint)
             continue
-        has_leader = typed.mimic is not None and typed.mimic.joint in names
+        has_leader = typed_joint.mimic is not None and typed_joint.mimic.joint in names
         joints.append(
             replace(
                 joint,
-                type=typed.type,
-                translation=typed.translation,
-                rotation=typed.rotation,
-                axis=typed.axis,
-                limits=typed.limits,
-                mimic=typed.mimic if has_leader else None,
-                driven=typed.driven if _has_driver_inputs(typed, names, rig) else None,
+                type=typed_joint.type,
+                translation=typed_joint.translation,
+                rotation=typed_joint.rotation,
+                axis=typed_joint.axis,
+                limits=typed_joint.limits,
+                mimic=typed_joint.mimic if has_leader else None,
+                driven=typed_joint.driven
+                if _has_driver_inputs(typed_joint, names, rig)
+                else None,
             )
         )
-    chains = tuple(chain for chain in other.chains if {chain.root, chain.tip} <= names)
+    chains = tuple(
+        chain for chain in typed_rig.chains if {chain.root, chain.tip} <= names
+    )
     return replace(rig, joints=tuple(joints), chains=chains)
 
 
 def _has_driver_inputs(joint: Joint, names: Collection[str], rig: Rig) -> bool:
     """Return whether a rig has all inputs of a joint's driver."""
     available_names = {*names, *(control.name for control in rig.controls)}
-    read = () if joint.driven is None else joint.driven.names
-    return all((split_coordinate(name)[0] or name) in available_names for name in read)
+    input_names = () if joint.driven is None else joint.driven.names
+    return all(
+        (split_coordinate(name)[0] or name) in available_names for name in input_names
+    )

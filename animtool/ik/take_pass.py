@@ -16,7 +16,7 @@ from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
 from animtool.ik.report import MISSED_ANGLE, MISSED_LENGTH, goal_reports, take_notices
-from animtool.ik.sub_rig import dressed
+from animtool.ik.sub_rig import with_joint_data_of
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.passes import (
@@ -52,25 +52,26 @@ def rig_and_tracks(
         options: Options of the pass.
         folder: Folder of relative paths.
     """
-    path = folder / _targets(options)
+    path = folder / _targets_file(options)
     if options.rig is not None:
-        rig = dressed(take.rig, Rig.load(folder / options.rig))
+        rig = with_joint_data_of(take.rig, Rig.load(folder / options.rig))
         take = replace(take, rig=rig)
     return take, load_targets(path, take.rig)
 
 
 def _run(take: Take, options: Any, context: PassContext) -> Take:
+    """Run the pass: solve the take and report its misses."""
     rig = take.rig
     take, tracks = rig_and_tracks(take, options, context.folder)
-    settings = settings_of(options)
-    solved = solve_take(take, tracks, settings, progress=context.progress)
+    options_of_solve = solve_options(options)
+    solved = solve_take(take, tracks, options_of_solve, progress=context.progress)
     context.notices.extend(tracks.notices)
     goals = goal_reports(
         solved,
-        max(settings.tolerance, MISSED_LENGTH),
-        max(settings.angle_tolerance, MISSED_ANGLE),
+        max(options_of_solve.tolerance, MISSED_LENGTH),
+        max(options_of_solve.angle_tolerance, MISSED_ANGLE),
     )
-    warnings = take_notices(solved, goals, smooth=settings.smooth > 0)
+    warnings = take_notices(solved, goals, smooth=options_of_solve.smooth > 0)
     context.notices.extend(warnings)
     times = solved.take.clock.times
     context.placed_joints.extend(
@@ -83,12 +84,14 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     return replace(solved.take, rig=rig)
 
 
-def settings_of(options: Any) -> TakeOptions:
+def solve_options(options: Any) -> TakeOptions:
     """Return the solve options of the pass (invalid tolerance: IK014)."""
-    return replace(_settings(options), tolerance=_length(options.tolerance))
+    return replace(
+        _options_without_tolerance(options), tolerance=_length(options.tolerance)
+    )
 
 
-def _settings(options: Any) -> TakeOptions:
+def _options_without_tolerance(options: Any) -> TakeOptions:
     """Return the solve options without the tolerance, which is text."""
     names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
@@ -97,7 +100,8 @@ def _settings(options: Any) -> TakeOptions:
     )
 
 
-def _targets(options: IkPassOptions) -> Path:
+def _targets_file(options: IkPassOptions) -> Path:
+    """Return the path of the targets file."""
     if options.targets is None:
         message = "targets must name a targets file"
         raise OptionError(Fault("TGT013", message))
@@ -105,25 +109,28 @@ def _targets(options: IkPassOptions) -> Path:
 
 
 def _length(text: str) -> float:
+    """Return a length as text in metres."""
     try:
         return parse_length(text)
     except ValueError as error:
         raise OptionError(Fault("IK014", f"tolerance: {error}")) from error
 
 
-def _checks(options: Any) -> OptionChecks:
-    faults_by_name = take_option_faults(_settings(options))
+def _option_checks(options: Any) -> OptionChecks:
+    """Return the checks of each option."""
+    faults_by_name = take_option_faults(_options_without_tolerance(options))
     numbers = {
-        name: partial(_refuse, faults) for name, faults in faults_by_name.items()
+        name: partial(_raise_faults, faults) for name, faults in faults_by_name.items()
     }
     return {
         **numbers,
-        "targets": lambda: _targets(options),
+        "targets": lambda: _targets_file(options),
         "tolerance": lambda: _length(options.tolerance),
     }
 
 
-def _refuse(faults: list[Fault]) -> None:
+def _raise_faults(faults: list[Fault]) -> None:
+    """Raise faults, if there are any."""
     if faults:
         raise OptionError(faults)
 
@@ -134,7 +141,7 @@ PASS = Pass(
     IkPassOptions,
     Scope.CLIP,
     _run,
-    _checks,
+    _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
     tells=True,

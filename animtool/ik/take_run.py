@@ -14,15 +14,21 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
 from animtool.ik.chain_frame import SolveSpan
-from animtool.ik.goals import PARTS, Goal, Targets, rows_of
+from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.nearest import with_nearest_poses
 from animtool.ik.options import IkMethod, IkOptions, TakeOptions
-from animtool.ik.path import goal_moves, jumps_of, rate_faults, smooth, windings
-from animtool.ik.problem import Problem, build, rest_faults
+from animtool.ik.path import (
+    find_clip_jumps,
+    full_revolutions,
+    goal_steps,
+    smooth,
+    smoothing_faults,
+)
+from animtool.ik.problem import Problem, build, rest_weight_faults
 from animtool.ik.result import IkResult, IkStatus, frames_on_limits
-from animtool.ik.solving import chain_targets, option_faults, serving, solve
-from animtool.ik.sub_rig import mimics
+from animtool.ik.solving import option_faults, pack_for_chain, solve, supported_methods
+from animtool.ik.sub_rig import find_mimics
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -35,12 +41,12 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 # Coordinates that change by less keep their source value.
-UNCHANGED = 1e-12
+EQUAL_COORDINATE = 1e-12
 # Methods that search a clip across branches; the others exist for comparison.
 PATH_METHODS = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # Smoothing times tried where joints jump [s], and the factor by which a jump must
 # shrink for the smoothing to be suggested.
-TRIED_SMOOTHING, MIN_REDUCTION = (0.1, 0.3), 0.9
+TRIAL_SMOOTHINGS, MIN_REDUCTION = (0.1, 0.3), 0.9
 # Distance of a pole in chain lengths, so far that only its direction matters.
 POLE_DISTANCE = 10.0
 
@@ -153,54 +159,56 @@ class Smoothing:
 
 
 @dataclass(frozen=True, slots=True)
-class SolvedPart:
-    """The solution of a frame span.
+class SpanSolution:
+    """The solution of one span of frames.
 
     Attributes:
-        part: The frame span.
+        span: The frame span.
         targets: Packed targets ``(F, E, W)``.
         result: Poses and misses.
         seconds: Solve time [s].
         steadier: Smoothing that reduces the jumps.
     """
 
-    part: SolveSpan
+    span: SolveSpan
     targets: FloatArray
     result: IkResult
     seconds: float
     steadier: Smoothing | None = None
 
 
-def gathered_take(
+def gather_take(
     take: Take,
     indices: IntArray,
     local: LocalTransforms,
     tracks: TargetTracks,
     targets: Targets,
-    parts: Sequence[SolvedPart],
+    solutions: Sequence[SpanSolution],
     rate: float,
 ) -> TakeIk:
     """Return a take with the solved poses of its frame spans."""
-    results = [solved_part.result for solved_part in parts]
+    results = [solved_part.result for solved_part in solutions]
     motion = take.motion
-    rig = parts[0].part.rig
-    names = {*results[0].problem.joints, *mimics(rig, results[0].problem.joints)}
+    rig = solutions[0].span.rig
+    names = {*results[0].problem.joints, *find_mimics(rig, results[0].problem.joints)}
     stretched_joints = {j for limb in results[0].problem.limbs for j in limb.joints}
     joints = sorted({rig.index(name) for name in names} | stretched_joints)
     translations, rotations = local.translations[:, joints], local.rotations[:, joints]
     source = LocalTransforms(translations.copy(), rotations.copy())
-    for solved_part in parts:
-        span = solved_part.part.frames
-        rows, source_rows = solved_part.result.coordinates, solved_part.part.coordinates
-        locals_of_part = local_from_coordinates(solved_part.part.rig, rows)
+    for solved_part in solutions:
+        span = solved_part.span.frames
+        rows, source_rows = solved_part.result.coordinates, solved_part.span.coordinates
+        locals_of_part = local_from_coordinates(solved_part.span.rig, rows)
         stretched_translations = solved_part.result.local_translations()
-        slices = coordinate_slices(solved_part.part.rig)
+        slices = coordinate_slices(solved_part.span.rig)
         for i, j in enumerate(joints):
             change = np.abs(rows[:, slices[j]] - source_rows[:, slices[j]])
             is_stretched = (
                 stretched_translations[:, j] != locals_of_part.translations[:, j]
             ).any(axis=1)
-            is_changed = (change.max(axis=1, initial=0.0) > UNCHANGED) | is_stretched
+            is_changed = (
+                change.max(axis=1, initial=0.0) > EQUAL_COORDINATE
+            ) | is_stretched
             translations[span, i][is_changed] = stretched_translations[is_changed, j]
             rotations[span, i][is_changed] = locals_of_part.rotations[is_changed, j]
     index = indices[joints]
@@ -214,12 +222,12 @@ def gathered_take(
         [rig.names[j] for j in joints],
         source,
         LocalTransforms(translations, rotations),
-        goal_moves(
-            problem, np.concatenate([solved_part.targets for solved_part in parts])
+        goal_steps(
+            problem, np.concatenate([solved_part.targets for solved_part in solutions])
         ),
         fps=rate,
         length=problem.length,
-        windings=windings(
+        windings=full_revolutions(
             rig, np.concatenate([solved_part.coordinates for solved_part in results])
         )[:, joints],
     )
@@ -237,13 +245,13 @@ def gathered_take(
         tuple(status for solved_part in results for status in solved_part.statuses),
         np.concatenate([solved_part.iterations for solved_part in results]),
         np.concatenate([solved_part.descents for solved_part in results]),
-        sum(solved_part.seconds for solved_part in parts),
+        sum(solved_part.seconds for solved_part in solutions),
         jumps,
         {
             name: np.concatenate([solved_part[name] for solved_part in limits])
             for name in limits[0]
         },
-        steadier=parts[0].steadier if jumps else None,
+        steadier=solutions[0].steadier if jumps else None,
     )
 
 
@@ -263,8 +271,8 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
     )
     return {
         **option_faults(solving),
-        "rest_weight": rest_faults(options.rest_weight),
-        "smooth": rate_faults(options.smooth, 1.0),
+        "rest_weight": rest_weight_faults(options.rest_weight),
+        "smooth": smoothing_faults(options.smooth, 1.0),
     }
 
 
@@ -272,8 +280,8 @@ def check_options(options: TakeOptions) -> None:
     """Raise if options are invalid."""
     faults = [
         fault
-        for option_faults_of_name in take_option_faults(options).values()
-        for fault in option_faults_of_name
+        for faults_of_option in take_option_faults(options).values()
+        for fault in faults_of_option
     ]
     if faults:
         raise OptionError(faults)
@@ -297,31 +305,31 @@ class TakeSolver:
         """The goals of the tracks."""
         return [track.goal for track in self.tracks.goals]
 
-    def solved(self, part: SolveSpan) -> SolvedPart:
+    def solve_span(self, span: SolveSpan) -> SpanSolution:
         """Return the solution of a frame span."""
-        problem = self._problem(part, self.goals)
-        targets = part.to_chain_frame(self.targets)
-        packed = chain_targets(problem, targets)
+        problem = self._build_problem(span, self.goals)
+        targets = span.to_chain_frame(self.targets)
+        packed = pack_for_chain(problem, targets)
         if not self.static:
-            start = part.coordinates
+            start = span.coordinates
             first_solution = self._timed_solve(problem, start, targets, warm=False)
-            return SolvedPart(
-                part,
+            return SpanSolution(
+                span,
                 packed,
                 *first_solution,
-                self._steadier(first_solution[0], targets, start),
+                self._find_steadier_smoothing(first_solution[0], targets, start),
             )
-        bent_start, seconds = self._bent_start(part, problem, targets)
-        start, restart_solution = self._start_pose(part, problem, bent_start, targets)
-        first_pose = part.coordinates[0]
+        bent_start, seconds = self._solve_bent_start(span, problem, targets)
+        start, restart_solution = self._solve_start(span, problem, bent_start, targets)
+        first_pose = span.coordinates[0]
         first_solution = self._timed_solve(
             problem, start, targets, warm=True, prefer=first_pose
         )
         seconds += restart_solution + first_solution[1]
-        steadier = self._steadier(first_solution[0], targets, None)
-        return SolvedPart(part, packed, first_solution[0], seconds, steadier)
+        steadier = self._find_steadier_smoothing(first_solution[0], targets, None)
+        return SpanSolution(span, packed, first_solution[0], seconds, steadier)
 
-    def _steadier(
+    def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
     ) -> Smoothing | None:
         """Return the smoothing with the smallest remaining jumps, if any helps."""
@@ -329,44 +337,44 @@ class TakeSolver:
         if not angles or self.options.smooth > 0:
             return None
         best_smoothing = Smoothing(0.0, MIN_REDUCTION * max(angles))
-        for seconds in TRIED_SMOOTHING:
+        for seconds in TRIAL_SMOOTHINGS:
             options = self._solver_options(result.problem, warm=start is None)
             trial = smooth(
                 result, targets, seconds, fps=self.rate, start=start, options=options
             )
-            jumps = jumps_of(trial, targets, start, self.rate)
+            jumps = find_clip_jumps(trial, targets, start, self.rate)
             angle = max((jump.size for jump in jumps if not jump.slides), default=0.0)
             if angle < MIN_REDUCTION * best_smoothing.angle:
                 best_smoothing = Smoothing(seconds, angle)
         return best_smoothing if best_smoothing.seconds > 0 else None
 
-    def _problem(self, part: SolveSpan, goals: Sequence[Goal]) -> Problem:
+    def _build_problem(self, span: SolveSpan, goals: Sequence[Goal]) -> Problem:
         return build(
-            part.rig,
+            span.rig,
             goals,
             joints=self.joints,
-            pose=part.coordinates[0],
+            pose=span.coordinates[0],
             rest_weight=self.options.rest_weight,
         )
 
-    def _start_pose(
-        self, part: SolveSpan, problem: Problem, start: FloatArray, targets: Targets
+    def _solve_start(
+        self, span: SolveSpan, problem: Problem, start: FloatArray, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return the start of the first frame ``(Q,)``, and the time it took [s].
 
         If it needs restarts, that is a solution near the source pose; otherwise the
         clip would keep the random pose of a restart.
         """
-        first = rows_of(targets, slice(0, 1))
-        source_pose = part.coordinates[0]
+        first = targets_of_frames(targets, slice(0, 1))
+        source_pose = span.coordinates[0]
         poses, seconds = self._timed_solve(
             problem, start, first, warm=False, prefer=source_pose
         )
         moved_start = poses.descents[0] > 1 and bool(poses.converged[0])
         return poses.coordinates[0] if moved_start else start, seconds
 
-    def _bent_start(
-        self, part: SolveSpan, problem: Problem, targets: Targets
+    def _solve_bent_start(
+        self, span: SolveSpan, problem: Problem, targets: Targets
     ) -> tuple[FloatArray, float]:
         """Return a start ``(Q,)`` with bent chains, and the time it took [s].
 
@@ -377,23 +385,23 @@ class TakeSolver:
         poles = np.array(targets.poles)[:1]
         weights = np.array(targets.weights)[:1]
         goals = self.goals
-        origins = self.world.positions[part.frames.start]
+        origins = self.world.positions[span.frames.start]
         for e, track in enumerate(self.tracks.goals):
-            if track.goal.pole or not _bends(problem, track, origins):
+            if track.goal.pole or not _has_bend_direction(problem, track, origins):
                 continue
             if not (weights[0, e] * track.goal.weights).any():
                 continue
             goals[e] = replace(track.goal, pole=1.0)
-            point = _pole(self.rig, track, self.world, part.frames.start)
+            point = _distant_pole(self.rig, track, self.world, span.frames.start)
             poles[:, e], weights[:, e, PARTS.index("pole")] = point, 1.0
         if goals == self.goals:
-            return part.coordinates[0], 0.0
-        leaning_problem = self._problem(part, goals)
-        if self.options.method not in serving(leaning_problem):
-            return part.coordinates[0], 0.0
-        first = rows_of(targets, slice(0, 1))
+            return span.coordinates[0], 0.0
+        leaning_problem = self._build_problem(span, goals)
+        if self.options.method not in supported_methods(leaning_problem):
+            return span.coordinates[0], 0.0
+        first = targets_of_frames(targets, slice(0, 1))
         leaning_targets = replace(first, poles=poles, weights=weights)
-        start = part.coordinates[0]
+        start = span.coordinates[0]
         poses, seconds = self._timed_solve(
             leaning_problem, start, leaning_targets, warm=True, restarts=0
         )
@@ -452,7 +460,9 @@ class TakeSolver:
         )
 
 
-def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
+def _has_bend_direction(
+    problem: Problem, track: GoalTrack, origins: FloatArray
+) -> bool:
     """Return whether a goal's chain has a pole direction and a middle joint.
 
     ``origins`` ``(J, 3)``.
@@ -469,7 +479,9 @@ def _bends(problem: Problem, track: GoalTrack, origins: FloatArray) -> bool:
     return bones > 1
 
 
-def _pole(rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int) -> FloatArray:
+def _distant_pole(
+    rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int
+) -> FloatArray:
     """Return a distant point along the pole direction of a chain ``(3,)`` [m]."""
     chain = track.chain
     assert chain is not None

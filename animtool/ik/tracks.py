@@ -17,17 +17,17 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, Goal, GoalKind, Targets, TargetValue
 from animtool.ik.limbs import limb_joints
-from animtool.ik.two_bone import bend
+from animtool.ik.two_bone import bend_angle
 from animtool.ik.values import (
     ArrayRows,
     Keyed,
     SampleFrames,
     Span,
     Value,
-    between,
+    blend_holds,
     hold_weights,
+    interpolate_rows,
     smoothstep,
-    with_holds,
 )
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -45,7 +45,7 @@ DEFAULT_RATE = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class FreeEffector:
-    """The motion of an effector without its goal."""
+    """An effector's motion without its goal."""
 
     rig: Rig  # J joints
     goal: Goal  # the effector, its point and axis
@@ -62,7 +62,7 @@ class FreeEffector:
         linear = self.world.linear[:, self.rig.index(self.goal.joint)]
         return so3.align_signs(so3.split_scale(linear)[0])
 
-    def towards(
+    def blend_from_free_motion(
         self, kind: GoalKind, values: FloatArray, weights: FloatArray
     ) -> FloatArray:
         """Return targets blended from the effector's free motion to their values.
@@ -80,17 +80,21 @@ class FreeEffector:
         fraction = weights[rows]
         if not len(fraction):
             return blended_values
-        if kind.value is TargetValue.ROTATION:
+        if kind.value_type is TargetValue.ROTATION:
             blended_values[rows] = so3.slerp(
                 self.orientation()[rows], values[rows], fraction
             )
             return so3.align_signs(blended_values)
-        if not kind.directed:
+        if not kind.is_direction:
             blended_values[rows] = self._blend_positions(values, rows, fraction)
             return blended_values
-        origins, directions = self._axis() if kind.turning else self._bend(values)
+        origins, directions = (
+            self._aim_axis()
+            if kind.depends_on_rotation
+            else self._bend_directions(values)
+        )
         offsets = values[rows] - origins[rows]
-        blended_values[rows] = origins[rows] + swung(
+        blended_values[rows] = origins[rows] + swing_towards(
             directions[rows], offsets, fraction
         )
         return blended_values
@@ -109,7 +113,7 @@ class FreeEffector:
             np.linalg.norm(vector, axis=1)
             for vector in (middle - root, start - middle, start - root, end - root)
         )
-        bends = bend(a, b, size), bend(a, b, rotation)
+        bends = bend_angle(a, b, size), bend_angle(a, b, rotation)
         angle = bends[0] + fraction * (bends[1] - bends[0])
         limb_distance = np.sqrt(
             np.maximum(a**2 + b**2 + 2 * a * b * np.cos(angle), 0.0)
@@ -117,7 +121,7 @@ class FreeEffector:
         limb_distance += fraction * np.maximum(rotation - (a + b), 0.0)
         has_direction = (rotation > MIN_DIRECTION * (a + b))[:, None]
         end_direction = np.where(has_direction, end - root, start - root)
-        vector = swung(start - root, end_direction, fraction)
+        vector = swing_towards(start - root, end_direction, fraction)
         vector_length = np.maximum(np.linalg.norm(vector, axis=1), 1e-300)
         bend_weight = smoothstep(
             (bends[0] - STRAIGHT_ANGLE) / (BENT_ANGLE - STRAIGHT_ANGLE)
@@ -144,13 +148,13 @@ class FreeEffector:
             parent = self.rig.joints[parent].parent
         return parent < 0
 
-    def _axis(self) -> tuple[FloatArray, FloatArray]:
+    def _aim_axis(self) -> tuple[FloatArray, FloatArray]:
         """Return origin and direction of the aim axis, each ``(F, 3)``."""
         return self.position(), so3.rotate(
             self.orientation(), np.array(self.goal.aim_axis)
         )
 
-    def _bend(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _bend_directions(self, poles: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the limb's root and the direction of its bend, each ``(F, 3)``.
 
         A straight limb is assumed to bend towards its poles.
@@ -172,13 +176,15 @@ class FreeEffector:
         return root, np.where(is_bent[:, None], perpendicular, poles - root)
 
 
-def swung(start: FloatArray, end: FloatArray, fraction: FloatArray) -> FloatArray:
+def swing_towards(
+    start: FloatArray, end: FloatArray, fraction: FloatArray
+) -> FloatArray:
     """Return vectors ``(F, 3)`` of the end's length, rotated from start towards end.
 
     ``start`` ``(F, 3)``, not 0, ``end`` ``(F, 3)``, ``fraction`` of the angle ``(F,)``.
 
-    >>> swung(np.eye(3)[:1], 2 * np.eye(3)[1:2], np.array([0.5])).round(6).tolist()
-    [[1.414214, 1.414214, 0.0]]
+    >>> swing_towards(np.eye(3)[:1], 2 * np.eye(3)[1:2],
+    np.array([0.5])).round(6).tolist() [[1.414214, 1.414214, 0.0]]
     """
     length = np.linalg.norm(end, axis=1, keepdims=True)
     unit = start / np.maximum(np.linalg.norm(start, axis=1, keepdims=True), 1e-300)
@@ -248,9 +254,9 @@ class TargetTracks:
         """
         first, last = self.first, self.last
         if first is None or last is None:
-            mentioned_frames = [end for goal in self.goals for end in _ends(goal)] or [
-                1.0
-            ]
+            mentioned_frames = [
+                end for goal in self.goals for end in _mentioned_range(goal)
+            ] or [1.0]
             first, last = (
                 Fraction(min(mentioned_frames)),
                 Fraction(max(mentioned_frames)),
@@ -261,8 +267,8 @@ class TargetTracks:
             raise OptionError(Fault("CLIP006", message, str(self.path)))
         return Clock(self.fps or DEFAULT_RATE, first, Fraction(1), count)
 
-    def placed(self, clock: Clock) -> TargetTracks:
-        """Return the tracks with arrays without a range starting at a clock's start.
+    def at_clock(self, clock: Clock) -> TargetTracks:
+        """Return the tracks with arrays that have no range aligned to a clock's start.
 
         Raises:
             OptionError: The clock has another rate (TGT014), or an array has another
@@ -288,7 +294,7 @@ class TargetTracks:
                     )
                     message += f" {counted(count, 'frame')}"
                     hint = "write range to tell which frames the rows are for"
-                    faults.append(value.fault(message, hint, str(self.path)))
+                    faults.append(value.rows_fault(message, hint, str(self.path)))
         if faults:
             raise OptionError(faults)
         goals = tuple(
@@ -330,24 +336,25 @@ class TargetTracks:
         frames = SampleFrames(times, clock.fps)
         shape = (len(times), len(self.goals))
         values_by_field = {
-            kind.targets: np.zeros((*shape, kind.value.value)) for kind in KINDS
+            kind.targets_field: np.zeros((*shape, kind.value_type.value))
+            for kind in KINDS
         }
         for kind in KINDS:
-            if kind.value is TargetValue.ROTATION:
-                values_by_field[kind.targets][..., 3] = 1.0
+            if kind.value_type is TargetValue.ROTATION:
+                values_by_field[kind.targets_field][..., 3] = 1.0
         weights = np.ones((*shape, len(KINDS)))
         for e, track in enumerate(self.goals):
             source = FreeEffector(rig, track.goal, world)
-            away = FreeEffector(rig, track.goal, free[e]) if free else source
+            fade_source = FreeEffector(rig, track.goal, free[e]) if free else source
             is_active = np.ones(len(times))
             if track.during:
                 is_active = hold_weights(times, track.during, track.ease).max(axis=0)
             for i, kind in enumerate(KINDS):
                 if not track.goal.weights[i]:
                     continue
-                value, weight = _part_targets(track, kind, frames, source)
-                values_by_field[kind.targets][:, e] = away.towards(
-                    kind, value, is_active
+                value, weight = _sample_part(track, kind, frames, source)
+                values_by_field[kind.targets_field][:, e] = (
+                    fade_source.blend_from_free_motion(kind, value, is_active)
                 )
                 weights[:, e, i] = weight * (is_active > 0)
         return Targets(**values_by_field, weights=weights)
@@ -356,7 +363,7 @@ class TargetTracks:
 rename_attributes(TargetTracks, rate_place="rate_location")
 
 
-def _part_targets(
+def _sample_part(
     track: GoalTrack, kind: GoalKind, frames: SampleFrames, pose: FreeEffector
 ) -> tuple[FloatArray, FloatArray]:
     """Return targets ``(F, W)`` and weights ``(F,)`` of a part of a goal."""
@@ -364,14 +371,14 @@ def _part_targets(
     weight = np.ones(len(frames.times))
     if part in track.weights:
         # A curve of keys above 0 may dip below 0 between them.
-        weight = np.maximum(track.weights[part].at(frames)[:, 0], 0.0)
+        weight = np.maximum(track.weights[part].sample(frames)[:, 0], 0.0)
     value = track.values[part]
     if value is not None:
-        curve_values = value.at(frames)
+        curve_values = value.sample(frames)
     else:
         curve_values = (
             pose.orientation()
-            if kind.value is TargetValue.ROTATION
+            if kind.value_type is TargetValue.ROTATION
             else pose.position()
         )
     if not track.spans or part not in track.hold_parts:
@@ -380,14 +387,14 @@ def _part_targets(
     starts = np.array([first for first, _ in track.spans])
     if value is None:
         rows = np.interp(starts, frames.times, np.arange(len(frames.times)))
-        hold_values = between(curve_values, rows)
+        hold_values = interpolate_rows(curve_values, rows)
         weight = weight * weights_in_span.max(axis=0)
     else:
-        hold_values = value.at(replace(frames, times=starts))
-    return with_holds(curve_values, weights_in_span, hold_values), weight
+        hold_values = value.sample(replace(frames, times=starts))
+    return blend_holds(curve_values, weights_in_span, hold_values), weight
 
 
-def _ends(track: GoalTrack) -> list[float]:
+def _mentioned_range(track: GoalTrack) -> list[float]:
     """Return the first and last frames that a goal mentions."""
     mentioned_frames = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):

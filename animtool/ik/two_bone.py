@@ -16,7 +16,7 @@ from animtool.ik.problem import Problem
 # Cosine below which a pin axis is perpendicular to a bone [1].
 PERPENDICULAR = 1e-12
 # Lengths below this fraction of the limb's count as zero.
-NO_LENGTH = 1e-12
+ZERO_LENGTH = 1e-12
 
 
 def incompatibility(problem: Problem) -> str | None:
@@ -32,44 +32,49 @@ def incompatibility(problem: Problem) -> str | None:
     # A ball at the root, and an independent joint below it.
     if nodes[:, :2].tolist() != [[BALL, -1], [nodes[-1, 0], 0]] or nodes[1, 3]:
         return "the joints that move are not a ball joint and a child of it"
-    return _stiffness(problem.chain)
+    return _joint_obstacle(problem.chain)
 
 
-def fits(problem: Problem) -> bool:
+def is_two_bone_limb(problem: Problem) -> bool:
     """Return whether a problem is a limb of two bones with a position goal."""
     return incompatibility(problem) is None
 
 
-def _stiffness(chain: Chain) -> str | None:
+def _joint_obstacle(chain: Chain) -> str | None:
     """Return why the joints cannot bend and rotate the limb fully; None if they can."""
     if not _is_unlimited(chain.numbers[0]):
         return "its first joint has limits"
     upper = chain.numbers[1, 9:12]
     lower = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
-    if min(np.linalg.norm(upper), np.linalg.norm(lower)) < NO_LENGTH:
+    if min(np.linalg.norm(upper), np.linalg.norm(lower)) < ZERO_LENGTH:
         return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
         is_limited = not _is_unlimited(chain.numbers[1])
         return "its second joint is a ball with limits" if is_limited else None
     axis = _rest_matrix(chain, 1)[:, 2]
-    bone, tool = chain.goal_numbers[0, 2], chain.goal_numbers[0, 5]
-    largest_cosine = max(abs(axis @ upper), abs(bone), abs(tool))
-    is_plain = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
-    if chain.nodes[1, 0] == PIN and is_plain and largest_cosine < PERPENDICULAR:
+    bone_along_axis, tool_along_axis = (
+        chain.goal_numbers[0, 2],
+        chain.goal_numbers[0, 5],
+    )
+    largest_cosine = max(abs(axis @ upper), abs(bone_along_axis), abs(tool_along_axis))
+    is_unscaled = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
+    if chain.nodes[1, 0] == PIN and is_unscaled and largest_cosine < PERPENDICULAR:
         return None
     return "its second joint does not rotate about an axis across both bones"
 
 
 def _is_unlimited(numbers: FloatArray) -> bool:
+    """Return whether a joint has no limits, from its node numbers."""
     low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
     return bool((numbers[14:18] == low_side).all())
 
 
 def _rest_matrix(chain: Chain, node: int) -> FloatArray:
+    """Return a node's rest rotation as a matrix ``(3, 3)``."""
     return chain.numbers[node, :9].reshape(3, 3)
 
 
-def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
+def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
     """Return the angle between two bones' directions, 0 where straight.
 
     Args:
@@ -77,7 +82,7 @@ def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
         b: Length of the lower bone ``(B,)``.
         distance: Distance from root to tip, clamped to the reach.
 
-    >>> bend(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
+    >>> bend_angle(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
     [0.0, 3.141593]
     """
     clamped_distance = np.clip(distance, np.abs(a - b), a + b)
@@ -88,7 +93,7 @@ def bend(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
     return np.asarray(2 * np.arctan2(*tangent))
 
 
-def perpendicular(vectors: FloatArray) -> FloatArray:
+def perpendicular_vectors(vectors: FloatArray) -> FloatArray:
     """Return unit vectors at right angles to others ``(..., 3)``."""
     smallest = np.argmin(np.abs(vectors), axis=-1)
     normals = np.cross(vectors, np.eye(3)[smallest])

@@ -77,7 +77,7 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
     return weights
 
 
-def with_holds(
+def blend_holds(
     values: FloatArray, weights: FloatArray, hold_values: FloatArray
 ) -> FloatArray:
     """Return a motion with held spans.
@@ -89,22 +89,22 @@ def with_holds(
         hold_values: Value that each span holds ``(H, 3)`` or ``(H, 4)``.
 
     >>> weights = np.array([[0.5, 1.0]])
-    >>> with_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
+    >>> blend_holds(np.zeros((2, 3)), weights, np.ones((1, 3)))[:, 0].tolist()
     [0.5, 1.0]
     """
     blended_values = values.copy()
     for weight, hold_value in zip(weights, hold_values, strict=True):
-        part = (weight > 0) & (weight < 1)
+        is_blending = (weight > 0) & (weight < 1)
         if values.shape[1] == 4:
-            hold_values_of_part = np.broadcast_to(
-                hold_value, blended_values[part].shape
+            blending_hold_values = np.broadcast_to(
+                hold_value, blended_values[is_blending].shape
             )
-            blended_values[part] = so3.slerp(
-                blended_values[part], hold_values_of_part, weight[part]
+            blended_values[is_blending] = so3.slerp(
+                blended_values[is_blending], blending_hold_values, weight[is_blending]
             )
         else:
-            blended_values[part] += weight[part, None] * (
-                hold_value - blended_values[part]
+            blended_values[is_blending] += weight[is_blending, None] * (
+                hold_value - blended_values[is_blending]
             )
         blended_values[weight >= 1] = hold_value
     return so3.align_signs(blended_values) if values.shape[1] == 4 else blended_values
@@ -126,7 +126,7 @@ class SampleFrames:
 class Value(Protocol):
     """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the values at times."""
         ...
 
@@ -137,7 +137,7 @@ class Constant:
 
     value: tuple[float, ...]
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the value for each time."""
         return np.tile(np.array(self.value, np.float64), (len(frames.times), 1))
 
@@ -148,7 +148,7 @@ class Keyed:
 
     channel: ClipChannel
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the curve at times."""
         values = evaluate_channels([self.channel], frames.times)[self.channel.target]
         return np.array(np.broadcast_to(values, (len(frames.times), values.shape[1])))
@@ -163,7 +163,7 @@ class ArrayRows:
     first: Fraction | None  # frame of the first row; None is 1
     location: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the rows at times, interpolated between rows.
 
         Raises:
@@ -181,21 +181,21 @@ class ArrayRows:
                 f"{first + last:g}, but none for frame {frames.times[is_outside][0]:g}"
             )
             hint = "add range to the targets, or use an array of that length"
-            raise OptionError(self.fault(message, hint))
-        return between(self.values, row_numbers)
+            raise OptionError(self.rows_fault(message, hint))
+        return interpolate_rows(self.values, row_numbers)
 
-    def fault(self, message: str, hint: str, path: str | None = None) -> Fault:
+    def rows_fault(self, message: str, hint: str, path: str | None = None) -> Fault:
         """Return a fault of frames and rows, located at the array's name (TGT015)."""
         line, column = self.location
         return Fault("TGT015", message, path, (line,), hint, column=column)
 
 
-def between(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
+def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     """Return rows interpolated at row numbers ``(F,)``, held at both ends.
 
     Rotations ``(R, 4)`` are interpolated along the shortest arc, points linearly.
 
-    >>> between(np.array([[0.0], [2.0]]), np.array([0.25, 9.0])).tolist()
+    >>> interpolate_rows(np.array([[0.0], [2.0]]), np.array([0.25, 9.0])).tolist()
     [[0.5], [2.0]]
     """
     row_numbers = np.clip(row_numbers, 0.0, len(values) - 1.0)
@@ -206,16 +206,16 @@ def between(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     row_below = np.floor(row_numbers).astype(np.int64)
     fraction = row_numbers - row_below
     values_between = values[row_below]
-    part = fraction > 0
-    if part.any():
-        row_above = values[row_below[part] + 1]
+    is_fractional = fraction > 0
+    if is_fractional.any():
+        row_above = values[row_below[is_fractional] + 1]
         if values.shape[1] == 4:
-            values_between[part] = so3.slerp(
-                values_between[part], row_above, fraction[part]
+            values_between[is_fractional] = so3.slerp(
+                values_between[is_fractional], row_above, fraction[is_fractional]
             )
         else:
-            values_between[part] += fraction[part, None] * (
-                row_above - values_between[part]
+            values_between[is_fractional] += fraction[is_fractional, None] * (
+                row_above - values_between[is_fractional]
             )
     return values_between
 
@@ -227,7 +227,7 @@ class PrimPoint:
     motion: PrimMotion  # of the prim
     offset: tuple[float, ...]  # the point in its frame [m]
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the positions of the point."""
         positions, rotations = self.motion(frames.seconds)
         return np.asarray(positions + so3.rotate(rotations, np.array(self.offset)))
@@ -240,7 +240,7 @@ class PrimRotation:
     motion: PrimMotion  # of the prim
     rotation: tuple[float, ...]  # from its frame, quaternion
 
-    def at(self, frames: SampleFrames) -> FloatArray:
+    def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the rotations."""
         _, prim_rotations = self.motion(frames.seconds)
         return so3.align_signs(so3.multiply(prim_rotations, np.array(self.rotation)))
@@ -258,46 +258,54 @@ class ValueReader:
     first: Fraction | None  # frame of the first row of arrays; None without a range
     count: int | None  # required number of rows; None without a range
 
-    def curve(self, at: Location, model: CurveModel, key: str) -> Keyed | None:
+    def read_curve(
+        self, location: Location, model: CurveModel, key: str
+    ) -> Keyed | None:
         """Return a curve of keys; ``weight`` is a key too."""
         reader = ChannelReader(self.document)
-        reader.check(at, model)
+        reader.check(location, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
         target = {"rotation": "joint/x.rotation", "control": "control/x"}
         target_name = target.get(kind, "joint/x.translation")
         unit = self.units.of(target_name, model.euler or "")
-        channel = reader.channel(at, model, key, kind, unit)
+        channel = reader.channel(location, model, key, kind, unit)
         return None if channel is None else Keyed(channel)
 
-    def value(
-        self, at: Location, model: list[float] | str | ValueModel | None, key: str
+    def read_value(
+        self, location: Location, model: list[float] | str | ValueModel | None, key: str
     ) -> Value | None:
         """Return a value; None if absent or faulty."""
-        if model is None or self.document.is_placeholder(at):
+        if model is None or self.document.is_placeholder(location):
             return None
         if isinstance(model, str):
-            return self._rows(at, model, key)
+            return self._read_rows(location, model, key)
         if isinstance(model, ValueModel):
-            return self._keyed_or_prim(at, model, key)
+            return self._read_keyed_or_prim(location, model, key)
         if key == "orientation":
-            return self._rotation(at, model)
+            return self._read_rotation(location, model)
         return Constant(tuple(value * self.units.length for value in model))
 
-    def _rotation(self, at: Location, numbers: list[float]) -> Constant | None:
+    def _read_rotation(
+        self, location: Location, numbers: list[float]
+    ) -> Constant | None:
         rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
         if is_invalid:
             message = f"quaternion {numbers} has zero length"
-            self.document.add("TGT007", at, message)
+            self.document.add("TGT007", location, message)
             return None
-        warn_of_quaternion_length(self.document, at, numbers)
+        warn_of_quaternion_length(self.document, location, numbers)
         return Constant(tuple(rotations[0].tolist()))
 
-    def _keyed_or_prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
+    def _read_keyed_or_prim(
+        self, location: Location, model: ValueModel, key: str
+    ) -> Value | None:
         if (model.keys is None) == (model.prim is None):
             contents = (
                 "both keys and a prim" if model.prim else "neither keys nor a prim"
             )
-            self.document.add("TGT009", at, f"has {contents}", "write one of them")
+            self.document.add(
+                "TGT009", location, f"has {contents}", "write one of them"
+            )
             return None
         names = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
         unused_keys = [name for name in names if name in model.model_fields_set]
@@ -307,29 +315,37 @@ class ValueReader:
             unused_keys.append("offset")
         for name in dict.fromkeys(unused_keys):
             owner = "keys have" if model.keys is not None else "only a prim has here"
-            self.document.add("TGT009", (*at, name), f"{owner} no {name}")
+            self.document.add("TGT009", (*location, name), f"{owner} no {name}")
         if model.keys is not None:
             curve_options = {
                 name: getattr(model, name)
                 for name in CurveModel.model_fields
                 if name in model.model_fields_set
             }
-            return self.curve(at, CurveModel.model_construct(**curve_options), key)
-        return self._prim(at, model, key)
+            return self.read_curve(
+                location, CurveModel.model_construct(**curve_options), key
+            )
+        return self._read_prim(location, model, key)
 
-    def _prim(self, at: Location, model: ValueModel, key: str) -> Value | None:
-        motion = self._motion(at, model)
+    def _read_prim(
+        self, location: Location, model: ValueModel, key: str
+    ) -> Value | None:
+        motion = self._open_prim_motion(location, model)
         if motion is None:
             return None
         if key != "orientation":
             x, y, z = (v * self.units.length for v in model.offset or (0.0, 0.0, 0.0))
             return PrimPoint(motion, (x, y, z))
-        rotation = self._rotation((*at, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0])
+        rotation = self._read_rotation(
+            (*location, "rotate"), model.rotate or [1.0, 0.0, 0.0, 0.0]
+        )
         return None if rotation is None else PrimRotation(motion, rotation.value)
 
-    def _motion(self, at: Location, model: ValueModel) -> PrimMotion | None:
+    def _open_prim_motion(
+        self, location: Location, model: ValueModel
+    ) -> PrimMotion | None:
         """Return the motion of a prim; None if it cannot be read, or without a rig."""
-        path = self._stage(at, model)
+        path = self._find_stage(location, model)
         if path is None:
             return None
         rig = self.rig or Rig("", ())
@@ -340,11 +356,11 @@ class ValueReader:
             for fault in error.faults:
                 key = "space" if fault.where == "space" else "prim"
                 message = f"{model.file!r}: " + fault.message
-                self.document.add("TGT011", (*at, key), message, fault.hint)
+                self.document.add("TGT011", (*location, key), message, fault.hint)
             return None
         return None if self.rig is None else motion
 
-    def _stage(self, at: Location, model: ValueModel) -> Path | None:
+    def _find_stage(self, at: Location, model: ValueModel) -> Path | None:
         """Return the file of a prim; None if missing."""
         if model.file is None:
             message = f"prim {model.prim!r} has no file"
@@ -359,37 +375,39 @@ class ValueReader:
             return None
         return path
 
-    def _rows(self, at: Location, text: str, key: str) -> ArrayRows | None:
+    def _read_rows(self, location: Location, text: str, key: str) -> ArrayRows | None:
+        """Return the rows of an array that a text such as `file.npz#name` refers to."""
         name, array = split_reference(text, key)
-        path = resolve_reference(self.document, at, name, self.roots)
+        path = resolve_reference(self.document, location, name, self.roots)
         if path is None:
             return None
         try:
             values = np.asarray(self.archives.load_stored(path, array), np.float64)
         except ValueError as error:
-            self.document.add("TGT006", at, str(error))
+            self.document.add("TGT006", location, str(error))
             return None
         width = 4 if key == "orientation" else 3
         first, count = self.first, self.count
         if values.ndim != 2 or values.shape[1] != width or not len(values):
             expected = "F" if count is None else count
             message = f"{text!r} has shape {values.shape}, not ({expected}, {width})"
-            self.document.add("TGT006", at, message)
+            self.document.add("TGT006", location, message)
             return None
         if count is not None and len(values) != count:
             message = f"{text!r} has {counted(len(values), 'row')}, but the range has "
             message += counted(count, "frame")
-            self.document.add("TGT006", at, message, "write a row for each frame")
+            self.document.add("TGT006", location, message, "write a row for each frame")
             return None
-        return self._finite_rows(at, text, values, first)
+        return self._check_finite(location, text, values, first)
 
-    def _finite_rows(
+    def _check_finite(
         self, at: Location, text: str, values: FloatArray, first: Fraction | None
     ) -> ArrayRows | None:
+        """Return finite rows of an array; None with a fault otherwise."""
         invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if invalid_rows.size:
-            row = int(invalid_rows[0])
-            message = f"{text!r} holds {values[row].tolist()} in row {row}, not finite "
+            i = int(invalid_rows[0])
+            message = f"{text!r} holds {values[i].tolist()} in row {i}, not finite "
             message += "numbers"
             self.document.add("TGT007", at, message)
             return None

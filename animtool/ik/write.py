@@ -41,7 +41,7 @@ def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
         units: Units of the file.
     """
     writer = _TargetsWriter(units)
-    return TargetsText("\n".join(writer.lines(tracks)) + "\n", writer.arrays)
+    return TargetsText("\n".join(writer.file_lines(tracks)) + "\n", writer.arrays)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class _TargetsWriter:
     units: ClipUnits
     arrays: dict[str, FloatArray] = field(default_factory=dict)
 
-    def lines(self, tracks: TargetTracks) -> Iterator[str]:
+    def file_lines(self, tracks: TargetTracks) -> Iterator[str]:
         angle = "rad" if self.units.angle == 1.0 else "deg"
         yield "targets: animtool/1"
         yield f"units: {{length: {unit_name(self.units.length)}, angle: {angle}}}"
@@ -57,48 +57,49 @@ class _TargetsWriter:
         if fps is not None:
             yield f"fps: {yaml_scalar(str(fps)) if fps.denominator > 1 else fps}"
         if tracks.first is not None and tracks.last is not None:
-            yield f"range: {_flow([float(tracks.first), float(tracks.last)])}"
+            yield f"range: {_flow_text([float(tracks.first), float(tracks.last)])}"
         yield "goals:"
         for track in tracks.goals:
             yield f"- effector: {yaml_scalar(track.name)}"
-            for line in self._goal(track):
+            for line in self._goal_lines(track):
                 yield f"  {line}"
 
-    def _goal(self, track: GoalTrack) -> Iterator[str]:
+    def _goal_lines(self, track: GoalTrack) -> Iterator[str]:
         goal, chain = track.goal, track.chain
         if goal.root is not None and (chain is None or goal.root != chain.root):
             yield f"root: {yaml_scalar(goal.root)}"
         if any(goal.offset):
-            yield f"offset: {_flow(goal.offset, self.units.length)}"
+            yield f"offset: {_flow_text(goal.offset, self.units.length)}"
         for part in PARTS:
             value = track.values[part]
             if value is None:
                 continue
             if part == "aim":
                 yield "aim:"
-                yield f"  axis: {_flow(goal.aim_axis)}"
-                yield from _in_braces(self._value("at", value))
+                yield f"  axis: {_flow_text(goal.aim_axis)}"
+                yield from _wrap_in_braces(self._value_text("at", value))
             else:
-                yield from self._value(part, value)
-        yield from self._weights(track)
-        yield from _choices(track, goal)
+                yield from self._value_text(part, value)
+        yield from self._weight_lines(track)
+        yield from _option_lines(track, goal)
 
-    def _value(self, key: str, value: Value) -> Iterator[str]:
+    def _value_text(self, key: str, value: Value) -> Iterator[str]:
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
             case Constant(row):
-                yield f"{key}: {_flow(_in_file(np.array([row]))[0].tolist(), unit)}"
+                numbers = _to_file_order(np.array([row]))[0].tolist()
+                yield f"{key}: {_flow_text(numbers, unit)}"
             case ArrayRows(name, rows):
-                self.arrays[name] = _in_file(rows) / unit
+                self.arrays[name] = _to_file_order(rows) / unit
                 yield f"{key}: {yaml_scalar(name)}"
             case Keyed(channel):
                 yield f"{key}:"
                 unit = self.units.angle if channel.euler else unit
-                yield from _in_braces(curve_lines(channel, unit))
+                yield from _wrap_in_braces(curve_lines(channel, unit))
             case _:
                 raise ValueError(f"{key} follows a prim, which is not written")
 
-    def _weights(self, track: GoalTrack) -> Iterator[str]:
+    def _weight_lines(self, track: GoalTrack) -> Iterator[str]:
         weights = track.weights
         if not weights:
             return
@@ -112,10 +113,12 @@ class _TargetsWriter:
                 yield f"  {part}: {decimal_text(weight.value[0])}"
             elif isinstance(weight, Keyed):
                 yield f"  {part}:"
-                yield from _in_braces(_in_braces(curve_lines(weight.channel, 1.0)))
+                yield from _wrap_in_braces(
+                    _wrap_in_braces(curve_lines(weight.channel, 1.0))
+                )
 
 
-def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
+def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
     """Yield the lines of a goal's options that differ from the defaults."""
     stretch = 0.0 if track.chain is None else track.chain.stretch
     for key, value, default in (
@@ -127,19 +130,21 @@ def _choices(track: GoalTrack, goal: Goal) -> Iterator[str]:
             yield f"{key}: {decimal_text(value)}"
     for key, spans in (("hold", track.spans), ("during", track.during)):
         if spans:
-            yield f"{key}: {flow_list([_flow(span) for span in spans])}"
+            yield f"{key}: {flow_list([_flow_text(span) for span in spans])}"
     if track.ease != DEFAULT_EASE:
         yield f"ease: {decimal_text(track.ease)}"
 
 
-def _in_braces(lines: Iterator[str]) -> Iterator[str]:
+def _wrap_in_braces(lines: Iterator[str]) -> Iterator[str]:
+    """Yield lines joined as a YAML mapping in braces."""
     return (f"  {line}" for line in lines)
 
 
-def _in_file(values: FloatArray) -> FloatArray:
+def _to_file_order(values: FloatArray) -> FloatArray:
     """Return points ``(R, 3)`` as they are, quaternions ``(R, 4)`` as w x y z."""
     return values[:, [3, 0, 1, 2]] if values.shape[1] == 4 else values
 
 
-def _flow(values: Sequence[float], unit: float = 1.0) -> str:
+def _flow_text(values: Sequence[float], unit: float = 1.0) -> str:
+    """Return numbers as the text of a YAML list, divided by a unit."""
     return flow_list([scaled_decimal(value, unit) for value in values])

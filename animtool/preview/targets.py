@@ -50,7 +50,7 @@ def add_targets(
         if page_take is not None:
             tracks = load_targets(tracks.path, rig)
         clock = _targets_clock(draft, tracks, frames)
-        targets = tracks.placed(clock).sample(rig, clock, world)
+        targets = tracks.at_clock(clock).sample(rig, clock, world)
         _add_markers(draft, tracks, targets, frames, up_rotation)
 
 

@@ -9,7 +9,12 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.ik import Goal, build
-from animtool.ik.assembly import _leader, _levels, _ranges, _z_onto
+from animtool.ik.assembly import (
+    _coordinate_ranges,
+    _leader_of,
+    _priority_levels,
+    _rotation_from_z,
+)
 from animtool.ik.sub_rig import sub_rig
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
@@ -35,30 +40,34 @@ def followers() -> Rig:
 
 def test_who_leads_a_row_of_followers_and_how_far_it_may_go() -> None:
     rig = followers()
-    assert _leader(rig, 0) == (0, 1, 0)
-    assert _leader(rig, 1) == (0, 2, pytest.approx(0.1))
-    assert _leader(rig, 2) == (0, -6, pytest.approx(0.2))
+    assert _leader_of(rig, 0) == (0, 1, 0)
+    assert _leader_of(rig, 1) == (0, 2, pytest.approx(0.1))
+    assert _leader_of(rig, 2) == (0, -6, pytest.approx(0.2))
     # b from -0.3 on; c, which goes the other way, from -0.3 to 0.7.
-    ranges = _ranges(rig)
+    ranges = _coordinate_ranges(rig)
     assert set(ranges) == {0}
     assert ranges[0] == pytest.approx((-0.3, 0.7))
     wide = replace(rig.joints[2], limits=None)
-    ranges = _ranges(replace(rig, joints=(*rig.joints[:2], wide, rig.joints[3])))
+    ranges = _coordinate_ranges(
+        replace(rig, joints=(*rig.joints[:2], wide, rig.joints[3]))
+    )
     assert ranges[0] == pytest.approx((-0.3, 1.0))
     never = replace(rig.joints[1], limits=RangeLimit(5.0, 9.0))
-    ranges = _ranges(replace(rig, joints=(rig.joints[0], never)))
+    ranges = _coordinate_ranges(replace(rig, joints=(rig.joints[0], never)))
     assert ranges[0] == pytest.approx((2.45, 2.45))
 
 
 def test_a_turn_takes_z_onto_any_axis() -> None:
     for axis in ([0, 0, 1], [0, 0, -1], [1, 0, 0], [0, -1, 0], [0.6, 0, -0.8]):
-        found = so3.rotate(_z_onto(np.array(axis, float)), np.array([0.0, 0, 1]))
+        found = so3.rotate(
+            _rotation_from_z(np.array(axis, float)), np.array([0.0, 0, 1])
+        )
         assert_allclose(found, axis, atol=1e-12)
 
 
 def test_priorities_are_ranks_without_gaps() -> None:
     goals = [Goal("a", priority=k) for k in (5, 0, 9, 5)]
-    assert _levels(goals) == [1, 0, 2, 1]
+    assert _priority_levels(goals) == [1, 0, 2, 1]
 
 
 def test_lengths_are_those_of_the_longest_way_to_a_goal() -> None:

@@ -11,7 +11,13 @@ from support.ik import arm, random_pose, reached_by
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, Targets, build
 from animtool.ik import branches as branching
-from animtool.ik.branches import Interval, best_path, branches, price, search_branches
+from animtool.ik.branches import (
+    Interval,
+    best_path,
+    find_branches,
+    miss_cost,
+    search_long_interval,
+)
 from animtool.ik.chain import difference
 
 FRAMES = 12
@@ -44,21 +50,21 @@ def check(found: tuple[FloatArray, FloatArray], of: Interval) -> None:
     np.testing.assert_array_equal(paths[0], of.poses)
     for path, cost in zip(paths, costs, strict=True):
         for frame in np.flatnonzero(cost == 0):
-            again, missed = of.solved(path[frame : frame + 1], np.array([frame]))
+            again, missed = of.solve_frames(path[frame : frame + 1], np.array([frame]))
             assert missed[0] == 0
             np.testing.assert_allclose(again[0], path[frame], atol=1e-9)
 
 
 def test_branches_reach_their_goals_where_they_cost_nothing() -> None:
     of = stretch()
-    found = branches(of, 10, 0)
+    found = find_branches(of, 10, 0)
     assert len(found[0]) > 2
     check(found, of)
 
 
 def test_searched_paths_reach_their_goals_where_they_cost_nothing() -> None:
     of = stretch()
-    found = search_branches(of, 4, 0)
+    found = search_long_interval(of, 4, 0)
     assert (found[1][1:] == 0).any()
     check(found, of)
 
@@ -93,7 +99,7 @@ def test_the_cheapest_way_is_the_best_of_all() -> None:
 
 def test_what_misses_a_goal_costs_more_than_any_jump() -> None:
     misses = np.array([[[0.0] * 4], [[0.1, 0.0, 0.0, 0.0]], [[0.2, 0.0, 0.0, 0.0]]])
-    cost = price(misses, np.array([True, False, False]))
+    cost = miss_cost(misses, np.array([True, False, False]))
     assert cost[0] == 0
     assert 1e3 < cost[1] < cost[2]
 
@@ -114,17 +120,17 @@ def test_what_is_followed_costs_nothing_as_far_as_it_was_followed(
 
     monkeypatch.setattr(
         branching,
-        "_scattered",
+        "_random_starts",
         lambda *of: (np.full(1, 100.0 * of[3] + k) for k in range(of[2])),
     )
     of = SimpleNamespace(
         poses=np.arange(9.0)[:, None],
         costs=np.full(9, 0.5),
         frames=np.arange(9),
-        solved=solved,
-        tracked=tracked,
+        solve_frames=solved,
+        track=tracked,
     )
-    paths, costs = search_branches(of, spacing, 1)  # type: ignore[arg-type]
+    paths, costs = search_long_interval(of, spacing, 1)  # type: ignore[arg-type]
     assert (paths[0, :, 0].tolist(), costs[0].tolist()) == ([*range(9)], [0.5] * 9)
     reach = min(branching.MAX_LAYERS * spacing // 2, count)
     first = branching.SOLUTIONS_PER_SAMPLE
@@ -135,7 +141,7 @@ def test_what_is_followed_costs_nothing_as_far_as_it_was_followed(
             free = np.flatnonzero(costs[row + k] == 0).tolist()
             assert set(free) == reached or branching.MAX_LAYERS < 3
             assert paths[row + k, at, 0] == 100 * (1 + i) + k
-        assert (costs[row + 2] == 2 * branching.MISSED_COST).all()
+        assert (costs[row + 2] == 2 * branching.MISS_COST).all()
     ahead = [rows for pose, rows in tracks if pose == 200.0]
     assert ahead == [
         [*range(4, min(4 + reach, 9))],

@@ -11,9 +11,9 @@ from support.ik import every_goal, mixed_rig, random_pose, reached_by
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
-from animtool.ik.chain import difference, moved, unwound, with_periods
+from animtool.ik.chain import apply_steps, difference, unwrap_angles, with_periods
 from animtool.ik.goals import KINDS, PARTS, GoalKind, pack
-from animtool.ik.solving import chain_targets
+from animtool.ik.solving import pack_for_chain
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -65,7 +65,7 @@ def test_targets_are_seen_from_the_nodes_in_shares_of_the_length(scale: float) -
     expected[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= problem.length
     undo = so3.conjugate(problem.chain.goal_frames)
     expected[:, :, 3:7] = so3.multiply(so3.normalize(expected[:, :, 3:7]), undo)
-    found = chain_targets(problem, targets)
+    found = pack_for_chain(problem, targets)
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
 
 
@@ -73,7 +73,7 @@ def test_targets_are_seen_from_the_nodes_in_shares_of_the_length(scale: float) -
 def test_poses_have_no_residual_at_their_own_targets(seed: int) -> None:
     problem = build(mixed_rig(), every_goal()[:2])
     pose = random_pose(problem, seed)
-    targets = chain_targets(problem, reached_by(problem, pose))
+    targets = pack_for_chain(problem, reached_by(problem, pose))
     residual = look(problem, pose, targets, np.zeros(problem.degrees))[1]
     assert np.abs(residual).max() < 1e-7
 
@@ -82,7 +82,7 @@ def test_poses_have_no_residual_at_their_own_targets(seed: int) -> None:
 def test_the_jacobian_is_minus_the_derivative_near_the_goals(seed: int) -> None:
     problem = free_problem(every_goal()[:2])
     pose = random_pose(problem, seed)
-    targets = chain_targets(problem, reached_by(problem, pose))
+    targets = pack_for_chain(problem, reached_by(problem, pose))
     jacobian = look(problem, pose, targets, np.zeros(problem.degrees))[2]
     for d, direction in enumerate(np.eye(problem.degrees)):
         ahead = look(problem, pose, targets, 1e-6 * direction)[1]
@@ -99,7 +99,7 @@ def test_the_jacobian_is_minus_the_derivative_near_the_goals(seed: int) -> None:
 def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
     problem = free_problem(every_goal())
     pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
-    targets = chain_targets(problem, reached_by(problem, other))
+    targets = pack_for_chain(problem, reached_by(problem, other))
     still = np.zeros(problem.degrees)
     _, residual, jacobian, _ = look(problem, pose, targets, still)
     gradient = -jacobian.T @ residual
@@ -114,8 +114,8 @@ def test_the_gradient_of_each_kind_is_exact(kind: GoalKind) -> None:
     weights = {"position": 0.0} | {kind.name: 0.6}
     goal = Goal("piston", (0.05, 0.0, 0.0), aim_axis=(0.6, 0.0, 0.8), **weights)
     problem = free_problem([goal])
-    target = np.random.default_rng(5).normal(size=(1, 1, kind.value.value))
-    targets = chain_targets(problem, Targets(**{kind.targets: target}))
+    target = np.random.default_rng(5).normal(size=(1, 1, kind.value_type.value))
+    targets = pack_for_chain(problem, Targets(**{kind.targets_field: target}))
     pose, still = random_pose(problem, 3), np.zeros(problem.degrees)
     _, residual, jacobian, _ = look(problem, pose, targets, still)
     assert residual.shape == (kind.rows,)
@@ -131,7 +131,7 @@ def test_the_gradient_of_each_kind_is_exact(kind: GoalKind) -> None:
 def test_the_curvature_of_poses_is_exact(seed: int) -> None:
     problem = free_problem([every_goal()[0], Goal("other", orientation=0.6)])
     pose, other = random_pose(problem, seed), random_pose(problem, seed + 50)
-    targets = chain_targets(problem, reached_by(problem, other))
+    targets = pack_for_chain(problem, reached_by(problem, other))
     step = np.random.default_rng(seed).normal(size=problem.degrees) * 1e-4
     middle = cost(problem, pose, targets, np.zeros(problem.degrees))
     ahead, behind = (cost(problem, pose, targets, s * step) for s in (1, -1))
@@ -172,7 +172,7 @@ def test_a_follower_moves_with_its_leader_within_both_limits() -> None:
     jacobian = look(
         problem,
         np.array([[0.4, 0.0]]),
-        chain_targets(problem, Targets(np.ones((1, 1, 3)))),
+        pack_for_chain(problem, Targets(np.ones((1, 1, 3)))),
         np.zeros(1),
     )[2]
     # d/da of (cos a + cos(a + b), sin a + sin(a + b)) with b = 0.1 - a / 2, over 2 m
@@ -192,7 +192,7 @@ def test_a_pose_moved_by_the_difference_is_the_other(seed: int) -> None:
     start, end = problem.chain.from_rig(random_pose(problem, seed, frames=2))
     step = difference(problem.chain, start, end)
     assert step.shape == (problem.degrees,)
-    back = difference(problem.chain, moved(problem.chain, start, step), end)
+    back = difference(problem.chain, apply_steps(problem.chain, start, step), end)
     np.testing.assert_allclose(back, 0.0, atol=1e-12)
 
 
@@ -201,7 +201,9 @@ def test_many_poses_are_compared_with_one() -> None:
     poses = problem.chain.from_rig(random_pose(problem, 1, frames=4))
     steps = difference(problem.chain, poses[0], poses)
     assert steps.shape == (4, problem.degrees)
-    np.testing.assert_allclose(moved(problem.chain, poses[0], steps[2:3])[0], poses[2])
+    np.testing.assert_allclose(
+        apply_steps(problem.chain, poses[0], steps[2:3])[0], poses[2]
+    )
 
 
 def wheel(limits: RangeLimit | None) -> Rig:
@@ -214,7 +216,7 @@ def test_pins_without_limits_go_the_short_way_round() -> None:
     poses = np.array([[3.0], [-3.0], [-2.8]])
     step = difference(chain, poses[0], poses[1])
     np.testing.assert_allclose(step, 2 * np.pi - 6.0)
-    np.testing.assert_allclose(np.diff(unwound(chain, poses)[:, 0]).max(), step)
+    np.testing.assert_allclose(np.diff(unwrap_angles(chain, poses)[:, 0]).max(), step)
 
 
 def test_pins_between_limits_do_not_though_these_leave_no_gap() -> None:
@@ -222,6 +224,6 @@ def test_pins_between_limits_do_not_though_these_leave_no_gap() -> None:
         chain = build(wheel(limits), [Goal("wheel", (1.0, 0.0, 0.0))]).chain
         poses = np.array([[3.0], [-3.0]])
         np.testing.assert_allclose(difference(chain, poses[0], poses[1]), -6.0)
-        np.testing.assert_array_equal(unwound(chain, poses), poses)
+        np.testing.assert_array_equal(unwrap_angles(chain, poses), poses)
         low, high = with_periods(chain)[0, 14:16]
         np.testing.assert_allclose([low, high], [limits.low, limits.high])

@@ -14,8 +14,8 @@ from animtool.ik import FollowOptions, Goal, IkOptions, Problem, Targets, build,
 from animtool.ik.clip_solver import follow
 from animtool.ik.driver_programs import FOLLOWS_PROGRAM
 from animtool.ik.options import IkMethod
-from animtool.ik.solving import chain_targets
-from animtool.ik.sub_rig import mimics, sub_rig, with_mimics
+from animtool.ik.solving import pack_for_chain
+from animtool.ik.sub_rig import find_mimics, sub_rig, with_mimics
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver
@@ -83,7 +83,7 @@ def linearized(
         chain.goals,
         chain.goal_numbers,
         chain.from_rig(q),
-        chain_targets(problem, targets),
+        pack_for_chain(problem, targets),
         zero if steps is None else steps,
     )
     return found[1], found[2]
@@ -224,7 +224,7 @@ def test_a_mimic_of_a_driven_joint_follows_in_the_chain() -> None:
     assert wanted[0].tolist() == pytest.approx([0.7, 0.49, -0.145])
     result = solve(problem, wanted * 0.8, Targets(tips(rig, wanted, "c")[0]))
     assert result.converged.all()
-    assert mimics(rig, ["a"]) == ["b", "c"]
+    assert find_mimics(rig, ["a"]) == ["b", "c"]
 
 
 def test_clips_are_followed_and_smoothed_with_drivers() -> None:
@@ -280,7 +280,7 @@ def test_programs_that_make_no_sense_are_refused(rows: list[list[int]]) -> None:
     nodes = np.concatenate([chain.nodes[own], np.array(rows, np.int64).reshape(-1, 4)])
     numbers = np.concatenate([chain.numbers[own], np.zeros((len(rows), 18))])
     q = poses(problem.rig, 1)
-    packed = chain_targets(problem, Targets(tips(problem.rig, q)[0]))
+    packed = pack_for_chain(problem, Targets(tips(problem.rig, q)[0]))
     with pytest.raises(ValueError, match="nodes"):
         _kernels.linearize_ik(
             nodes,

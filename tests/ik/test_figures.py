@@ -193,7 +193,13 @@ def test_a_clip_is_fitted_from_far_starts() -> None:
         __file__,
         "fit",
         [
-            [one.coordinates, one.misses, one.searched, one.taken, one.after]
+            [
+                one.coordinates,
+                one.misses,
+                one.is_restarted,
+                one.target_indices,
+                one.cost_after,
+            ]
             for one in found
         ],
     )

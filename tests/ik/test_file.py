@@ -168,7 +168,7 @@ def test_lengths_are_of_the_file_or_else_of_the_rig(folder: Path) -> None:
         track = tracks_of(folder, goal, inches, head).goals[0]
         value = track.values["position"]
         assert value is not None
-        found = value.at(SampleFrames(np.ones(1), Fraction(24)))
+        found = value.sample(SampleFrames(np.ones(1), Fraction(24)))
         assert_allclose(found, [[0, 50 * unit, 0]])
         assert_allclose(track.goal.offset, [unit, 0, 0])
 
@@ -189,7 +189,7 @@ def test_values(folder: Path, position: str, expected: list[list[float]]) -> Non
     tracks = tracks_of(folder, goal, head=HEAD + "range: [1, 5]\n")
     value = tracks.goals[0].values["position"]
     assert value is not None
-    found = value.at(SampleFrames(np.array([2.0, 2.5]), Fraction(24)))
+    found = value.sample(SampleFrames(np.array([2.0, 2.5]), Fraction(24)))
     assert_allclose(found, expected)
 
 
@@ -199,7 +199,7 @@ def test_orientations_are_read_w_first(folder: Path) -> None:
         goal = f"- {{effector: leg_l, orientation: {given}}}"
         value = tracks_of(folder, goal).goals[0].values["orientation"]
         assert value is not None
-        found = value.at(SampleFrames(np.ones(1), Fraction(24)))
+        found = value.sample(SampleFrames(np.ones(1), Fraction(24)))
         assert_allclose(found, [[0, 0.6, 0, 0.8]])
 
 
@@ -210,7 +210,7 @@ def test_euler_angles_are_those_of_clips(folder: Path) -> None:
     value = tracks_of(folder, goal).goals[0].values["orientation"]
     assert value is not None
     half = 0.5**0.5
-    found = value.at(SampleFrames(np.ones(1), Fraction(24)))
+    found = value.sample(SampleFrames(np.ones(1), Fraction(24)))
     assert_allclose(found, [[0, 0, half, half]], atol=1e-15)
 
 
@@ -245,7 +245,7 @@ def test_frames_of_another_rate_or_length_are_refused(folder: Path) -> None:
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), 7)
     tracks = tracks_of(folder, "- {effector: leg_l, position: arrays.npz#places}")
     with pytest.raises(OptionError) as caught:
-        tracks.placed(clock)
+        tracks.at_clock(clock)
     faults = caught.value.faults
     assert [fault.code for fault in faults] == ["TGT014", "TGT015"]
     places = [(fault.path, fault.lines[0], fault.column) for fault in faults]
@@ -285,7 +285,7 @@ def test_units_are_those_of_the_file_or_of_the_rig(
     reader = SimpleNamespace(
         rig=own if has_rig else None, model=SimpleNamespace(units=units)
     )
-    found = _TargetsReader._units(reader)  # type: ignore[arg-type]
+    found = _TargetsReader._read_units(reader)  # type: ignore[arg-type]
     assert found.length == (length if has_rig or given[0] else 1.0)
     assert found.angle == pytest.approx(angle if has_rig or given[1] else np.pi / 180)
 

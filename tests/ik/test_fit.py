@@ -54,7 +54,7 @@ def test_a_linear_problem_is_that_of_linear_algebra() -> None:
     right = (weights**2 * (wanted[:, :, 1] - [0, 1])).sum(axis=1)
     expected = np.linalg.solve(matrix, right)
     np.testing.assert_allclose(found.coordinates[:, 0], expected, atol=1e-6)
-    assert found.after < found.before
+    assert found.cost_after < found.cost_before
 
 
 def test_a_linear_problem_of_two_ways_is_that_of_linear_algebra() -> None:

@@ -21,7 +21,7 @@ from animtool.ik import (
     follow,
     solve,
 )
-from animtool.ik.branches import rows_of
+from animtool.ik.goals import targets_of_frames
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.limits import RangeLimit
@@ -88,7 +88,7 @@ def test_no_way_is_looked_for_where_no_pose_could_be_on_it(
     far = 0.8 * np.concatenate([np.linspace(0.7, 1.1, 57), np.linspace(1.1, 0.7, 57)])
     points = np.stack([far, 0 * far, 0 * far], axis=1)[:, None]
     searched: list[str] = []
-    for name in ("_searched", "_with_detour"):
+    for name in ("_search_full_clip", "_with_shorter_jump"):
         monkeypatch.setattr(
             f"animtool.ik.clip_solver.{name}",
             lambda _, result, *_place, name=name: searched.append(name) or result,
@@ -215,7 +215,7 @@ def test_the_first_pose_is_another_if_that_leads_round(first: float) -> None:
     down = so3.from_axis_angle([0, 1, 0], np.pi / 2)
     yaw = so3.from_axis_angle([0, 0, 1], np.radians(first + 380 * share))
     targets = Targets(points[:, None], so3.multiply(yaw, down)[:, None])
-    nearest = solve(problem, None, rows_of(targets, slice(0, 1)))
+    nearest = solve(problem, None, targets_of_frames(targets, slice(0, 1)))
     result = follow(problem, None, targets, FollowOptions(fps=25))
     assert result.converged.all()
     assert result.jumps == ()

@@ -8,7 +8,7 @@ from support.faults import raises
 
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, Targets
-from animtool.ik.goals import KINDS, WEIGHTS, GoalKind, pack
+from animtool.ik.goals import KINDS, WEIGHT_COLUMNS, GoalKind, pack
 
 GOALS = (Goal("a", orientation=1.0), Goal("b", position=0.0, aim=1.0))
 
@@ -75,7 +75,7 @@ def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None
     weights[1, :, :2] = 0.0
     packed = pack(Targets(positions, rotations, aims, None, weights), GOALS)
     assert np.isfinite(packed).all()
-    np.testing.assert_array_equal(packed[..., WEIGHTS], weights)
+    np.testing.assert_array_equal(packed[..., WEIGHT_COLUMNS], weights)
     weights[1, 0, 0] = 0.5
     with pytest.raises(OptionError) as caught:
         pack(Targets(positions, rotations, aims, None, weights), GOALS)
@@ -90,10 +90,10 @@ def test_targets_that_are_no_numbers_are_refused_by_name(values: object) -> None
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.name))
 def test_a_target_in_the_place_of_a_weight_is_refused(kind: GoalKind) -> None:
-    target = [0.0] * kind.value.value
+    target = [0.0] * kind.value_type.value
     with pytest.raises(OptionError) as caught:
         Goal("head", **{kind.name: target})  # type: ignore[arg-type]
     (fault,) = caught.value.faults
     assert fault.code == "TGT007"
-    assert f"Targets({kind.targets}=" in (fault.hint or "")
+    assert f"Targets({kind.targets_field}=" in (fault.hint or "")
     assert Goal("head", **{kind.name: np.float32(2)}).weights.count(2.0) == 1  # type: ignore[arg-type]

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.core.array_types import FloatArray
-from animtool.ik.values import Span, hold_weights, smoothstep, with_holds
+from animtool.ik.values import Span, blend_holds, hold_weights, smoothstep
 from animtool.maths import so3
 
 
@@ -41,7 +41,7 @@ def test_inside_a_span_the_target_is_constant(made: tuple[list[Span], float]) ->
         stills = motion(np.array([first for first, _ in spans]))
         for i, (first, last) in enumerate(spans):
             times = np.linspace(first, last, 7)
-            found = with_holds(motion(times), hold_weights(times, spans, ease), stills)
+            found = blend_holds(motion(times), hold_weights(times, spans, ease), stills)
             expected = stills[i]
             if found.shape[1] == 4:
                 expected = expected * np.sign(found[0] @ expected)
@@ -73,7 +73,7 @@ def test_value_and_speed_do_not_jump(
         joins += [first - before, first, last, last + behind]
     h = 1e-5
     times = (np.array(joins)[:, None] + h * np.array([-2, -1, 0, 1, 2])).ravel()
-    found = with_holds(motion(times), hold_weights(times, spans, ease), stills)
+    found = blend_holds(motion(times), hold_weights(times, spans, ease), stills)
     rows = found.reshape(len(joins), 5, -1)
     # Signs of quaternions are brought along row by row.
     rows = rows * np.where((rows * rows[:, 2:3]).sum(-1, keepdims=True) < 0, -1, 1)
@@ -110,6 +110,6 @@ def test_what_is_held_takes_the_sign_of_the_motion() -> None:
     turns = so3.from_axis_angle([0.0, 1.0, 0.0], np.linspace(0.0, 0.4, 9))
     shares = hold_weights(np.arange(9.0), [(3.0, 5.0)], 2.0)
     for still in (turns[4], -turns[4]):
-        found = with_holds(turns, shares, still[None])
+        found = blend_holds(turns, shares, still[None])
         assert (np.sum(found[1:] * found[:-1], axis=1) > 0.9).all()
         assert so3.angle_between(found[4], still) < 1e-9

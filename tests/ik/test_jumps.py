@@ -10,9 +10,9 @@ from support.ik import arm, every_goal, mixed_rig, random_pose, reached_by
 
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, IkOptions, build, follow
-from animtool.ik.goals import COLUMNS
-from animtool.ik.jumps import Jump, find_jumps, largest_step
-from animtool.ik.path import FramePath, goal_moves, path_of, windings
+from animtool.ik.goals import TARGET_COLUMNS
+from animtool.ik.jumps import Jump, find_jumps, jump_threshold
+from animtool.ik.path import FramePath, build_frame_path, full_revolutions, goal_steps
 from animtool.maths import so3
 from animtool.rig.joints import LocalTransforms
 from animtool.rig.limits import RangeLimit
@@ -61,7 +61,7 @@ def test_every_turn_over_thirty_degrees_is_a_jump(fps: float) -> None:
     angles = np.cumsum(np.full(24, np.radians(20.0)))
     angles[12:] += np.radians(11.0)
     assert 12 in [jump.frame for jump in found(angles, fps=fps)]
-    assert largest_step(fps) <= 0.5
+    assert jump_threshold(fps) <= 0.5
 
 
 def test_pops_of_the_motion_rule_are_jumps() -> None:
@@ -91,40 +91,40 @@ def test_slides_are_lengths_and_count_by_the_chain(length: float, count: int) ->
     still = turning(np.zeros(24))
     moved = still.translations.copy()
     # Over so many frames that no single one jerks out of rest.
-    moved[:, 0, 1] = np.cumsum(np.full(24, 2.5 * largest_step(24)))
+    moved[:, 0, 1] = np.cumsum(np.full(24, 2.5 * jump_threshold(24)))
     goals = np.zeros(23)
     slid = replace(still, translations=moved)
     jumps = find_jumps(["rod"], still, slid, goals, fps=24, length=length)
     assert len(jumps) == 23 * count
     for jump in jumps:
         assert jump.slides
-        assert jump.size == pytest.approx(2.5 * largest_step(24))
+        assert jump.size == pytest.approx(2.5 * jump_threshold(24))
 
 
 def standing(frames: int = 6) -> FramePath:
     problem = build(mixed_rig(), every_goal()[:1])
     rows = np.repeat(random_pose(problem, 1), frames, axis=0)
-    return path_of(problem, reached_by(problem, rows), None, IkOptions())
+    return build_frame_path(problem, reached_by(problem, rows), None, IkOptions())
 
 
 def test_goals_that_stand_or_are_not_asked_do_not_move() -> None:
     path = standing()
-    assert (goal_moves(path.problem, path.targets) == 0).all()
+    assert (goal_steps(path.problem, path.targets) == 0).all()
     moving = path.targets.copy()
     moving[3:, :, 0] += 0.5
-    assert np.flatnonzero(goal_moves(path.problem, moving)).tolist() == [2]
+    assert np.flatnonzero(goal_steps(path.problem, moving)).tolist() == [2]
     moving[3, :, 13:] = 0
-    assert (goal_moves(path.problem, moving) == 0).all()
+    assert (goal_steps(path.problem, moving) == 0).all()
 
 
 def test_targets_of_no_weight_do_not_move() -> None:
     """A goal that does not turn to its target: turns of the target are no reason."""
     problem = build(mixed_rig(), [Goal("hand", orientation=0.0)])
     rows = np.repeat(random_pose(problem, 1), 6, axis=0)
-    path = path_of(problem, reached_by(problem, rows), None, IkOptions())
+    path = build_frame_path(problem, reached_by(problem, rows), None, IkOptions())
     moving = path.targets.copy()
-    moving[3:, :, COLUMNS["orientation"]] = [1.0, 0.0, 0.0, 0.0]
-    assert (goal_moves(problem, moving) == goal_moves(problem, path.targets)).all()
+    moving[3:, :, TARGET_COLUMNS["orientation"]] = [1.0, 0.0, 0.0, 0.0]
+    assert (goal_steps(problem, moving) == goal_steps(problem, path.targets)).all()
 
 
 @pytest.mark.parametrize("low", [-np.pi, 0.0])
@@ -141,12 +141,12 @@ def test_a_whole_turn_has_no_end_to_jump_over(low: float) -> None:
     assert result.converged.all()
     assert result.jumps == ()
     assert (result.coordinates[:, 0] >= low).all()
-    assert (windings(one_turn, rows) == 0).all()
+    assert (full_revolutions(one_turn, rows) == 0).all()
     # Where the range is wider, it matters which of its turns a joint is in.
     hair = RangeLimit(low - 0.005, low + 2 * np.pi + 0.005)
     almost = replace(rig, joints=(replace(rig.joints[0], limits=hair), rig.joints[1]))
-    assert (windings(almost, rows) == 0).all()
-    wide = windings(arm(2, 2 * np.pi), rows)
+    assert (full_revolutions(almost, rows) == 0).all()
+    wide = full_revolutions(arm(2, 2 * np.pi), rows)
     assert wide[:, 0].max() == 2 * np.pi
     assert (wide[:, 1] == 0).all()
 
@@ -161,5 +161,5 @@ def test_steps_at_the_ends_are_no_jerks_as_nobody_knows_what_is_beyond(at: int) 
 
 def test_the_largest_step_is_a_part_of_a_turn_and_a_speed() -> None:
     """0.1 rad and 8 rad/s, and never more than 0.5 rad."""
-    steps = [largest_step(fps) for fps in (24.0, 80.0, 20.0, 8.0)]
+    steps = [jump_threshold(fps) for fps in (24.0, 80.0, 20.0, 8.0)]
     assert steps == pytest.approx([0.1 + 1 / 3, 0.2, 0.5, 0.5])

@@ -15,24 +15,28 @@ from support.ik import arm, limb
 
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkStatus, Targets, build, result, take_run
-from animtool.ik.chain_frame import refuse_scales
+from animtool.ik.chain_frame import check_scales
 from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
-    COLUMNS,
     KINDS,
     MAX_COORDINATE,
     PARTS,
-    WEIGHTS,
+    TARGET_COLUMNS,
+    WEIGHT_COLUMNS,
     goal_faults,
     pack,
-    rows_of,
+    targets_of_frames,
 )
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import limb_joints
-from animtool.ik.match_take import _leaving, chains_of, left_out
-from animtool.ik.matching import _BendingLimb, _directions, _poles
+from animtool.ik.match_take import (
+    _joints_off_rest,
+    match_chains,
+    untracked_motion_notices,
+)
+from animtool.ik.matching import _BendingLimb, _normalize, _pole_positions
 from animtool.ik.nearest import (
-    _corners,
+    _limit_combinations,
     _replace_rows,
     _select_rows,
     frames_out_of_reach,
@@ -43,24 +47,24 @@ from animtool.ik.report import (
     _misses,
     _spans,
     _straightening_goal,
-    away_notices,
+    far_target_notices,
     jump_notices,
     missed_notices,
     span_notices,
     take_notices,
 )
 from animtool.ik.result import IkResult
-from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swung
-from animtool.ik.two_bone import bend, incompatibility, perpendicular
+from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swing_towards
+from animtool.ik.two_bone import bend_angle, incompatibility, perpendicular_vectors
 from animtool.ik.values import (
     ArrayRows,
     Constant,
     PrimPoint,
     PrimRotation,
     SampleFrames,
-    between,
+    blend_holds,
     hold_weights,
-    with_holds,
+    interpolate_rows,
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -87,7 +91,7 @@ def test_a_pole_is_along_its_direction_as_the_joint_above_is_turned() -> None:
     world = forward_kinematics(rig, rig.rest_translations[None], turns)
     chain = IkChain("limb", "a", "b", "pose", (0.6, 0.0, 0.8))
     track: Any = SimpleNamespace(chain=chain)
-    found = take_run._pole(rig, track, world, 0)
+    found = take_run._distant_pole(rig, track, world, 0)
     # Half a right angle about z takes x to y.
     expected = np.array([0.0, 2.0, 3.0]) + 20.0 * np.array([0, 0.6, 0.8])
     assert_allclose(found, expected, atol=1e-12)
@@ -96,8 +100,8 @@ def test_a_pole_is_along_its_direction_as_the_joint_above_is_turned() -> None:
 def test_a_twist_is_at_its_limit_where_there_is_room_to_be_off_it() -> None:
     still = so3.IDENTITY[None]
     for wide, at in ((2.5, True), (1.5, False)):
-        limit = BallLimit(None, (0.0, wide * result.ON_LIMIT), (0.0, 1.0, 0.0))
-        assert result._on_limit(limit, still).tolist() == [at]
+        limit = BallLimit(None, (0.0, wide * result.LIMIT_TOLERANCE), (0.0, 1.0, 0.0))
+        assert result._is_on_limit(limit, still).tolist() == [at]
 
 
 def test_spans_hold_and_share_the_gap_between_them() -> None:
@@ -112,9 +116,9 @@ def test_spans_hold_and_share_the_gap_between_them() -> None:
 
 def test_what_is_held_is_come_to_by_the_shortest_way() -> None:
     shares = np.array([[0.0, 0.25, 1.0]])
-    points = with_holds(np.full((3, 3), 2.0), shares, np.array([[6.0, 2, -2]]))
+    points = blend_holds(np.full((3, 3), 2.0), shares, np.array([[6.0, 2, -2]]))
     assert_allclose(points, [[2, 2, 2], [3, 2, 1], [6, 2, -2]])
-    turns = with_holds(np.tile(so3.IDENTITY, (3, 1)), shares, -HALF[None])
+    turns = blend_holds(np.tile(so3.IDENTITY, (3, 1)), shares, -HALF[None])
     expected = [so3.IDENTITY, so3.exp(np.array([0, 0, np.pi / 8])), HALF]
     assert so3.angle_between(turns, np.array(expected)).max() < 1e-7
 
@@ -123,20 +127,22 @@ def test_rows_stand_at_frames_and_between_them() -> None:
     rows = np.array([[0.0, 0, 0], [4, 0, 8], [8, 2, 8]])
     own = ArrayRows("a.npz#b", rows, Fraction(10), (7, 3))
     frames = SampleFrames(np.array([10.0, 10.25, 12.0, 12 + 1e-10]), Fraction(24))
-    assert_allclose(own.at(frames), [rows[0], [1, 0, 2], rows[2], rows[2]])
+    assert_allclose(own.sample(frames), [rows[0], [1, 0, 2], rows[2], rows[2]])
     for beyond in (9.9, 12.1):
         with pytest.raises(
             OptionError, match="3 rows, for the frames 10 to 12"
         ) as error:
-            own.at(SampleFrames(np.array([11.0, beyond]), Fraction(24)))
+            own.sample(SampleFrames(np.array([11.0, beyond]), Fraction(24)))
         (fault,) = error.value.faults
         assert (fault.code, fault.lines, fault.column) == ("TGT015", (7,), 3)
         assert f"frame {beyond:g}" in fault.message
     free = replace(own, first=None)
     assert_allclose(
-        free.at(SampleFrames(np.array([1.0, 3.0]), Fraction(24))), rows[[0, 2]]
+        free.sample(SampleFrames(np.array([1.0, 3.0]), Fraction(24))), rows[[0, 2]]
     )
-    turns = between(np.array([so3.IDENTITY, HALF]), np.array([-1.0, 0.5, 0.9999999999]))
+    turns = interpolate_rows(
+        np.array([so3.IDENTITY, HALF]), np.array([-1.0, 0.5, 0.9999999999])
+    )
     expected = np.array([so3.IDENTITY, so3.exp(np.array([0, 0, np.pi / 4])), HALF])
     assert so3.angle_between(turns, expected).max() < 1e-7
     assert_array_equal(turns[2], HALF)
@@ -150,16 +156,16 @@ def test_what_a_prim_carries_is_asked_for_in_seconds() -> None:
         return np.array([[1.0, 2, 3]] * 2), np.array([HALF, HALF])
 
     frames = SampleFrames(np.array([12.0, 36.0]), Fraction(24))
-    assert_allclose(PrimPoint(motion, (1.0, 0, 5)).at(frames), [[1, 3, 8]] * 2)
+    assert_allclose(PrimPoint(motion, (1.0, 0, 5)).sample(frames), [[1, 3, 8]] * 2)
     turn = so3.exp(np.array([0.3, 0, 0]))
-    found = PrimRotation(motion, tuple(turn.tolist())).at(frames)
+    found = PrimRotation(motion, tuple(turn.tolist())).sample(frames)
     assert_allclose(found, [so3.multiply(HALF, turn)] * 2, atol=1e-12)
     assert asked == [[0.5, 1.5]] * 2
-    assert Constant((1.0, 2.0)).at(frames).tolist() == [[1, 2]] * 2
+    assert Constant((1.0, 2.0)).sample(frames).tolist() == [[1, 2]] * 2
 
 
 def test_vectors_swing_by_a_share_of_their_angle() -> None:
-    found = swung(
+    found = swing_towards(
         np.array([2 * X, X, X]),
         np.array([4 * Y, 3 * X, -3 * X]),
         np.array([1 / 3, 0.5, 0.5]),
@@ -193,12 +199,12 @@ def test_a_point_on_the_way_to_its_target_goes_straight_where_the_limb_is_bent()
         (0.25, [1.4, 0.4, 0.1]),
         (1.0, values[0]),
     ):
-        found = own.towards(position, values, np.array([share]))
+        found = own.blend_from_free_motion(position, values, np.array([share]))
         assert_allclose(found, [expected], atol=1e-12)
-    turned = own.towards(orientation, HALF[None], np.array([0.5]))
+    turned = own.blend_from_free_motion(orientation, HALF[None], np.array([0.5]))
     assert so3.angle_between(turned, so3.exp(np.array([0, 0, np.pi / 4]))) < 1e-7
     # From z about the point, as far as its target is.
-    found = own.towards(aim, own.position() + 3 * X, np.array([0.5]))
+    found = own.blend_from_free_motion(aim, own.position() + 3 * X, np.array([0.5]))
     assert_allclose(
         found - own.position(), [[3 * 0.5**0.5, 0, 3 * 0.5**0.5]], atol=1e-12
     )
@@ -206,7 +212,7 @@ def test_a_point_on_the_way_to_its_target_goes_straight_where_the_limb_is_bent()
     own = effector()
     root, line = np.array([1.0, 0, 0]), np.array([0.3, 0.4, 0])
     off = 0.3 * X - 0.09 / 0.25 * line
-    found = own.towards(pole, (root + 2 * Z)[None], np.array([0.5]))
+    found = own.blend_from_free_motion(pole, (root + 2 * Z)[None], np.array([0.5]))
     half = off / np.linalg.norm(off) + Z
     assert_allclose(found[0] - root, 2 * half / np.linalg.norm(half), atol=1e-9)
 
@@ -219,12 +225,16 @@ def test_a_straight_limb_goes_about_its_root_as_it_bends_evenly() -> None:
     )
     rig = Rig("limb", joints)
     own = FreeEffector(rig, Goal("tip"), rest_world(rig))
-    found = own.towards(KINDS[0], np.array([[0.0, 0.6, 0]]), np.array([0.5]))
+    found = own.blend_from_free_motion(
+        KINDS[0], np.array([[0.0, 0.6, 0]]), np.array([0.5])
+    )
     # It ends bent by 2 acos(0.6): half of that leaves cos(acos(0.6) / 2) of a metre.
     far = np.cos(np.arccos(0.6) / 2)
     assert_allclose(found, [[far * 0.5**0.5, far * 0.5**0.5, 0]], atol=1e-9)
     # What is out of reach is gone to beyond it.
-    found = own.towards(KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5]))
+    found = own.blend_from_free_motion(
+        KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5])
+    )
     assert np.linalg.norm(found) == pytest.approx(2.0)
     assert own._is_complete(0)
     assert not own._is_complete(1)
@@ -320,26 +330,26 @@ def test_goals_count_their_residuals_and_say_whether_they_pivot() -> None:
         assert (own.rows, [kind.name for kind in own.kinds]) == (count, [part])
     whole = Goal("tip", orientation=1.0, aim=2.0, pole=3.0)
     assert (whole.rows, whole.weights) == (9, (1.0, 1.0, 2.0, 3.0))
-    assert Goal("tip").pivots
-    assert Goal("tip", pole=1.0).pivots
+    assert Goal("tip").ignores_joint_rotation
+    assert Goal("tip", pole=1.0).ignores_joint_rotation
     for keys in ({"offset": (0.0, 0, 1e-9)}, {"orientation": 1.0}, {"aim": 1.0}):
-        assert not Goal("tip", **keys).pivots
+        assert not Goal("tip", **keys).ignores_joint_rotation
 
 
 def test_targets_side_by_side() -> None:
     goals = (Goal("a"), Goal("b", position=0.0, aim=1.0))
     x = np.arange(6.0).reshape(1, 2, 3)
     packed = pack(Targets(x, aims=x * 1e120, weights=[[[1, 2, 3, 4]] * 2]), goals)
-    assert packed.shape == (1, 2, WEIGHTS.stop)
-    assert_array_equal(packed[0, :, COLUMNS["position"]], x[0])
-    assert_array_equal(packed[0, :, COLUMNS["orientation"]], [so3.IDENTITY] * 2)
-    assert_array_equal(packed[0, :, WEIGHTS], [[1, 2, 3, 4]] * 2)
+    assert packed.shape == (1, 2, WEIGHT_COLUMNS.stop)
+    assert_array_equal(packed[0, :, TARGET_COLUMNS["position"]], x[0])
+    assert_array_equal(packed[0, :, TARGET_COLUMNS["orientation"]], [so3.IDENTITY] * 2)
+    assert_array_equal(packed[0, :, WEIGHT_COLUMNS], [[1, 2, 3, 4]] * 2)
     # Of aims directions count alone: they are brought in to where they have squares.
     assert_allclose(
-        packed[0, 1, COLUMNS["aim"]], MAX_COORDINATE * np.array([0.6, 0.8, 1])
+        packed[0, 1, TARGET_COLUMNS["aim"]], MAX_COORDINATE * np.array([0.6, 0.8, 1])
     )
-    assert pack(Targets(x, aims=x), goals)[0, 0, WEIGHTS].tolist() == [1] * 4
-    some = rows_of(Targets(np.arange(5.0)), np.array([3, 1]))
+    assert pack(Targets(x, aims=x), goals)[0, 0, WEIGHT_COLUMNS].tolist() == [1] * 4
+    some = targets_of_frames(Targets(np.arange(5.0)), np.array([3, 1]))
     assert np.asarray(some.positions).tolist() == [3, 1]
     assert some.rotations is None
 
@@ -390,9 +400,9 @@ def test_a_limb_is_told_by_the_joints_next_above_or_halfway_to_its_root() -> Non
 
 def test_angles_of_two_bones() -> None:
     a, b = np.full(5, 0.3), np.full(5, 0.4)
-    found = bend(a, b, np.array([0.7, 9.0, 0.5, 0.1, 0.0]))
+    found = bend_angle(a, b, np.array([0.7, 9.0, 0.5, 0.1, 0.0]))
     assert_allclose(found, [0, 0, np.pi / 2, np.pi, np.pi], atol=1e-7)
-    ways = perpendicular(np.array([X, 3 * Y, X + Y]))
+    ways = perpendicular_vectors(np.array([X, 3 * Y, X + Y]))
     assert_allclose((ways * [X, 3 * Y, X + Y]).sum(axis=1), 0, atol=1e-12)
 
 
@@ -415,7 +425,7 @@ def test_a_limb_of_two_bones_has_one_position(goal: Any, fits: bool) -> None:
 
 def test_poles_stand_half_a_limb_off_its_line() -> None:
     """Where it is straight on the side it had before; without any on its usual one."""
-    unit, longer = _directions(np.array([[3.0, 0, 4], [0, 0, 0.1]]), 0.1)
+    unit, longer = _normalize(np.array([[3.0, 0, 4], [0, 0, 0.1]]), 0.1)
     assert_allclose(unit[0], [0.6, 0, 0.8])
     assert longer.tolist() == [True, False]
 
@@ -424,7 +434,7 @@ def test_poles_stand_half_a_limb_off_its_line() -> None:
         linear = np.tile(np.eye(3), (len(places), 3, 1, 1))
         own = _BendingLimb(0, 1, 2, 2.4, np.array(usual, float), np.array(hinge, float))
         world: Any = SimpleNamespace(positions=places, linear=linear)
-        return _poles(own, world)
+        return _pole_positions(own, world)
 
     found = poles([[0.5, 0, -0.3], [1, 0, 0], [1, 0.2, 0], [1.5, 0, 0]])
     assert_allclose(found, [[0.5, 0, -1.2], [1, 0, -1.2], [1, 1.2, 0], [1.5, 1.2, 0]])
@@ -446,28 +456,28 @@ def test_joints_that_leave_their_rest_in_any_frame_and_along_any_axis() -> None:
     values = np.zeros((4, 3, 3))
     values[2, 1, 2] = 2e-6
     values[3, 2, 0] = 0.5e-6
-    assert _leaving(Channel.from_dense(values), rest, {0, 1, 2}) == {1}
-    assert _leaving(Channel.from_dense(values), rest, {0, 2}) == set()
+    assert _joints_off_rest(Channel.from_dense(values), rest, {0, 1, 2}) == {1}
+    assert _joints_off_rest(Channel.from_dense(values), rest, {0, 2}) == set()
     turns = np.tile(so3.IDENTITY, (4, 3, 1))
     turns[1, 2] = so3.exp(np.array([0, 0, 3e-6]))
     own = np.tile(so3.IDENTITY, (3, 1))
-    assert _leaving(Channel.from_dense(turns), own, {0, 1, 2}) == {2}
+    assert _joints_off_rest(Channel.from_dense(turns), own, {0, 1, 2}) == {2}
 
 
 def test_chains_are_named_or_all() -> None:
     chains = tuple(IkChain(n, "b0", "b1") for n in ("arm_l", "arm_r", "leg_l"))
     rig = replace(arm(2), chains=chains)
-    assert chains_of(rig) == chains
-    assert [c.name for c in chains_of(rig, ["*_l", "arm_r"])] == [
+    assert match_chains(rig) == chains
+    assert [c.name for c in match_chains(rig, ["*_l", "arm_r"])] == [
         "arm_l",
         "arm_r",
         "leg_l",
     ]
     with pytest.raises(OptionError) as error:
-        chains_of(rig, ["arm*", "foot", "hand?"])
+        match_chains(rig, ["arm*", "foot", "hand?"])
     assert [fault.code for fault in error.value.faults] == ["TGT001"] * 2
     with pytest.raises(OptionError) as error:
-        chains_of(arm(2))
+        match_chains(arm(2))
     assert error.value.code == "TGT019"
 
 
@@ -489,7 +499,9 @@ def test_what_targets_leave_out_is_what_carries_chains_or_does_not_stretch() -> 
             translations=Channel.from_dense(places), rotations=Channel.from_dense(turns)
         )
         take: Any = SimpleNamespace(rig=rig, motion=motion)
-        found = left_out(take, [IkChain("c", "b1", "b2", stretch=stretch)])
+        found = untracked_motion_notices(
+            take, [IkChain("c", "b1", "b2", stretch=stretch)]
+        )
         assert [fault.code for fault in found] == ["TGT103"] * bool(named)
         assert all(name in found[0].message for name in named)
 
@@ -563,12 +575,12 @@ def test_starts_are_ends_and_middles_of_limits() -> None:
     rig = arm(4, 1.0)
     problem = build(rig, [Goal("b3", (0.4, 0.0, 0.0))])
     home = problem.chain.from_rig(np.full((1, 4), 0.25))[0]
-    found = np.array(list(_corners(problem.chain, home, 27)))
+    found = np.array(list(_limit_combinations(problem.chain, home, 27)))
     assert found.shape == (27, 4)
     assert sorted({*found[:, 0].tolist()}) == pytest.approx([-1, 0, 1], abs=1e-9)
     assert_allclose(found[:, 3], home[3])
-    assert len(list(_corners(problem.chain, home, 3))) == 3
-    assert len(list(_corners(problem.chain, home, 2))) == 1
+    assert len(list(_limit_combinations(problem.chain, home, 3))) == 3
+    assert len(list(_limit_combinations(problem.chain, home, 2))) == 1
 
 
 @pytest.mark.parametrize(
@@ -587,15 +599,15 @@ def test_what_hangs_from_a_scaled_joint_is_refused(
     animated = np.array([1] if moving else [], np.int64)
     channel = Channel(rests, animated, values[:, : len(animated)])
     take: Any = SimpleNamespace(rig=rig, motion=SimpleNamespace(scales=channel))
-    refuse_scales(take, [("hand", "b0")])
+    check_scales(take, [("hand", "b0")])
     if not refused:
-        refuse_scales(take, [("hand", "b2")])
+        check_scales(take, [("hand", "b2")])
         return
     with pytest.raises(OptionError, match="'hand' is below 'b1'") as error:
-        refuse_scales(take, [("hand", "b2")])
+        check_scales(take, [("hand", "b2")])
     assert error.value.code == "TGT016"
     bare: Any = SimpleNamespace(rig=rig, motion=SimpleNamespace(scales=None))
-    refuse_scales(bare, [("hand", "b2")])
+    check_scales(bare, [("hand", "b2")])
 
 
 def told(**keys: Any) -> Any:
@@ -627,14 +639,14 @@ def span(**keys: Any) -> MissedSpan:
 
 def test_targets_twenty_sizes_away_are_told_where_they_are_not_missed() -> None:
     fine = [GoalReport("hand", "elbow", (3, 4), (), ())]
-    assert away_notices(told(away=[20.0]), fine) == []
-    (found,) = away_notices(told(away=[20.1]), fine)
+    assert far_target_notices(told(away=[20.0]), fine) == []
+    (found,) = far_target_notices(told(away=[20.1]), fine)
     assert (found.code, found.lines, found.column, found.where) == (
         "TGT106", (1,), 1, "goals[0]"
     )  # fmt: skip
     assert "20.1 m from its start, but the rig is 1 m large" in found.message
     missed = [replace(fine[0], spans=(span(),))]
-    assert away_notices(told(away=[20.1]), missed) == []
+    assert far_target_notices(told(away=[20.1]), missed) == []
     assert [n.code for n in take_notices(told(away=[20.1]), fine)] == ["TGT106"]
 
 
@@ -701,8 +713,8 @@ def test_a_limb_reaches_what_its_last_bone_carries(offset: float) -> None:
     goal = Goal("hand", (offset, 0.0, 0.0), soft=0.1, stretch=0.2)
     problem = build(Rig("limb", joints), [goal])
     (own,) = problem.limbs
-    assert own.reach * problem.length == pytest.approx(0.59 + offset)
-    assert own.bones * problem.length == pytest.approx(0.59)
+    assert own.max_length * problem.length == pytest.approx(0.59 + offset)
+    assert own.bone_length * problem.length == pytest.approx(0.59)
     assert (own.goal, own.joints) == (0, (2, 1))
     assert_allclose(own.origin * problem.length, limb().rest_translations[0])
 
@@ -715,7 +727,7 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
     last: float, moving: bool, kept: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frame k is at k; a window of frames 1 and 2 ends at another place or does not."""
-    names = ClipPath.joined.__globals__
+    names = ClipPath.with_window.__globals__
     monkeypatch.setitem(names, "difference", lambda _, a, b: np.asarray(a - b))
     monkeypatch.setitem(names, "at_poses", lambda *_: SimpleNamespace(coordinates=[7]))
     monkeypatch.setitem(names, "_frames", lambda _, own: (own.start, own.stop))
@@ -723,23 +735,25 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
 
     class Path:
         problem = SimpleNamespace(chain=None)
-        path = SimpleNamespace(
-            frames=lambda _: SimpleNamespace(measured=lambda poses: poses)
+        frame_path = SimpleNamespace(
+            select_frames=lambda _: SimpleNamespace(measure_misses=lambda poses: poses)
         )
         start = np.zeros((6, 1))
-        poses = staticmethod(lambda _: np.arange(6.0)[:, None])
-        solved = staticmethod(lambda rest, starts: ("solved", rest.start, starts[0, 0]))
+        chain_poses = staticmethod(lambda _: np.arange(6.0)[:, None])
+        solve_frames = staticmethod(
+            lambda rest, starts: ("solved", rest.start, starts[0, 0])
+        )
 
         def __len__(self) -> int:
             return 6
 
     own: Any = Path()
-    own.moving = moving
-    parts = ClipPath.joined(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    own.is_motion = moving
+    parts = ClipPath.with_window(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
     assert parts[0] == (0, 1)  # type: ignore[index]
     assert parts[2:] == ([(3, 6)] if kept else [("solved", 3, 7.0)])  # type: ignore[index]
     own.__class__.__len__ = lambda _: 3
-    end = ClipPath.joined(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
+    end = ClipPath.with_window(own, None, slice(1, 3), np.array([[8.0], [last]]))  # type: ignore[arg-type]
     assert len(end) == 2
 
 
@@ -753,16 +767,18 @@ def test_paths_are_neither_closed_nor_opened_unless_that_is_asked_for(
         asked.append((given[2].tolist(), keys))
         return "best"
 
-    names = ClipPath.best.__globals__
+    names = ClipPath.best_route.__globals__
     monkeypatch.setitem(names, "best_path", best)
-    monkeypatch.setitem(names, "forgiving", lambda costs, slack: costs + slack)
+    monkeypatch.setitem(
+        names, "equalize_near_misses", lambda costs, slack: costs + slack
+    )
     monkeypatch.setitem(names, "difference", lambda _, a, b: b - a)
     own: Any = SimpleNamespace(slack=10.0, problem=SimpleNamespace(chain=None))
     interval: Any = SimpleNamespace(reference=np.zeros((2, 3)))
     paths, costs = np.full((1, 2, 3), 2.0), np.array([[1.0, 2]])
-    assert ClipPath.best(own, interval, paths, costs) == "best"
+    assert ClipPath.best_route(own, interval, paths, costs) == "best"
     assert asked.pop() == ([[11, 12]], {"fixed_end": False, "free_start": False})
-    ClipPath.best(
+    ClipPath.best_route(
         own, interval, paths, costs, fixed_end=True, free_start=True, source_weight=0.5
     )
     assert asked.pop() == ([[17, 18]], {"fixed_end": True, "free_start": True})

@@ -21,8 +21,8 @@ from animtool.ik import (
     build,
     solve,
 )
-from animtool.ik.goals import WEIGHT, WEIGHTS
-from animtool.ik.limbs import GoalLimb, extend
+from animtool.ik.goals import WEIGHT_COLUMN, WEIGHT_COLUMNS
+from animtool.ik.limbs import GoalLimb, extend_softly
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
@@ -64,9 +64,9 @@ def soft_distance(distances: FloatArray, reach: float, soft: float) -> FloatArra
 def test_soft_extension_never_snaps_straight() -> None:
     distances = np.linspace(0.0, 2.0, 2001)
     own = GoalLimb(0, (1, 2), np.zeros(3), 1.0, 1.0, soft=0.1, stretch=0.0)
-    targets = np.zeros((len(distances), 1, WEIGHTS.stop))
-    targets[:, 0, 0], targets[:, 0, WEIGHTS] = distances, 1.0
-    softened = extend((own,), targets).reachable[:, 0, 0]
+    targets = np.zeros((len(distances), 1, WEIGHT_COLUMNS.stop))
+    targets[:, 0, 0], targets[:, 0, WEIGHT_COLUMNS] = distances, 1.0
+    softened = extend_softly((own,), targets).reachable_targets[:, 0, 0]
     np.testing.assert_allclose(softened, soft_distance(distances, 1.0, 0.1), atol=1e-15)
     speed = np.diff(softened) / np.diff(distances)
     assert softened.max() < 1.0
@@ -196,7 +196,7 @@ def test_a_limb_that_limits_keep_bent_stretches_from_there(
     bent = replace(rig, joints=(rig.joints[0], elbow, *rig.joints[2:]))
     reach = float(np.sqrt(0.32**2 + 0.27**2 + 2 * 0.32 * 0.27 * np.cos(least)))
     problem = build(bent, [Goal("hand", stretch=0.2)])
-    assert problem.limbs[0].reach * problem.length == pytest.approx(reach)
+    assert problem.limbs[0].max_length * problem.length == pytest.approx(reach)
     distances = reach * np.array([0.9, 0.999, 1.01, 1.1, 1.19])
     targets = pulled(distances)
     result = solve(problem, None, targets)
@@ -211,10 +211,10 @@ def test_bones_that_are_a_part_of_the_reach_grow_by_more_of_their_own() -> None:
     """Of a reach of 0.8 bones are 0.6: half of these makes 0.3, and 1.1 in all."""
     origin = np.array([0.1, 0.2, 0.3])
     own = GoalLimb(0, (1, 2), origin, 0.8, 0.6, soft=0.0, stretch=0.5)
-    targets = np.zeros((4, 1, WEIGHTS.stop))
+    targets = np.zeros((4, 1, WEIGHT_COLUMNS.stop))
     targets[:, 0, :3] = origin + np.array([0.5, 1.0, 1.2, 1.2])[:, None] * [0, 1, 0]
-    targets[:3, 0, WEIGHT["position"]] = 1.0
-    found = extend((own,), targets)
-    np.testing.assert_allclose(found.scales[:, 0], [1.0, 1 + 1 / 3, 1.5, 1.0])
-    off = found.reachable[:, 0, 1] - origin[1]
+    targets[:3, 0, WEIGHT_COLUMN["position"]] = 1.0
+    found = extend_softly((own,), targets)
+    np.testing.assert_allclose(found.bone_scales[:, 0], [1.0, 1 + 1 / 3, 1.5, 1.0])
+    off = found.reachable_targets[:, 0, 1] - origin[1]
     np.testing.assert_allclose(off, [0.5, 1.0, 1.1, 1.2])

@@ -18,7 +18,13 @@ from animtool.clip.channels import ClipUnits
 from animtool.clip.reduction.points import SHELL_DISTANCE
 from animtool.core.errors import OptionError, Severity
 from animtool.ik import TakeOptions, Targets, TargetTracks, load_targets, solve_take
-from animtool.ik.match_take import AT_REST, _leaving, chains_of, left_out, match_take
+from animtool.ik.match_take import (
+    REST_TOLERANCE,
+    _joints_off_rest,
+    match_chains,
+    match_take,
+    untracked_motion_notices,
+)
 from animtool.ik.values import ArrayRows, Constant, Keyed
 from animtool.ik.write import targets_text
 from animtool.maths import so3
@@ -134,14 +140,14 @@ def test_sparse_keys_keep_their_tolerance(tmp_path: Path, tolerance: float) -> N
 
 def test_chains_are_named_by_patterns() -> None:
     rig = legs()
-    assert chains_of(rig) == rig.chains
-    assert [chain.name for chain in chains_of(rig, ["*_r", "leg_r"])] == ["leg_r"]
+    assert match_chains(rig) == rig.chains
+    assert [chain.name for chain in match_chains(rig, ["*_r", "leg_r"])] == ["leg_r"]
     with pytest.raises(OptionError) as caught:
-        chains_of(rig, ["log_l", "leg_*", "arm"])
+        match_chains(rig, ["log_l", "leg_*", "arm"])
     assert [fault.code for fault in caught.value.faults] == ["TGT001", "TGT001"]
     assert caught.value.faults[0].hint == "did you mean 'leg_l'?"
     with pytest.raises(OptionError) as caught:
-        chains_of(replace(rig, chains=()))
+        match_chains(replace(rig, chains=()))
     assert caught.value.faults[0].code == "TGT019"
 
 
@@ -158,14 +164,14 @@ def test_scales_above_a_tip_are_refused() -> None:
 
 def test_what_the_targets_do_not_say_is_noted() -> None:
     take = walk_of(legs())
-    (note,) = left_out(take, take.rig.chains)
+    (note,) = untracked_motion_notices(take, take.rig.chains)
     assert (note.code, note.severity) == ("TGT103", Severity.NOTE)
     assert "mention hips, which" in note.message
     still = walk_of(legs(), 1)
     motion = still.motion
     rest = Channel.from_dense(still.rig.rest_translations[None])
     turns = Channel.from_dense(still.rig.rest_rotations[None])
-    assert not left_out(
+    assert not untracked_motion_notices(
         replace(still, motion=replace(motion, translations=rest, rotations=turns)),
         still.rig.chains,
     )
@@ -173,25 +179,25 @@ def test_what_the_targets_do_not_say_is_noted() -> None:
     longer = still.rig.rest_translations[None].copy()
     longer[0, still.rig.index("ankle_l")] *= 1.1
     motion = replace(motion, translations=Channel.from_dense(longer), rotations=turns)
-    (note,) = left_out(replace(still, motion=motion), still.rig.chains)
+    (note,) = untracked_motion_notices(replace(still, motion=motion), still.rig.chains)
     assert "mention ankle_l, which" in note.message
     stretching = [replace(chain, stretch=0.2) for chain in still.rig.chains]
-    assert not left_out(replace(still, motion=motion), stretching)
+    assert not untracked_motion_notices(replace(still, motion=motion), stretching)
 
 
 def test_joints_that_leave_their_rest_in_one_frame_are_told() -> None:
     """The last frame alone, by a place or by a turn; what hardly moves stays."""
     rest = np.array([[0.0, 1, 0], [2, 0, 0], [0, 0, 3]])
     places = np.tile(rest, (4, 1, 1))
-    places[3, 1] += [0.0, 2 * AT_REST, 0.0]
-    places[0, 2] += [0.0, AT_REST / 2, 0.0]
+    places[3, 1] += [0.0, 2 * REST_TOLERANCE, 0.0]
+    places[0, 2] += [0.0, REST_TOLERANCE / 2, 0.0]
     shifts = Channel.from_dense(places)
-    assert _leaving(shifts, rest, {0, 1, 2}) == {1}
-    assert _leaving(shifts, rest, {0, 2}) == set()
+    assert _joints_off_rest(shifts, rest, {0, 1, 2}) == {1}
+    assert _joints_off_rest(shifts, rest, {0, 2}) == set()
     own = np.tile(so3.IDENTITY, (3, 1))
     turns = np.tile(own, (4, 1, 1))
-    turns[3, 2] = so3.exp(np.array([0.0, 2 * AT_REST, 0.0]))
-    assert _leaving(Channel.from_dense(turns), own, {0, 1, 2}) == {2}
+    turns[3, 2] = so3.exp(np.array([0.0, 2 * REST_TOLERANCE, 0.0]))
+    assert _joints_off_rest(Channel.from_dense(turns), own, {0, 1, 2}) == {2}
     # A quaternion and its opposite are one rotation.
     turns[:, 0] *= -1
-    assert _leaving(Channel.from_dense(turns), own, {0, 1}) == set()
+    assert _joints_off_rest(Channel.from_dense(turns), own, {0, 1}) == set()

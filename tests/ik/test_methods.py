@@ -23,7 +23,7 @@ from animtool.ik import (
     build,
     solve,
 )
-from animtool.ik.solving import serving
+from animtool.ik.solving import supported_methods
 from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
@@ -193,7 +193,7 @@ def test_methods_that_cannot_serve_a_problem_say_why() -> None:
         assert fault.code == "IK015"
         assert fault.hint is not None
         assert "auto, damped" in fault.hint
-        assert method not in serving(problem)
+        assert method not in supported_methods(problem)
 
 
 @pytest.mark.parametrize("name", ["magic", "two_bone"])

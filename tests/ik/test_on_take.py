@@ -16,9 +16,9 @@ from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError, Severity
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
-from animtool.ik.report import goal_reports, single_frame_notices
+from animtool.ik.report import goal_reports, independent_frame_notices
 from animtool.ik.result import IkStatus
-from animtool.ik.sub_rig import dressed
+from animtool.ik.sub_rig import with_joint_data_of
 from animtool.ik.take_run import TakeIk
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -231,13 +231,13 @@ def test_frames_on_their_own_are_counted(tmp_path: Path) -> None:
     goal = "- {effector: ankle_l, position: [0.2, 0.3, 0.2]}"
     options = TakeOptions(joints=("hip_l", "hips"))
     found = solve_take(take, tracks_of(tmp_path, goal, take.rig), options)
-    (note,) = single_frame_notices(found)
+    (note,) = independent_frame_notices(found)
     assert (note.code, note.severity) == ("TGT105", Severity.NOTE)
     assert "40 frames" in note.message
     assert "'knee_l'" in note.message
-    (warning,) = single_frame_notices(found, smooth=True)
+    (warning,) = independent_frame_notices(found, smooth=True)
     assert warning.severity is Severity.WARNING
-    assert single_frame_notices(held(tmp_path, take, goal)) == []
+    assert independent_frame_notices(held(tmp_path, take, goal)) == []
 
 
 def test_a_joint_that_turns_about_its_goal_leaves_frames_together(
@@ -402,7 +402,7 @@ def test_joints_without_types_turn_about_their_parents(tmp_path: Path) -> None:
     )
     assert np.ptp(point_of(found.take, "ankle_l")[7:20], axis=0).max() < 5e-6
     # What another rig says of them is used where it is given.
-    typed = dressed(plain, rig)
+    typed = with_joint_data_of(plain, rig)
     assert [joint.type for joint in typed.joints] == [j.type for j in rig.joints]
     assert typed.chains == rig.chains
 

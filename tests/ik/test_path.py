@@ -32,37 +32,37 @@ from animtool.ik import (
     solve,
 )
 from animtool.ik import path as ik_path
-from animtool.ik.chain import difference, moved
+from animtool.ik.chain import apply_steps, difference
 from animtool.ik.goals import KINDS
-from animtool.ik.path import at_poses, path_of
+from animtool.ik.path import build_frame_path, with_poses
 
 
 def test_misses_are_those_of_a_solve() -> None:
     problem = build(mixed_rig(), every_goal()[:2])
     targets = reached_by(problem, random_pose(problem, 2, frames=3))
     rows = random_pose(problem, 5, frames=3)
-    path = path_of(problem, targets, None, IkOptions())
+    path = build_frame_path(problem, targets, None, IkOptions())
     result = solve(problem, rows, targets, IkOptions(iterations=3, restarts=0))
     poses = problem.chain.from_rig(result.coordinates)
-    misses = path.measured(poses)
+    misses = path.measure_misses(poses)
     lengths = misses[:, :, 0] * problem.length
     np.testing.assert_allclose(lengths, result.positions, atol=1e-12)
     np.testing.assert_allclose(misses[:, :, 1], result.orientations, atol=1e-9)
-    assert ((path.excess(misses) > 1) == ~result.converged).all()
+    assert ((path.max_tolerance_ratio(misses) > 1) == ~result.converged).all()
 
 
 def test_an_even_path_keeps_its_ends_and_its_goals() -> None:
     problem = build(arm(5, limit=2.5), [Goal("b4", (0.3, 0.0, 0.0))])
     pose = random_pose(problem, 3) / 2
     targets = reached_by(problem, np.repeat(pose, 20, axis=0))
-    path = path_of(problem, targets, None, IkOptions())
+    path = build_frame_path(problem, targets, None, IkOptions())
     start = solve(problem, pose, reached_by(problem, pose)).coordinates
     other = solve(problem, pose + 0.3, reached_by(problem, pose)).coordinates
     rows = np.concatenate([np.repeat(start, 10, axis=0), np.repeat(other, 10, axis=0)])
     poses = problem.chain.from_rig(rows)
-    even, misses = path.evened(poses)
+    even, misses = path.even_speed(poses)
     np.testing.assert_array_equal(even[[0, -1]], poses[[0, -1]])
-    assert (path.excess(misses) <= 1).all()
+    assert (path.max_tolerance_ratio(misses) <= 1).all()
     steps = np.linalg.norm(difference(problem.chain, even[:-1], even[1:]), axis=1)
     jump = np.linalg.norm(difference(problem.chain, poses[9], poses[10]))
     assert steps.max() < 2 * jump / 19
@@ -71,10 +71,10 @@ def test_an_even_path_keeps_its_ends_and_its_goals() -> None:
 def test_a_stretch_of_a_path_has_its_own_targets_and_drifts() -> None:
     problem = build(mixed_rig(), every_goal()[:1])
     rows = random_pose(problem, 1, frames=8)
-    path = path_of(problem, reached_by(problem, rows), rows, IkOptions())
-    part = path.frames(slice(2, 6))
+    path = build_frame_path(problem, reached_by(problem, rows), rows, IkOptions())
+    part = path.select_frames(slice(2, 6))
     np.testing.assert_array_equal(part.targets, path.targets[2:6])
-    np.testing.assert_array_equal(part.drifts, path.drifts[2:5])
+    np.testing.assert_array_equal(part.preserved_steps, path.preserved_steps[2:5])
     poses = problem.chain.from_rig(rows)[2:6]
     np.testing.assert_allclose(part.steps(poses), 0.0, atol=1e-12)
 
@@ -93,7 +93,7 @@ def wander(problem: Problem, seed: int, frames: int = 40) -> FloatArray:
     for at in np.linspace(0, 3, frames, endpoint=False):
         i = int(at)
         step = difference(chain, keys[i], keys[i + 1]) * (at - i)
-        rows.append(moved(chain, keys[i], step + rng.normal(0, 0.01, len(step))))
+        rows.append(apply_steps(chain, keys[i], step + rng.normal(0, 0.01, len(step))))
     return chain.into_rig(np.array(rows), random_pose(problem, seed, frames=frames))
 
 
@@ -187,12 +187,12 @@ def test_what_is_missed_is_missed_as_before() -> None:
 
 def test_poses_that_miss_are_no_longer_reached() -> None:
     result, targets = followed(redundant(), 3)
-    path = path_of(result.problem, targets, None, IkOptions())
+    path = build_frame_path(result.problem, targets, None, IkOptions())
     poses = result.problem.chain.from_rig(result.coordinates)
     misses = np.zeros((len(poses), 1, len(KINDS)))
-    assert at_poses(result, poses, misses, path).statuses == result.statuses
+    assert with_poses(result, poses, misses, path).statuses == result.statuses
     misses[1:] = np.arange(1.0, 1.0 + len(KINDS))
-    found = at_poses(result, poses, misses, path)
+    found = with_poses(result, poses, misses, path)
     assert found.statuses[0] is result.statuses[0] is IkStatus.CONVERGED
     assert set(found.statuses[1:]) == {IkStatus.NEAREST}
     assert found.reached[:, 0].tolist() == [True, *[False] * (len(poses) - 1)]
@@ -200,7 +200,7 @@ def test_poses_that_miss_are_no_longer_reached() -> None:
     angles = (found.orientations[1, 0], found.aims[1, 0], found.poles[1, 0])
     assert angles == (2.0, 3.0, 4.0)
     conflict = replace(result, statuses=(IkStatus.CONFLICT,) * len(poses))
-    again = at_poses(conflict, poses, misses, path)
+    again = with_poses(conflict, poses, misses, path)
     assert again.statuses[:2] == (IkStatus.CONVERGED, IkStatus.CONFLICT)
 
 

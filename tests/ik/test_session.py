@@ -39,7 +39,7 @@ def test_a_session_has_the_answers_of_the_batch(options: IkOptions) -> None:
     for row, start in enumerate(starts):
         values = {
             goal.joint: tuple(
-                np.asarray(getattr(targets, kind.targets))[row, e]
+                np.asarray(getattr(targets, kind.targets_field))[row, e]
                 for kind in goal.kinds
             )
             for e, goal in enumerate(goals)

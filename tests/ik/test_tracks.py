@@ -18,7 +18,7 @@ from animtool.core.clock import Clock
 from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
-from animtool.ik.tracks import FreeEffector, swung
+from animtool.ik.tracks import FreeEffector, swing_towards
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -105,14 +105,14 @@ def test_directions_turn_from_one_to_the_other(
 ) -> None:
     start = np.add([numbers[:3]], [0.0, 0.0, 1.5])
     end = -2 * start if opposite else np.add([numbers[3:]], [0.0, 1.5, 0.0])
-    found = swung(start, end, np.array([share]))
+    found = swing_towards(start, end, np.array([share]))
     assert_allclose(np.linalg.norm(found), np.linalg.norm(end), rtol=1e-12)
 
     def angle(a: FloatArray, b: FloatArray) -> float:
         return float(np.arctan2(np.linalg.norm(np.cross(a, b)), (a * b).sum()))
 
     assert_allclose(angle(start, found), share * angle(start, end), atol=1e-7)
-    assert_allclose(swung(start, end, np.ones(1)), end, atol=1e-7)
+    assert_allclose(swing_towards(start, end, np.ones(1)), end, atol=1e-7)
 
 
 def straight_arm(elbow: JointType) -> Rig:
@@ -150,7 +150,7 @@ def test_limbs_that_bend_and_those_that_hang_from_others_go_straight() -> None:
     there, share = np.full((40, 3), 0.3), np.full(40, 0.5)
     for root in ("hip_l", None):
         free = FreeEffector(take.rig, Goal("ankle_l", root=root), take.world())
-        found = free.towards(POSITION, there, share)
+        found = free.blend_from_free_motion(POSITION, there, share)
         assert_allclose(found, (free.position() + there) / 2, atol=1e-12)
 
 
@@ -159,7 +159,7 @@ def test_a_pole_begins_where_the_limb_bends() -> None:
     goal = Goal("ankle_l", root="hip_l", pole=1.0)
     free = FreeEffector(take.rig, goal, take.world())
     far = np.tile([0.0, 0.5, 9.0], (40, 1))
-    found = free.towards(POLE, far, np.full(40, 1e-12))
+    found = free.blend_from_free_motion(POLE, far, np.full(40, 1e-12))
     root, knee, tip = (point_of(take, f"{j}_l") for j in ("hip", "knee", "ankle"))
     sides = [np.cross(tip - root, point - root) for point in (found, knee)]
     units = [side / np.linalg.norm(side, axis=1, keepdims=True) for side in sides]
@@ -255,11 +255,13 @@ def test_limbs_go_straight_from_20_degrees_and_evenly_up_to_5(
     about = away * np.sqrt(0.5) * np.array([1.0, 1.0, 0.0])
     there = np.array([0.0, far, 0.0])
     line = (here + there) / 2
-    found = free.towards(POSITION, there[None], np.array([0.5]))
+    found = free.blend_from_free_motion(POSITION, there[None], np.array([0.5]))
     assert_allclose(found[0], about + straight * (line - about), atol=1e-12)
 
 
 def test_a_straight_limb_goes_evenly_beyond_its_reach() -> None:
     """Of 0.55 m to a metre: three quarters of the way are 0.8875 m."""
-    found = bent_arm(0.0).towards(POSITION, np.array([[1.0, 0, 0]]), np.array([0.75]))
+    found = bent_arm(0.0).blend_from_free_motion(
+        POSITION, np.array([[1.0, 0, 0]]), np.array([0.75])
+    )
     assert_allclose(found, [[0.8875, 0, 0]], atol=1e-12)

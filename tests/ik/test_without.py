@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.targets import legs, tracks_of, walk_of
 
-from animtool.ik.on_take import rounds, takes_released
+from animtool.ik.on_take import count_solves, solve_fade_sources
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.take import Take
 
@@ -41,9 +41,9 @@ def test_goals_come_from_the_take_at_all_others(
         return made[-1]
 
     tracks = tracks_of(tmp_path, goals)
-    takes = takes_released(take, tracks, bring)
+    takes = solve_fade_sources(take, tracks, bring)
     assert found == solved
-    assert rounds(tracks) == 1 + len(solved)
+    assert count_solves(tracks) == 1 + len(solved)
     for track, one in zip(tracks.goals, takes, strict=True):
         if track.during and solved:
             (names,) = (n for n, own in zip(found, made, strict=True) if own is one)

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
-from animtool.ik.goals import COLUMNS, KINDS, PARTS, WEIGHTS
+from animtool.ik.goals import KINDS, PARTS, TARGET_COLUMNS, WEIGHT_COLUMNS
 
 HALF = np.sqrt(0.5)
 INF = np.inf
@@ -38,9 +38,12 @@ def goal(node: int, tip: float, **weights: float) -> dict[str, Any]:
 def target(
     position: tuple[float, ...] = (0, 0, 0), aim: tuple[float, ...] = (0, 0, 0)
 ) -> np.ndarray:
-    row = np.zeros((1, 1, WEIGHTS.stop))
-    row[..., COLUMNS["position"]], row[..., COLUMNS["aim"]] = position, aim
-    row[..., COLUMNS["orientation"].stop - 1] = row[..., WEIGHTS] = 1
+    row = np.zeros((1, 1, WEIGHT_COLUMNS.stop))
+    row[..., TARGET_COLUMNS["position"]], row[..., TARGET_COLUMNS["aim"]] = (
+        position,
+        aim,
+    )
+    row[..., TARGET_COLUMNS["orientation"].stop - 1] = row[..., WEIGHT_COLUMNS] = 1
     return row
 
 
@@ -53,15 +56,15 @@ def looked(arrays: dict[str, Any], start: list[float], goals: np.ndarray) -> Any
 
 def test_kinds_of_goals_are_those_of_the_table() -> None:
     table = [
-        (kind.name, kind.rows, kind.value.value, kind.metric, kind.pulls)
+        (kind.name, kind.rows, kind.value_type.value, kind.is_length, kind.supports_ccd)
         for kind in KINDS
     ]
     assert list(_kernels.IK_GOAL_KINDS) == table
 
 
 def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
-    targets = np.zeros((2, 2, WEIGHTS.stop))
-    targets[:] = np.arange(WEIGHTS.stop)
+    targets = np.zeros((2, 2, WEIGHT_COLUMNS.stop))
+    targets[:] = np.arange(WEIGHT_COLUMNS.stop)
     about_x = [HALF, 0, 0, HALF]
     targets[0, :, 3:7] = about_x
     targets[1, 0, 3:7] = np.multiply(1e-200, about_x)
@@ -70,8 +73,8 @@ def test_targets_are_shares_of_the_length_and_seen_from_their_nodes() -> None:
     _kernels.to_chain_targets(targets, frames, 4.0)
     plain = [0, 1, 2, 7, 8, 9, 10, 11, 12]
     assert_allclose(targets[..., plain], np.tile(np.divide(plain, 4), (2, 2, 1)))
-    shares = np.arange(WEIGHTS.stop)[WEIGHTS]
-    assert_allclose(targets[..., WEIGHTS], np.tile(shares, (2, 2, 1)))
+    shares = np.arange(WEIGHT_COLUMNS.stop)[WEIGHT_COLUMNS]
+    assert_allclose(targets[..., WEIGHT_COLUMNS], np.tile(shares, (2, 2, 1)))
     turned = [0.5, 0.5, -0.5, 0.5]
     assert_allclose(targets[:, 0, 3:7], [turned, turned], atol=1e-15)
     assert_allclose(targets[:, 1, 3:7], [about_x, [0, 0, 0, 1]], atol=1e-15)

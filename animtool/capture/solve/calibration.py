@@ -37,7 +37,7 @@ from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.record import dataclass
 from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
-from animtool.ik.solving import chain_targets
+from animtool.ik.solving import pack_for_chain
 from animtool.motion.markers import Markers
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.sides import pair_sides
@@ -241,11 +241,11 @@ class _CalibrationState:
     def _step(self, poses: FloatArray) -> FloatArray:
         """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
         problem, model = self.model.problem, self.model
-        targets = chain_targets(problem, model.targets(self.positions, self.noise))
+        targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
         count, degrees = len(poses), problem.degrees
         _, residuals, slopes, _ = _kernels.linearize_ik(
-            *chain.arrays,
+            *chain.kernel_arrays,
             starts=chain.from_rig(poses),
             targets=targets,
             steps=np.zeros((count, degrees)),

@@ -152,8 +152,8 @@ class MarkerSolve:
         self.score.add(
             first,
             result.misses[window_rows],
-            result.taken[window_rows],
-            result.searched[window_rows],
+            result.target_indices[window_rows],
+            result.is_restarted[window_rows],
             visible_markers(positions[window_rows]),
         )
         return result.coordinates[window_rows]

@@ -36,13 +36,13 @@ from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
     GoalReport,
-    away_notices,
+    far_target_notices,
     goal_reports,
+    independent_frame_notices,
     jump_notices,
     missed_notices,
     pole_notices,
     rest_notices,
-    single_frame_notices,
     span_notices,
 )
 from animtool.ik.take_run import TakeIk
@@ -182,7 +182,7 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
         if job.pose and job.frame is not None:
             notices += _outside_targets_warning(job, tracks)
             clock = replace(clock, start=job.frame, count=1)
-            tracks = tracks.placed(tracks.clock)
+            tracks = tracks.at_clock(tracks.clock)
         take = rest_take(rig, clock)
         return IkContext(tracks, take, True, 0 if job.pose else None, notices)
     take = open_start(job.start, rig, job.rig, job.source, progress=progress)
@@ -295,8 +295,8 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *context.notices,
         *span_notices(solution),
         *(rest_notices(solution) if context.at_rest else ()),
-        *single_frame_notices(solution, smooth=job.options.smooth > 0),
-        *away_notices(solution, goals),
+        *independent_frame_notices(solution, smooth=job.options.smooth > 0),
+        *far_target_notices(solution, goals),
         *pole_notices(solution),
         *jump_notices(solution),
     ]

@@ -21,7 +21,12 @@ from animtool.core.files.output import (
 )
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
-from animtool.ik.match_take import arrays_of, chains_of, left_out, match_take
+from animtool.ik.match_take import (
+    array_file_of,
+    match_chains,
+    match_take,
+    untracked_motion_notices,
+)
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.write import targets_text
 from animtool.motion.take import Take
@@ -86,16 +91,17 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     inputs = [job.rig, job.take]
     check_outputs([job.output], inputs, overwrite=job.write_options.overwrite)
     start_time = time.perf_counter()
-    with protect_inputs([job.output, arrays_of(job.output)]):
+    with protect_inputs([job.output, array_file_of(job.output)]):
         rig, notices = open_rig(job.rig)
         with faults_in(job.rig):
-            chains = chains_of(rig, job.chains)
+            chains = match_chains(rig, job.chains)
         take = open_start(job.take, rig, job.rig, job.source, progress=progress)
     if job.pose:
         take = _select_frame(take, frame_index(take, job.frame, job.take))
     read_end_time = time.perf_counter()
     skipped_notices = [
-        replace(fault, path=str(job.take)) for fault in left_out(take, chains)
+        replace(fault, path=str(job.take))
+        for fault in untracked_motion_notices(take, chains)
     ]
     notices = [*notices, *take.notices, *skipped_notices]
     refuse_warnings(notices, strict=job.write_options.strict)
@@ -104,7 +110,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     match_end_time = time.perf_counter()
     outputs = [job.output]
     if text.arrays:
-        outputs.insert(0, arrays_of(job.output))
+        outputs.insert(0, array_file_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.write_options.overwrite)
         write_arrays(outputs[0], _arrays_by_name(text.arrays))
     write_parts(job.output, [text.text.encode()])

@@ -15,7 +15,7 @@ import numpy as np
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points
 from animtool.core.array_types import FloatArray
 from animtool.core.files.output import STDOUT
-from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, settings_of
+from animtool.ik.take_pass import IkPassOptions, rig_and_tracks, solve_options
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind
@@ -166,7 +166,7 @@ def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial
                     take, entry.options, scene.path.resolve().parent
                 )
                 trials.append(
-                    (entry.location, pass_trial(*tracks, settings_of(entry.options)))
+                    (entry.location, pass_trial(*tracks, solve_options(entry.options)))
                 )
         if not _is_spring_pass(entry):
             continue

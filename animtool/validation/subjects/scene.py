@@ -54,7 +54,7 @@ class SceneSubject(DocumentSubject):
             take, tracks = rig_and_tracks(
                 solved_take, self.scene.passes[pass_index].options, folder
             )
-            takes.append((take, tracks.placed(take.clock)))
+            takes.append((take, tracks.at_clock(take.clock)))
         return takes
 
     @property

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.ik.goals import KINDS, WEIGHTS
+from animtool.ik.goals import KINDS, WEIGHT_COLUMNS
 from fuzz.kernels import Maker
 from fuzz.kernels.curves import rotations
 from fuzz.kernels.points import WIDTHS, joint_arrays, parents
@@ -83,16 +83,20 @@ class Problem:
 
     def targets(self, rng: Rng, batch: int) -> Any:
         """Return targets ``(B, E, W)``."""
-        values = rng.normal(scale=0.5, size=(batch, len(self.goals), WEIGHTS.stop))
+        values = rng.normal(
+            scale=0.5, size=(batch, len(self.goals), WEIGHT_COLUMNS.stop)
+        )
         values[..., 3:7] = rotations(rng, batch, len(self.goals))
-        values[..., WEIGHTS] = rng.choice([0.0, 1.0], values[..., WEIGHTS].shape)
+        values[..., WEIGHT_COLUMNS] = rng.choice(
+            [0.0, 1.0], values[..., WEIGHT_COLUMNS].shape
+        )
         return values
 
 
 def _place(rng: Rng) -> dict[str, Any]:
     batch, goals = (int(n) for n in rng.integers(0, 5, 2))
     return {
-        "targets": rng.normal(size=(batch, goals, WEIGHTS.stop)),
+        "targets": rng.normal(size=(batch, goals, WEIGHT_COLUMNS.stop)),
         "frames": rotations(rng, goals),
         "length": 1.7,
     }
@@ -282,10 +286,10 @@ def _asked(rng: Rng, *, arm: bool) -> tuple[Any, int, Any]:
     """Return a solver, how wide its rows are, and targets of a problem."""
     made = _rig_solver(rng, arm=arm)
     width = sum(WIDTHS[kind] for kind in made["types"].tolist())
-    shape = (1, len(made["goals"]), WEIGHTS.stop)
+    shape = (1, len(made["goals"]), WEIGHT_COLUMNS.stop)
     targets = rng.normal(scale=0.3, size=shape)
     targets[..., 3:7] = rotations(rng, *shape[:2])
-    targets[..., WEIGHTS] = 1.0
+    targets[..., WEIGHT_COLUMNS] = 1.0
     return _kernels.RigSolver(**made), width, targets
 
 
