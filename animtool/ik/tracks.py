@@ -183,8 +183,9 @@ def swing_towards(
 
     ``start`` ``(F, 3)``, not 0, ``end`` ``(F, 3)``, ``fraction`` of the angle ``(F,)``.
 
-    >>> swing_towards(np.eye(3)[:1], 2 * np.eye(3)[1:2],
-    np.array([0.5])).round(6).tolist() [[1.414214, 1.414214, 0.0]]
+    >>> start, end = np.eye(3)[:1], 2 * np.eye(3)[1:2]
+    >>> swing_towards(start, end, np.array([0.5])).round(6).tolist()
+    [[1.414214, 1.414214, 0.0]]
     """
     length = np.linalg.norm(end, axis=1, keepdims=True)
     unit = start / np.maximum(np.linalg.norm(start, axis=1, keepdims=True), 1e-300)

@@ -14,8 +14,8 @@ from animtool.core.readers import FBX, GLTF, reader_of
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
-from animtool.retarget.facts import CaptureFacts, capture_facts
-from animtool.retarget.standing import lying_notice
+from animtool.retarget.facts import CaptureFacts, measure_capture
+from animtool.retarget.standing import lying_body_notices
 from animtool.scene.sources.open import SourceOptions, is_usd, open_source
 
 if TYPE_CHECKING:
@@ -109,10 +109,10 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     if motion.scales is not None:
         animated_counts["scale"] = len(motion.scales.animated)
     clock = take.clock
-    capture = capture_facts(take)
+    capture = measure_capture(take)
     channel_count = stream.details.get("channels")
     if stream.details.get("format") == "BVH" and (options is None or not options.up):
-        stream.notices.extend(lying_notice(Path(path), rig, motion))
+        stream.notices.extend(lying_body_notices(Path(path), rig, motion))
     take_names = stream.details.get("takes")
     return TakeDescription(
         str(path),

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import find_anatomy
-from animtool.retarget.facts import ground_speeds, hips_and_joints
+from animtool.retarget.facts import ground_speeds, joint_positions
 from animtool.retarget.roled_skeleton import RoledSkeleton
 
 
@@ -100,7 +100,7 @@ def _value(extreme: Extreme) -> float:
 def _summarize(name: str, take: Take) -> _CharacterSummary:
     """Return the summary of a character; speed and heights only for humans."""
     roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
-    hips, positions = hips_and_joints(take, roles, range(len(take.rig.joints)))
+    hips, positions = joint_positions(take, roles, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
     lower, upper = points.min(axis=0).tolist(), points.max(axis=0).tolist()
     if roles.leg("l") is None or roles.leg("r") is None or len(hips) < 2:

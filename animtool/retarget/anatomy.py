@@ -32,10 +32,10 @@ from animtool.retarget.roles import (
 from animtool.retarget.structure import (
     LimbShape,
     SkeletonTree,
-    left_direction,
-    limb_pairs,
+    find_left_direction,
+    find_limb_pairs,
+    find_up_direction,
     split_limb,
-    up_direction,
 )
 from animtool.rig.skeleton import Rig
 
@@ -74,7 +74,7 @@ class _RoleSearch:
     roles: list[str]
     tips: dict[str, int] = field(default_factory=dict)  # lowest known joint, by limb
     unsided: list[str] = field(default_factory=list)  # kinds of limbs without a name
-    guessed: bool = False  # whether sides come from the order of the file
+    has_guessed_sides: bool = False  # whether sides come from the order of the file
 
     def set_role(self, joint: int, role: str) -> None:
         """Assign a role to a joint that has none yet."""
@@ -104,25 +104,25 @@ def find_anatomy(
         # Roles stated by the file precede guesses from names.
         named_joints = zip(rig.joints, names, strict=True)
         names = [joint.humanoid or name for joint, name in named_joints]
-    read_names_ = parse_names(names, rig.parents)
+    parsed_names = parse_names(names, rig.parents)
     chosen_preset: Preset | None = None
     if preset is not None:
         chosen_preset = find_preset(preset)
     elif by_names:
-        chosen_preset = best_preset(names, read_names_)
-    votes = role_votes(read_names_, chosen_preset) if by_names else [{} for _ in names]
-    kinds = [name.kind if by_names else "" for name in read_names_]
+        chosen_preset = best_preset(names, parsed_names)
+    votes = role_votes(parsed_names, chosen_preset) if by_names else [{} for _ in names]
+    kinds = [name.kind if by_names else "" for name in parsed_names]
     body = SkeletonTree.of(rig, votes, kinds)
     search = _RoleSearch(body, [""] * len(names))
     notices = _largest_tree(search)
     _find_limbs(search)
-    up = up_direction(body, search.tips)
+    up = find_up_direction(body, search.tips)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
-        up = up_direction(search.body, search.tips)
-    at_rest = search.body is body
-    _sides_by_position(
-        search, left_direction(search.body, search.tips, up, at_rest=at_rest)
+        up = find_up_direction(search.body, search.tips)
+    is_rest_pose = search.body is body
+    _assign_sides_by_position(
+        search, find_left_direction(search.body, search.tips, up, at_rest=is_rest_pose)
     )
     _assign_trunk(search)
     for limb in search.tips:
@@ -138,6 +138,7 @@ def find_anatomy(
 
 
 def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
+    """Return the evidence for a role from a joint's name votes."""
     if not role or role in {TWIST, END, CONTROL}:
         return RoleSource.NONE
     weight = votes.get(role, 0.0)
@@ -149,32 +150,32 @@ def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
 def _largest_tree(search: _RoleSearch) -> list[Fault]:
     """Ignore all trees but the largest; warn if others look like bodies too."""
     body = search.body
-    tops = body.rig.roots
-    if len(tops) == 1:
+    roots = body.rig.roots
+    if len(roots) == 1:
         # Bodies below one root: their hips are not below each other.
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
         nested_hips = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
-        tops = [
+        roots = [
             j for j, hips_above in zip(hips, nested_hips, strict=True) if not hips_above
         ]
-        tops = [j for j in tops if body.counts[j] >= MIN_BODY_JOINTS]
-    if len(tops) < 2:
+        roots = [j for j in roots if body.counts[j] >= MIN_BODY_JOINTS]
+    if len(roots) < 2:
         return []
-    main_hips = max(tops, key=lambda j: body.counts[j])
+    main_hips = max(roots, key=lambda j: body.counts[j])
     other_tops = [
-        j for j in tops if j != main_hips and body.counts[j] >= MIN_BODY_JOINTS
+        j for j in roots if j != main_hips and body.counts[j] >= MIN_BODY_JOINTS
     ]
     for j in range(len(search.roles)):
         hips_above = body.rig.upwards(j)
-        if main_hips not in hips_above and not set(hips_above).isdisjoint(tops):
+        if main_hips not in hips_above and not set(hips_above).isdisjoint(roots):
             search.roles[j] = CONTROL
     if not other_tops:
         return []
     names = body.rig.names
-    others = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
+    other_names = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
     message = (
         f"{len(other_tops) + 1} skeletons in one file: that of {names[main_hips]!r} is "
-        f"mapped, {others} are skipped"
+        f"mapped, {other_names} are skipped"
     )
     hint = "export the others to separate files"
     return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
@@ -188,26 +189,28 @@ def _find_limbs(search: _RoleSearch) -> None:
             tip = _tip_by_names(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
                 search.tips[f"{limb}_{side}"] = tip
-    for limb, pair in zip(("leg", "arm"), limb_pairs(body), strict=True):
+    for limb, joint_pair in zip(("leg", "arm"), find_limb_pairs(body), strict=True):
         assigned_joints = {
             j for tip in search.tips.values() for j in body.rig.upwards(tip)
         }
         assigned_joints |= {j for j, role in enumerate(search.roles) if role}
         has_name = any(f"{limb}_{side}" in search.tips for side in SIDES)
-        if pair and not has_name and assigned_joints.isdisjoint(pair):
+        if joint_pair and not has_name and assigned_joints.isdisjoint(joint_pair):
             search.unsided.append(limb)
-            for side, top in zip(SIDES, pair, strict=True):
-                search.tips[f"{limb}_{side}"] = body.longest_path(top)[-1]
+            for side, limb_root in zip(SIDES, joint_pair, strict=True):
+                search.tips[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
 
 
-def _tip_by_names(search: _RoleSearch, roles: set[str]) -> int:
+def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
     """Return the joint with the most limb names above it; -1 if no joint has one."""
     body = search.body
     best_joint, best_score = -1, 0.0
     for j, votes in enumerate(body.votes):
-        if search.roles[j] or roles.isdisjoint(votes):
+        if search.roles[j] or limb_roles.isdisjoint(votes):
             continue
-        named_roles_above = [roles & body.votes[k].keys() for k in body.rig.upwards(j)]
+        named_roles_above = [
+            limb_roles & body.votes[k].keys() for k in body.rig.upwards(j)
+        ]
         score = len(set().union(*named_roles_above)) + 0.01 * sum(
             map(bool, named_roles_above)
         )
@@ -216,55 +219,63 @@ def _tip_by_names(search: _RoleSearch, roles: set[str]) -> int:
     return best_joint
 
 
-def _sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
+def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
     """Tell left from right by limb positions; by file order where they coincide."""
-    body, tips = search.body, search.tips
+    body, tip_joints = search.body, search.tips
     for limb in search.unsided:
         tip_names = [f"{limb}_{side}" for side in SIDES]
-        common_joint = body.common([tips[name] for name in tip_names])
-        chains = [body.path(common_joint, tips[name])[1:] for name in tip_names]
+        common_joint = body.lowest_common_ancestor(
+            [tip_joints[name] for name in tip_names]
+        )
+        chains = [body.path(common_joint, tip_joints[name])[1:] for name in tip_names]
         # Hands and feet may cross; where limbs begin they do not.
-        for upper in (2, None):
+        for end_index in (2, None):
             left_middle, right_middle = (
-                body.positions[chain[:upper]].mean(axis=0) for chain in chains
+                body.positions[chain[:end_index]].mean(axis=0) for chain in chains
             )
             signed_distance = float((left_middle - right_middle) @ across)
             if abs(signed_distance) > 0.01 * body.size:
                 break
         if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
-            search.guessed = True
+            search.has_guessed_sides = True
         elif signed_distance < 0:
-            tips[tip_names[0]], tips[tip_names[1]] = (
-                tips[tip_names[1]],
-                tips[tip_names[0]],
+            tip_joints[tip_names[0]], tip_joints[tip_names[1]] = (
+                tip_joints[tip_names[1]],
+                tip_joints[tip_names[0]],
             )
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
     """Assign the roles of hips, spine, neck, head and the joints above the hips."""
-    body, tips = search.body, search.tips
-    legs = [tips[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tips]
-    arms = [tips[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tips]
-    head = _best_by_name(search, "head")
-    chest = body.common(arms) if len(arms) == 2 else -1
+    body, tip_joints = search.body, search.tips
+    legs = [tip_joints[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_joints]
+    arms = [tip_joints[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_joints]
+    head = _find_by_name(search, "head")
+    chest = body.lowest_common_ancestor(arms) if len(arms) == 2 else -1
     if head < 0 and chest >= 0:
         head = _find_head(search, chest)
-    upper = [j for j in (chest, head) if j >= 0]
-    fork = body.common([*legs, *upper]) if legs and upper else -1
-    seat = body.common(legs) if len(legs) == 2 else fork
-    hips = _find_hips(search, fork, seat)
+    upper_joints = [j for j in (chest, head) if j >= 0]
+    fork = (
+        body.lowest_common_ancestor([*legs, *upper_joints])
+        if legs and upper_joints
+        else -1
+    )
+    leg_fork = body.lowest_common_ancestor(legs) if len(legs) == 2 else fork
+    hips = _find_hips(search, fork, leg_fork)
     search.set_role(hips, "hips")
     spine_start = max(fork, hips) if fork < 0 else fork
-    if spine_start < 0 and upper:
-        spine_start = body.rig.upwards(upper[-1])[-1]
+    if spine_start < 0 and upper_joints:
+        spine_start = body.rig.upwards(upper_joints[-1])[-1]
     for j in body.rig.upwards(hips)[1:] if hips >= 0 else ():
         if fork <= j < hips or j < spine_start:
             search.set_role(j, "root")
-    for j in body.path(spine_start, seat) if seat > spine_start else ():
+    for j in body.path(spine_start, leg_fork) if leg_fork > spine_start else ():
         search.set_role(j, "pelvis")
-    if upper:
+    if upper_joints:
         spine_start = (
-            spine_start if spine_start in body.rig.upwards(upper[-1]) else max(hips, 0)
+            spine_start
+            if spine_start in body.rig.upwards(upper_joints[-1])
+            else max(hips, 0)
         )
         _assign_spine(search, spine_start, chest, head)
 
@@ -285,7 +296,7 @@ def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> Non
         search.set_role(j, "spine" if i < after_chest else "neck")
 
 
-def _best_by_name(search: _RoleSearch, role: str) -> int:
+def _find_by_name(search: _RoleSearch, role: str) -> int:
     """Return the topmost joint whose name votes most for a role; -1 for none."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
@@ -295,13 +306,13 @@ def _best_by_name(search: _RoleSearch, role: str) -> int:
     return best_index if best_index >= 0 and weights[best_index] > 0 else -1
 
 
-def _find_hips(search: _RoleSearch, fork: int, seat: int) -> int:
+def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
     """Return the named hips if near the leg-trunk fork, else the fork."""
     body = search.body
-    named_hips = _best_by_name(search, "hips")
+    named_hips = _find_by_name(search, "hips")
     if fork < 0:
-        return named_hips if named_hips >= 0 else seat
-    nearby = set(body.rig.upwards(fork)) | set(body.path(fork, max(seat, fork)))
+        return named_hips if named_hips >= 0 else leg_fork
+    nearby = set(body.rig.upwards(fork)) | set(body.path(fork, max(leg_fork, fork)))
     candidates = [j for j in nearby if "hips" in body.votes[j]]
     weight = max((body.votes[j]["hips"] for j in candidates), default=0.0)
     top_voted = [j for j in candidates if body.votes[j]["hips"] == weight]
@@ -344,11 +355,13 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
         if kind == "arm"
         else (_split_toes(search, path), -1)
     )
-    labels = split_limb(body, path, _LIMB_SHAPES[limb], branch)
-    for j, label in zip(path, labels, strict=True):
-        search.set_role(j, "" if body.kinds[j] == CONTROL else label)
+    joint_roles = split_limb(body, path, _LIMB_SHAPES[limb], branch)
+    for j, role_of_joint in zip(path, joint_roles, strict=True):
+        search.set_role(j, "" if body.kinds[j] == CONTROL else role_of_joint)
     hand_joints = [
-        j for j, label in zip(path, labels, strict=True) if label == f"hand_{side}"
+        j
+        for j, role_of_joint in zip(path, joint_roles, strict=True)
+        if role_of_joint == f"hand_{side}"
     ]
     if kind == "arm" and hand_joints:
         for j, role in finger_roles(body, hand_joints, side).items():
@@ -365,7 +378,7 @@ def _split_hand(
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:
         return path[: hand_indices[-1] + 1], path[hand_indices[-1]]
-    branch, count = search.body.branches(path)
+    branch, count = search.body.widest_branching(path)
     if count < 2:
         return path, -1
     return path[: path.index(branch) + 1], branch
@@ -374,8 +387,10 @@ def _split_hand(
 def _split_toes(search: _RoleSearch, path: list[int]) -> list[int]:
     """Return a leg's chain without the toes if the foot has several."""
     body = search.body
-    tops = [max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path]
-    toe_indices = [i for i, role in enumerate(tops) if base_role(role) == "toe"]
+    likely_roles = [
+        max(body.votes[j], key=body.votes[j].__getitem__, default="") for j in path
+    ]
+    toe_indices = [i for i, role in enumerate(likely_roles) if base_role(role) == "toe"]
     last_named = max((i for i, j in enumerate(path) if body.votes[j]), default=2)
     forks = [i for i, j in enumerate(path) if len(body.limb_children(j)) > 1]
     candidates = [*toe_indices, *(i for i in forks if i >= max(last_named, 2))]
@@ -390,15 +405,15 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
     ]
     if not feet:
         return
-    begins = [
+    toe_roots = [
         j
         for j in body.limb_children(feet[-1])
         if search.roles[j] in {"", role} and not body.kinds[j]
     ]
     directions = np.array(
-        [_chain_end(body, j) - body.positions[feet[-1]] for j in begins]
+        [_chain_end(body, j) - body.positions[feet[-1]] for j in toe_roots]
     )
-    if len(begins) < 2:
+    if len(toe_roots) < 2:
         return
     sizes = np.linalg.norm(directions, axis=1)
     alignment = (
@@ -406,7 +421,7 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
     )
     toes = [
         j
-        for j, fraction in zip(begins, alignment, strict=True)
+        for j, fraction in zip(toe_roots, alignment, strict=True)
         if fraction > _MIN_TOE_FRACTION * alignment.max()
     ]
     for toe in toes if len(toes) > 1 else ():
@@ -434,7 +449,7 @@ def _assign_remaining(search: _RoleSearch) -> None:
             search.roles[j] = kind or END
 
 
-COMPLETE_LEG_TEXTS = ("whole left leg", "whole right leg")
+MISSING_LEG_TEXTS = ("whole left leg", "whole right leg")
 
 
 def _missing_legs(roles: Sequence[str]) -> str:
@@ -444,7 +459,7 @@ def _missing_legs(roles: Sequence[str]) -> str:
         for side in "lr"
     ]
     if any(complete_sides):
-        return "" if all(complete_sides) else COMPLETE_LEG_TEXTS[complete_sides[0]]
+        return "" if all(complete_sides) else MISSING_LEG_TEXTS[complete_sides[0]]
     return "whole legs" if {"thigh_l", "thigh_r"} & {*roles} else "legs"
 
 
@@ -460,7 +475,7 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
     missing = _missing_legs(roles) if search.tips else ""
     if missing:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
-        if missing in COMPLETE_LEG_TEXTS:
+        if missing in MISSING_LEG_TEXTS:
             hint = "only the other foot is held"
         texts.append(("MAP101", f"{rig.name!r} has no {missing}", hint))
     if len(rig.joints) > 1 and body.size <= 0:
@@ -470,7 +485,7 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
         names = listed(fingerless, MAX_LISTED_JOINTS)
         message = f"the rest pose of {rig.name!r} does not show where {names} end"
         texts.append(("MAP104", message, "the hand is assumed to continue the forearm"))
-    if search.guessed:
+    if search.has_guessed_sides:
         message = f"left and right cannot be told apart in {rig.name!r}"
         hint = "the first limb of the file is assumed to be the left one; check the map"
         texts.append(("MAP105", message, hint))

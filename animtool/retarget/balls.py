@@ -21,7 +21,7 @@ MIN_SHIN_COSINE = 0.97
 METATARSAL_START = 0.15
 
 
-def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
+def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
     """Return the ball of each foot of a skeleton, by side.
 
     The ball is where the toes begin: the middle of the foremost toe joints. A foot
@@ -36,15 +36,15 @@ def balls_of(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
             continue
         foot, toes = leg[2], _first_toe_joints(skeleton, side)
         if toes:
-            vector = _ankle_to_ball(skeleton, foot, toes)
+            ankle_to_ball = _ankle_to_ball(skeleton, foot, toes)
         else:
             other_shape = None if other_leg is None else _foot_shape(other, side)
             leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
             end = _toeless_ball(skeleton, side, other_shape, leg_ratio)
             if end is None:
                 continue
-            vector = end
-        offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), vector)
+            ankle_to_ball = end
+        offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), ankle_to_ball)
         balls[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
     return balls
 
@@ -65,7 +65,7 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     starts = []
     for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
         chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
-        foot = skeleton.positions[_foot_joints(skeleton, side)]
+        foot = skeleton.positions[_foot_joint(skeleton, side)]
         length = float(np.linalg.norm(skeleton.positions[max(chain_ends)] - foot))
         distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
         next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
@@ -86,11 +86,12 @@ def _ankle_to_ball(
     if len(offsets) == 1 or facing is None:
         return np.asarray(offsets.mean(axis=0))
     foremost = offsets[int(np.argmax(offsets @ facing[2]))]
-    sideways = float((offsets.mean(axis=0) - foremost) @ facing[0])
-    return np.asarray(foremost + sideways * facing[0])
+    sideways_offset = float((offsets.mean(axis=0) - foremost) @ facing[0])
+    return np.asarray(foremost + sideways_offset * facing[0])
 
 
-def _foot_joints(skeleton: RoledSkeleton, side: str) -> int:
+def _foot_joint(skeleton: RoledSkeleton, side: str) -> int:
+    """Return the foot joint of a side."""
     return skeleton.first(f"foot_{side}")
 
 
@@ -106,7 +107,7 @@ def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
     """Return the known shape of a foot; None if the skeleton's facing is unknown."""
     facing, foot, toes = (
         skeleton.facing,
-        _foot_joints(skeleton, side),
+        _foot_joint(skeleton, side),
         _first_toe_joints(skeleton, side),
     )
     if facing is None:
@@ -124,8 +125,8 @@ def _vector_to_tip(
 ) -> FloatArray | None:
     """Return the vector to the farthest end of a joint chain ``(3,)``."""
     rig = skeleton.rig
-    count, tops = len(rig.joints), {*joints}
-    descendants = [j for j in range(count) if not tops.isdisjoint(rig.upwards(j))]
+    count, top_joints = len(rig.joints), {*joints}
+    descendants = [j for j in range(count) if not top_joints.isdisjoint(rig.upwards(j))]
     offsets = [skeleton.positions[j] - start for j in descendants]
     for j in descendants:
         offsets += [
@@ -179,10 +180,16 @@ def _foot_end(
         for j, parent in enumerate(rig.parents.tolist())
         if parent == foot and skeleton.roles[j] == END
     ]
-    farthest = max(offsets, key=lambda offset: float(offset @ offset), default=None)
-    bone = ankle - skeleton.positions[shin]
-    length = 0.0 if farthest is None else float(np.linalg.norm(farthest))
-    if farthest is None or length < MIN_FOOT_LENGTH * float(np.linalg.norm(bone)):
+    farthest_offset = max(
+        offsets, key=lambda offset: float(offset @ offset), default=None
+    )
+    shin_bone = ankle - skeleton.positions[shin]
+    length = 0.0 if farthest_offset is None else float(np.linalg.norm(farthest_offset))
+    if farthest_offset is None or length < MIN_FOOT_LENGTH * float(
+        np.linalg.norm(shin_bone)
+    ):
         return None
-    cosine = float(farthest @ bone) / (length * float(np.linalg.norm(bone)))
-    return None if cosine > MIN_SHIN_COSINE else np.asarray(farthest)
+    cosine = float(farthest_offset @ shin_bone) / (
+        length * float(np.linalg.norm(shin_bone))
+    )
+    return None if cosine > MIN_SHIN_COSINE else np.asarray(farthest_offset)

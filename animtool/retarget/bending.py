@@ -13,7 +13,7 @@ MAX_EXTENSION = 0.9995
 # Cost of a knee beyond its stop, relative to that of a large change [1].
 STOP_COST = 100.0
 # Directions with a scalar product this close to -1 are opposite.
-OPPOSITE = 1e-9
+OPPOSITE_TOLERANCE = 1e-9
 
 
 def bend_limb(
@@ -47,20 +47,20 @@ def bend_limb(
         longest_distance, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b)
     )
     goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
-    axis = np.cross(thigh, shin)
-    axis_length = np.linalg.norm(axis, axis=1, keepdims=True)
-    axis = np.where(
+    hinge_axis = np.cross(thigh, shin)
+    axis_length = np.linalg.norm(hinge_axis, axis=1, keepdims=True)
+    hinge_axis = np.where(
         axis_length > 1e-3 * (a * b)[:, None],
-        axis / np.maximum(axis_length, 1e-300),
+        hinge_axis / np.maximum(axis_length, 1e-300),
         hinge,
     )
     cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
     current_angle = np.arctan2(
-        (np.cross(thigh, shin) * axis).sum(axis=1), (thigh * shin).sum(axis=1)
+        (np.cross(thigh, shin) * hinge_axis).sum(axis=1), (thigh * shin).sum(axis=1)
     )
-    bend_rotation = so3.from_axis_angle(axis, np.arccos(cosine) - current_angle)
+    bend_rotation = so3.from_axis_angle(hinge_axis, np.arccos(cosine) - current_angle)
     tip = thigh + so3.rotate(bend_rotation, shin)
-    swing = shortest(tip, goal - hip)
+    swing = shortest_rotations(tip, goal - hip)
     return (
         so3.multiply(swing, rotations[0]),
         so3.multiply(swing, so3.multiply(bend_rotation, rotations[1])),
@@ -102,31 +102,37 @@ def bend_at_pin(
     if not amplitude:
         return thigh, angle
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    middle = (goal_distance**2 - upper @ upper - lower @ lower) / 2 - axial_product
-    open_by = np.arccos(np.clip(middle / amplitude, -1.0, 1.0))
-    zero = float(np.arctan2(sine, cosine))
-    candidates = np.stack([zero + open_by, zero - open_by])
+    required_cosine = (
+        goal_distance**2 - upper @ upper - lower @ lower
+    ) / 2 - axial_product
+    opening_angles = np.arccos(np.clip(required_cosine / amplitude, -1.0, 1.0))
+    straight_angle = float(np.arctan2(sine, cosine))
+    candidates = np.stack(
+        [straight_angle + opening_angles, straight_angle - opening_angles]
+    )
     candidates -= 2 * np.pi * np.round((candidates - angle) / (2 * np.pi))
-    deviations = np.abs(candidates - angle)
+    angle_changes = np.abs(candidates - angle)
     if limits is not None:
         # Near straight, both directions are equally near; no knee bends beyond its
         # stop.
-        deviations += STOP_COST * np.abs(limits.excess(candidates))
-    chosen_angle = np.where(deviations[0] <= deviations[1], *candidates)
+        angle_changes += STOP_COST * np.abs(limits.excess(candidates))
+    chosen_angle = np.where(angle_changes[0] <= angle_changes[1], *candidates)
     if limits is not None:
         chosen_angle = limits.clamped(chosen_angle)
     tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
     return so3.multiply(
-        shortest(so3.rotate(thigh, tip), goal - hip), thigh
+        shortest_rotations(so3.rotate(thigh, tip), goal - hip), thigh
     ), chosen_angle
 
 
-def shortest(before: FloatArray, after: FloatArray) -> FloatArray:
+def shortest_rotations(
+    start_directions: FloatArray, end_directions: FloatArray
+) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
-    a = before / np.linalg.norm(before, axis=1, keepdims=True)
-    b = after / np.linalg.norm(after, axis=1, keepdims=True)
+    a = start_directions / np.linalg.norm(start_directions, axis=1, keepdims=True)
+    b = end_directions / np.linalg.norm(end_directions, axis=1, keepdims=True)
     quaternions = np.concatenate(
         [np.cross(a, b), 1 + (a * b).sum(axis=1)[:, None]], axis=1
     )
-    is_defined = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE
+    is_defined = np.abs(quaternions).max(axis=1)[:, None] > OPPOSITE_TOLERANCE
     return so3.normalize(np.where(is_defined, quaternions, [1.0, 0.0, 0.0, 0.0]))

@@ -95,10 +95,10 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
         for channel in (source_motion.translations, source_motion.rotations)
     )
     up, (a, b) = _ground_axes(take)
-    root = root_positions[:, a] + 1j * root_positions[:, b]
-    angle, shift = _root_correction(take, options, stance, root, rotations)
+    root_on_ground = root_positions[:, a] + 1j * root_positions[:, b]
+    angle, shift = _root_correction(take, options, stance, root_on_ground, rotations)
     positions = root_positions.copy()
-    corrected = np.exp(1j * angle) * root + shift
+    corrected = np.exp(1j * angle) * root_on_ground + shift
     positions[:, a], positions[:, b] = corrected.real, corrected.imag
     if options.height:
         positions[:, up] -= stance.height
@@ -192,33 +192,41 @@ def _stance_tracks(
         rotations = so3.from_matrix(world.linear[:, leg[2]])
         for start, end in runs(is_planted):
             edge = round(LANDING_FRACTION * (end - start))
-            part = slice(start + edge, end - edge)
-            if part.stop - part.start < MIN_STANCE_FRAMES:
+            stance_frames = slice(start + edge, end - edge)
+            if stance_frames.stop - stance_frames.start < MIN_STANCE_FRAMES:
                 continue
             # A foot that rolls over its toe moves its ankle.
             pivot = min(
                 (ankle, toe),
-                key=lambda p: np.linalg.norm(_least_squares_rate(p[part], rate)),
+                key=lambda p: np.linalg.norm(
+                    _least_squares_rate(p[stance_frames], rate)
+                ),
             )
             base = float(np.median(pivot[is_planted, up]))
-            inverse_start = so3.conjugate(rotations[part.start])
+            inverse_start = so3.conjugate(rotations[stance_frames.start])
             headings = np.unwrap(
-                _angle_about_up(so3.multiply(rotations[part], inverse_start), up)
+                _angle_about_up(
+                    so3.multiply(rotations[stance_frames], inverse_start), up
+                )
             )
-            speed = _least_squares_rate(pivot[part], rate)
+            speed = _least_squares_rate(pivot[stance_frames], rate)
             spin = (
                 float(_least_squares_rate(headings[:, None], rate)[0])
                 if heading
                 else 0.0
             )
-            length = part.stop - part.start
-            middle_frame = (part.start + part.stop - 1) / 2
-            mean_position = pivot[part].mean(axis=0)
+            length = stance_frames.stop - stance_frames.start
+            middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
+            mean_position = pivot[stance_frames].mean(axis=0)
             contact_rows.append(
                 [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
             )
-            position_sums[part] += pivot[part][:, [a, b, up]] - [0.0, 0.0, base]
-            contact_counts[part] += 1
+            position_sums[stance_frames] += pivot[stance_frames][:, [a, b, up]] - [
+                0.0,
+                0.0,
+                base,
+            ]
+            contact_counts[stance_frames] += 1
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
         return None
     contacts = np.array(sorted(contact_rows))
@@ -258,11 +266,11 @@ def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatA
     """
     medians = np.zeros(len(contacts))
     for i, middle in enumerate(contacts[:, 0].tolist()):
-        nearby = contacts[np.abs(contacts[:, 0] - middle) <= width]
-        order = np.argsort(nearby[:, column], kind="stable")
-        cumulative = np.cumsum(nearby[order, 1])
-        half = int(np.searchsorted(cumulative, cumulative[-1] / 2))
-        medians[i] = nearby[order[half], column]
+        nearby_contacts = contacts[np.abs(contacts[:, 0] - middle) <= width]
+        order = np.argsort(nearby_contacts[:, column], kind="stable")
+        cumulative = np.cumsum(nearby_contacts[order, 1])
+        middle_index = int(np.searchsorted(cumulative, cumulative[-1] / 2))
+        medians[i] = nearby_contacts[order[middle_index], column]
     return medians
 
 

@@ -42,7 +42,7 @@ class CaptureFacts:
     noisiest: str  # name of that joint; empty if none rotates
 
 
-def capture_facts(take: Take) -> CaptureFacts | None:
+def measure_capture(take: Take) -> CaptureFacts | None:
     """Return the statistics of a take; None if it has no body with legs.
 
     Limits: feet are detected by their speed and height, the body by its structure.
@@ -58,7 +58,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     if not any(legs.values()) or take.clock.count < 2:
         return None
     feet_joints = [leg[2:] for leg in legs.values() if leg is not None]
-    hips, positions = hips_and_joints(
+    hips, positions = joint_positions(
         take, skeleton, sorted({j for foot_joints in feet_joints for j in foot_joints})
     )
     up, fps = 1 if rig.up is UpAxis.Y else 2, float(take.clock.rate)
@@ -67,8 +67,8 @@ def capture_facts(take: Take) -> CaptureFacts | None:
         if leg is None:
             continue
         toe = positions.get(leg[3])
-        length = skeleton.leg_length(side)
-        is_planted = find_contacts(positions[leg[2]], toe, fps, length, up).any
+        leg_length = skeleton.leg_length(side)
+        is_planted = find_contacts(positions[leg[2]], toe, fps, leg_length, up).any
         steps = sum(start > 0 for start, _ in runs(is_planted))
         name = "left" if side == "l" else "right"
         feet[name] = FootFacts(float(is_planted.mean()), steps)
@@ -79,7 +79,7 @@ def capture_facts(take: Take) -> CaptureFacts | None:
     )
 
 
-def hips_and_joints(
+def joint_positions(
     take: Take, skeleton: RoledSkeleton, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
     """Return the middle of the hips and the given joints, each ``(F, 3)`` [m]."""

@@ -58,11 +58,11 @@ class Foot:
     toe: FloatArray | None  # (F, 3) [m]
     rotation: FloatArray  # world rotation of the foot (F, 4)
     # World rotation of the foot planted flat at rest (4,); None keeps its rotation.
-    level: FloatArray | None
+    flat_rotation: FloatArray | None
     height: float  # of the planted ankle above the ground [m]
-    length: float  # largest distance of ankle and hip [m]
-    shortest: float  # smallest distance of ankle and hip [m]
-    lift_above: FloatArray  # source ankle above its planted height, scaled (F,) [m]
+    leg_length: float  # largest distance of ankle and hip [m]
+    min_reach: float  # smallest distance of ankle and hip [m]
+    height_change: FloatArray  # source ankle above its planted height, scaled (F,) [m]
     # Hip-ankle distance of the source over its leg length (F,).
     straightness: FloatArray
 
@@ -74,12 +74,12 @@ class PlacedFeet:
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
     ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
     rotations: Sequence[FloatArray]  # (F, 4)
-    locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
-    rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
-    soles: Sequence[
+    is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
+    toe_rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
+    sole_heights: Sequence[
         float
     ]  # planted height of each toe, or of the ankle without a toe [m]
-    lowered: float  # largest distance that the hips sank so that legs reach [m]
+    max_lowering: float  # largest distance that the hips sank so that legs reach [m]
 
 
 def plant_feet(
@@ -100,24 +100,27 @@ def plant_feet(
         up: Index of the up axis.
     """
     rotations = [_planted_rotations(foot, fps, up) for foot in feet]
-    bones = [
+    ankle_to_toe_vectors = [
         _ankle_to_toe(foot, rotation)
         for foot, rotation in zip(feet, rotations, strict=True)
     ]
     # A foot that rolls over its toe pins the toe, else the ankle.
     pinned_points = [
-        foot.ankle if foot.toe is None else foot.toe - bone
-        for foot, bone in zip(feet, bones, strict=True)
+        foot.ankle if foot.toe is None else foot.toe - ankle_to_toe
+        for foot, ankle_to_toe in zip(feet, ankle_to_toe_vectors, strict=True)
     ]
     hips = hips.copy()
     heel_heights = [
-        _ankle_rise(foot, bone, up) for foot, bone in zip(feet, bones, strict=True)
+        _ankle_rise(foot, ankle_to_toe, up)
+        for foot, ankle_to_toe in zip(feet, ankle_to_toe_vectors, strict=True)
     ]
     hips[:, up] += _hip_lift(hips, feet, pinned_points, heel_heights, fps, up)
     is_planted = [foot.contacts.any for foot in feet]
     ankles = [
-        _locked_path(hips + ankle, bone, foot, fps, up)
-        for foot, ankle, bone in zip(feet, pinned_points, bones, strict=True)
+        _locked_path(hips + ankle, ankle_to_toe, foot, fps, up)
+        for foot, ankle, ankle_to_toe in zip(
+            feet, pinned_points, ankle_to_toe_vectors, strict=True
+        )
     ]
     hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
     hips[:, up] += rise - hip_drop
@@ -142,10 +145,16 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
         # The mean of rotations that are near each other.
         mean = so3.normalize(so3.align_signs(foot.rotation[start:end]).sum(axis=0))
         target = mean
-        if foot.level is not None:
-            lean_angle = so3.multiply(mean, so3.conjugate(foot.level))
-            level = so3.multiply(_heading_rotation(lean_angle, up), foot.level)
-            target = mean if so3.angle_between(level, mean) > MAX_LEAN else level
+        if foot.flat_rotation is not None:
+            lean = so3.multiply(mean, so3.conjugate(foot.flat_rotation))
+            level_rotation = so3.multiply(
+                _heading_rotation(lean, up), foot.flat_rotation
+            )
+            target = (
+                mean
+                if so3.angle_between(level_rotation, mean) > MAX_LEAN
+                else level_rotation
+            )
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
         correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
     fill_between(correction, is_flat, fps)
@@ -184,22 +193,24 @@ def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
 def _hip_lift(
     hips: FloatArray,
     feet: Sequence[Foot],
-    relative: Sequence[FloatArray],
+    relative_ankles: Sequence[FloatArray],
     ankle_rises: Sequence[FloatArray],
     fps: float,
     up: int,
 ) -> FloatArray:
     """Return how far planted feet lift the hips, smoothed ``(F,)`` [m]."""
-    weights = np.array([_foot_load(foot.contacts.any, fps) for foot in feet])
+    weights = np.array([_foot_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
-    for weight, foot, ankle, raised_ankle in zip(
-        weights, feet, relative, ankle_rises, strict=True
+    for weight, foot, ankle, ankle_rise in zip(
+        weights, feet, relative_ankles, ankle_rises, strict=True
     ):
-        lift[:, 0] += weight * (foot.height + raised_ankle - ankle[:, up] - hips[:, up])
-    return _smoothest_path(weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4)[:, 0]
+        lift[:, 0] += weight * (foot.height + ankle_rise - ankle[:, up] - hips[:, up])
+    return smooth_path_to_targets(
+        weights.sum(axis=0), lift, (HIP_SMOOTHING * fps) ** 4
+    )[:, 0]
 
 
-def _smoothest_path(
+def smooth_path_to_targets(
     weights: FloatArray, weighted_targets: FloatArray, stiffness: float
 ) -> FloatArray:
     """Return the path ``(F, K)`` that best balances position targets against curvature.
@@ -225,16 +236,18 @@ def _smoothest_path(
     return np.asarray(solveh_banded(band, weighted_targets))
 
 
-def _foot_load(stands: BoolArray, fps: float) -> FloatArray:
+def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
     """Return how much weight a foot carries ``(F,)``; it fades within its contact."""
-    weight = np.zeros(len(stands))
-    for start, end in runs(stands):
+    weight = np.zeros(len(is_planted))
+    for start, end in runs(is_planted):
         frames = np.arange(start, end)
         ramp = max(min(HANDOVER_SECONDS * fps, (end - start) / 2), 1.0)
         # Contacts cut off by the ends of the take continue.
-        frames_since = np.inf if start == 0 else frames - start
-        frames_left = np.inf if end == len(stands) else end - 1 - frames
-        weight[start:end] = _smooth_step(np.minimum(frames_since, frames_left) / ramp)
+        frames_since_start = np.inf if start == 0 else frames - start
+        frames_until_end = np.inf if end == len(is_planted) else end - 1 - frames
+        weight[start:end] = _smooth_step(
+            np.minimum(frames_since_start, frames_until_end) / ramp
+        )
     return weight
 
 
@@ -248,18 +261,18 @@ def _level_bone(foot: Foot, up: int) -> float:
     """Return the height of the toe above the ankle for a level foot [m]."""
     if foot.toe is None:
         return 0.0
-    if foot.level is None:
-        horizontal = foot.contacts.ankle & foot.contacts.toe
-        bones = (foot.toe - foot.ankle)[
-            horizontal if horizontal.any() else slice(None), up
+    if foot.flat_rotation is None:
+        is_flat = foot.contacts.ankle & foot.contacts.toe
+        ankle_to_toe = (foot.toe - foot.ankle)[
+            is_flat if is_flat.any() else slice(None), up
         ]
-        return float(np.median(bones))
-    rotation = so3.multiply(foot.level, so3.conjugate(foot.rotation[:1]))
+        return float(np.median(ankle_to_toe))
+    rotation = so3.multiply(foot.flat_rotation, so3.conjugate(foot.rotation[:1]))
     return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
 
 
 def _locked_path(
-    ankle: FloatArray, bone: FloatArray, foot: Foot, fps: float, up: int
+    ankle: FloatArray, ankle_to_toe: FloatArray, foot: Foot, fps: float, up: int
 ) -> FloatArray:
     """Return the path of an ankle whose foot is pinned while planted ``(F, 3)``.
 
@@ -271,7 +284,7 @@ def _locked_path(
     correction = np.zeros_like(ankle)
     level = foot.height + _level_bone(foot, up)
     for start, end in runs(is_planted):
-        path, toe_offset = ankle[start:end], bone[start:end].copy()
+        ankle_path, toe_offset = ankle[start:end], ankle_to_toe[start:end].copy()
         heel, toe = contacts.ankle[start:end], contacts.toe[start:end]
         flat_frames = np.flatnonzero(heel & toe)
         if not len(flat_frames):
@@ -289,20 +302,20 @@ def _locked_path(
                 flat_after,
             )
         ]
-        goal = (path + toe_offset)[flat_frames].mean(axis=0)
+        goal = (ankle_path + toe_offset)[flat_frames].mean(axis=0)
         goal[up] = level
         if foot.toe is None:
             # A kneeling body rests on its toes, even without toe joints.
-            median_height = float(np.median(foot.lift_above[start:end]))
+            median_height = float(np.median(foot.height_change[start:end]))
             goal[up] += (
                 median_height
-                if median_height > RAISED_HEEL_HEIGHT * foot.length
+                if median_height > RAISED_HEEL_HEIGHT * foot.leg_length
                 else 0.0
             )
-        correction[start:end] = goal - toe_offset - path
+        correction[start:end] = goal - toe_offset - ankle_path
     fill_between(correction, is_planted, fps)
     _raise_above_ground(
-        correction[:, up], (ankle + bone)[:, up], level, is_planted, fps
+        correction[:, up], (ankle + ankle_to_toe)[:, up], level, is_planted, fps
     )
     return ankle + correction
 
@@ -345,7 +358,7 @@ def fill_between(
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
     weighted_values = values * np.where(is_fixed, FIXED_WEIGHT, 0.0)[:, None]
-    filled = _smoothest_path(weights, weighted_values, (fade * fps) ** 4)
+    filled = smooth_path_to_targets(weights, weighted_values, (fade * fps) ** 4)
     values[~is_fixed] = filled[~is_fixed]
 
 
@@ -364,7 +377,7 @@ def _hip_shifts(
             foot.straightness, STRAIGHT_WINDOW * fps, STRAIGHT_SMOOTH * fps
         )
         # A similar leg may be as straight as the source's.
-        bend_factor = BEND_FACTOR if foot.level is not None else 1.0
+        bend_factor = BEND_FACTOR if foot.flat_rotation is not None else 1.0
         fraction = np.clip(
             1 - bend_factor * (1 - largest_reach), BENT_FRACTION, MAX_EXTENSION
         )
@@ -372,19 +385,19 @@ def _hip_shifts(
         horizontal[:, up] = 0.0
         horizontal_squared = (horizontal**2).sum(axis=1)
         highest = np.sqrt(
-            np.maximum((fraction * foot.length) ** 2 - horizontal_squared, 0.0)
+            np.maximum((fraction * foot.leg_length) ** 2 - horizontal_squared, 0.0)
         )
         hip_drop = np.maximum(hip_drop, offset[:, up] - highest)
-        lowest = np.sqrt(np.maximum(foot.shortest**2 - horizontal_squared, 0.0))
+        lowest = np.sqrt(np.maximum(foot.min_reach**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
-        upright = (offset[:, up] > 0) & (lowest > 0)
-        rise = np.maximum(rise, np.where(upright, lowest - offset[:, up], 0.0))
-    return smoothest_cover(hip_drop, LOWERING_SECONDS * fps), smoothest_cover(
+        is_above = (offset[:, up] > 0) & (lowest > 0)
+        rise = np.maximum(rise, np.where(is_above, lowest - offset[:, up], 0.0))
+    return smooth_cover(hip_drop, LOWERING_SECONDS * fps), smooth_cover(
         rise, LOWERING_SECONDS * fps
     )
 
 
-def smoothest_cover(values: FloatArray, width: float) -> FloatArray:
+def smooth_cover(values: FloatArray, width: float) -> FloatArray:
     """Return the smoothest curve above the values, near 0 elsewhere ``(F,)``.
 
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
@@ -394,14 +407,14 @@ def smoothest_cover(values: FloatArray, width: float) -> FloatArray:
         is_low = values > cover[:, 0] + REACH_TOLERANCE
         if not is_low.any():
             break
-        is_fixed |= is_low & _peaks(values - cover[:, 0])
+        is_fixed |= is_low & _local_maxima(values - cover[:, 0])
         weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
         weighted_values = np.where(is_fixed, FIXED_WEIGHT * values, 0.0)[:, None]
-        cover = _smoothest_path(weights, weighted_values, max(width, 1.0) ** 4)
+        cover = smooth_path_to_targets(weights, weighted_values, max(width, 1.0) ** 4)
     return np.asarray(cover[:, 0])
 
 
-def _peaks(values: FloatArray) -> BoolArray:
+def _local_maxima(values: FloatArray) -> BoolArray:
     """Return where values are positive local maxima ``(F,)``."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     is_peak = (values >= padded[:-2]) & (values >= padded[2:])

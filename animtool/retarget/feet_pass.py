@@ -21,9 +21,9 @@ from animtool.motion.passes import (
     TakePart,
 )
 from animtool.motion.take import Take, TakeStream
-from animtool.retarget.legs import leg_of
+from animtool.retarget.legs import leg_joints
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.report import scores_of
+from animtool.retarget.report import fit_scores
 from animtool.retarget.take_pass import retarget_stream
 
 
@@ -53,7 +53,7 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     settings = RetargetOptions(map=path)
     try:
         retargeting, _, notices = retarget_stream(
-            TakeStream.of(take), take.rig, settings, same=True
+            TakeStream.of(take), take.rig, settings, plant_similar_legs=True
         )
     except OptionError as error:
         context.notices.append(no_body_warning(error))
@@ -66,20 +66,27 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     context.notices.extend(
         notice for notice in notices if not (is_known and notice.code == "MAP009")
     )
-    if retargeting.standing.placed is None:
+    if retargeting.contact_frames.placed is None:
         return take
     motion = Motion.concatenate(list(retargeting.blocks()))
-    context.scores.append(scores_of(retargeting.report()))
+    context.scores.append(fit_scores(retargeting.report()))
     skeleton = retargeting.transfer.target
-    legs = {leg_of(skeleton, side)[0] for side in retargeting.standing.sides}
+    joints_of_legs = {
+        leg_joints(skeleton, side)[0] for side in retargeting.contact_frames.sides
+    }
     for j, parent in enumerate(take.rig.parents.tolist()):
-        if parent in legs:
-            legs.add(j)
-    joints, root = np.array(sorted(legs)), np.array([max(skeleton.first("hips"), 0)])
+        if parent in joints_of_legs:
+            joints_of_legs.add(j)
+    rotating_joints, root = (
+        np.array(sorted(joints_of_legs)),
+        np.array([max(skeleton.first("hips"), 0)]),
+    )
     source_motion = take.motion
     planted_motion = replace(
         source_motion,
-        rotations=source_motion.rotations.put(joints, motion.rotations.gather(joints)),
+        rotations=source_motion.rotations.put(
+            rotating_joints, motion.rotations.gather(rotating_joints)
+        ),
         translations=source_motion.translations.put(
             root, motion.translations.gather(root)
         ),

@@ -16,7 +16,7 @@ from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
-from animtool.retarget.names import bare_names
+from animtool.retarget.names import strip_common_prefix
 from animtool.retarget.roles import ROLES
 from animtool.rig.skeleton import Rig
 
@@ -124,10 +124,10 @@ def load_map(path: Path | str) -> MapFile:
     Raises:
         FormatError: It cannot be read or is malformed, with every fault.
     """
-    return parse_map(read_document(Path(path)))
+    return parse_map_document(read_document(Path(path)))
 
 
-def parse_map(document: Document) -> MapFile:
+def parse_map_document(document: Document) -> MapFile:
     """Return a document as a map file."""
     check_version(document, "map")
     model = validate_document(document, MapModel)
@@ -159,7 +159,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     _check_sides(file, rigs, indices)
 
     def joint_indices(
-        side: str, names: Sequence[str], *where: str | int
+        side: str, names: Sequence[str], *location: str | int
     ) -> tuple[int, ...]:
         for i, name in enumerate(names):
             if name not in indices[side]:
@@ -168,7 +168,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
                 hint = nearest(name, indices[side])
                 if name in indices[other]:
                     hint = f"it is a joint of the {other} {rigs[other].name!r}"
-                document.add("MAP001", (*where, i), message, hint)
+                document.add("MAP001", (*location, i), message, hint)
         return tuple(indices[side][name] for name in names if name in indices[side])
 
     entries = [
@@ -231,7 +231,7 @@ def _joints_by_name(rig: Rig) -> Mapping[str, int]:
     """Return the joints by every name that matches them."""
     index: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]
-    for names in (rig.names, names_in_file, bare_names(names_in_file)):
+    for names in (rig.names, names_in_file, strip_common_prefix(names_in_file)):
         for j, name in enumerate(names):
             index.setdefault(name, j)
     return index

@@ -83,15 +83,17 @@ def _digits_by_position(
     # All metacarpals begin near the wrist; the third joint from the end does not.
     knuckles = np.array([body.positions[path[max(len(path) - 3, 0)]] for path in paths])
     fingertips = np.array([body.positions[path[-1]] for path in paths])
-    offsets = knuckles - wrist
-    mean_direction = np.asarray(offsets.mean(axis=0))
+    knuckle_offsets = knuckles - wrist
+    mean_direction = np.asarray(knuckle_offsets.mean(axis=0))
     mean_direction /= max(float(np.linalg.norm(mean_direction)), 1e-30)
     directions = fingertips - knuckles
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-30)
-    mean_out = directions.sum(axis=0)
-    mean_out /= max(float(np.linalg.norm(mean_out)), 1e-30)
-    largest_extent = max(float(np.abs(offsets @ mean_direction).max()), 1e-30)
-    likeness = (offsets @ mean_direction) / largest_extent + directions @ mean_out
+    mean_finger_direction = directions.sum(axis=0)
+    mean_finger_direction /= max(float(np.linalg.norm(mean_finger_direction)), 1e-30)
+    largest_extent = max(float(np.abs(knuckle_offsets @ mean_direction).max()), 1e-30)
+    likeness = (
+        knuckle_offsets @ mean_direction
+    ) / largest_extent + directions @ mean_finger_direction
     thumb = int(np.argmin(likeness))
     finger_indices = [i for i in range(count) if i != thumb]
     knuckle_center = knuckles[finger_indices].mean(axis=0)

@@ -46,7 +46,7 @@ class ArmTracks:
 
     joints: FloatArray  # shoulder, elbow, wrist from the middle of the hips (F, 3, 3)
     rotations: FloatArray  # world rotations of upper arm and forearm (F, 2, 4)
-    source: FloatArray  # the source's wrist in the target's axes (F, 3) [m]
+    source_wrist: FloatArray  # the source's wrist in the target's axes (F, 3) [m]
 
     @staticmethod
     def of(
@@ -67,7 +67,8 @@ class ArmTracks:
                 [m].
         """
         target, other = (
-            arm_of(skeleton, side) for skeleton in (transfer.target, transfer.source)
+            arm_joints(skeleton, side)
+            for skeleton in (transfer.target, transfer.source)
         )
         assert target is not None
         assert other is not None
@@ -82,9 +83,9 @@ class HandContact:
 
     side: str
     goal: FloatArray  # of the wrist while in contact (F, 3) [m]
-    active: BoolArray  # frames in contact (F,)
+    is_active: BoolArray  # frames in contact (F,)
     # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
-    bends: FloatArray
+    bone_rotations: FloatArray
     props: frozenset[int]  # indices of the prop tracks that it holds
 
 
@@ -104,7 +105,7 @@ class AnkleHeights:
         return lift
 
 
-def arm_of(skeleton: RoledSkeleton, side: str) -> list[int] | None:
+def arm_joints(skeleton: RoledSkeleton, side: str) -> list[int] | None:
     """Return shoulder, elbow and wrist of an arm; None if the skeleton lacks one."""
     arm = [
         skeleton.first(f"{role}_{side}") for role in ("upper_arm", "forearm", "hand")
@@ -137,7 +138,7 @@ def hand_contacts(
         props: Props they may grip.
     """
     up = up_index(transfer.target.rig)
-    lift = AnkleHeights.lift(floor, transfer.scale, up)
+    ground_offset = AnkleHeights.lift(floor, transfer.scale, up)
     wrists = [hips + arm.joints[:, 2] for arm in tracks]
     lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
@@ -145,12 +146,12 @@ def hand_contacts(
         for side, length in zip(sides, lengths, strict=True)
     ]
     count = len(hips)
-    starts = [hips + arm.joints[:, 0] for arm in tracks]
+    shoulders = [hips + arm.joints[:, 0] for arm in tracks]
     goals = [wrist.copy() for wrist in wrists]
-    active = [np.zeros(count, np.bool_) for _ in tracks]
+    is_active = [np.zeros(count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
-        separation = tracks[0].source - tracks[1].source
-        is_joined = _hands_joined(separation, min(lengths), fps)
+        separation = tracks[0].source_wrist - tracks[1].source_wrist
+        is_joined = _are_hands_joined(separation, min(lengths), fps)
         middle = (wrists[0] + wrists[1]) / 2
         pair_goals = [
             middle + sign * float(np.mean(scales)) * separation for sign in (0.5, -0.5)
@@ -158,51 +159,51 @@ def hand_contacts(
         reaches = [
             REACH_FRACTION * _arm_length(transfer.target, side) for side in sides
         ]
-        for k, goal in enumerate(_shift_into_reach(pair_goals, starts, reaches)):
+        for k, goal in enumerate(_shift_into_reach(pair_goals, shoulders, reaches)):
             goals[k][is_joined] = goal[is_joined]
-            active[k] |= is_joined
+            is_active[k] |= is_joined
     contacts = []
     for k, side in enumerate(sides):
-        source, length, level = tracks[k].source, lengths[k], None
+        source, length, ground_level = tracks[k].source_wrist, lengths[k], None
         grip_frames, gripped_props = np.zeros(count, np.bool_), set()
         for prop in props:
-            is_gripped = prop.gripped_by(source, length, fps) & ~grip_frames
+            is_gripped = prop.find_gripped_frames(source, length, fps) & ~grip_frames
             if not is_gripped.any():
                 continue
             grip = so3.rotate(prop.rotations, prop.in_prop_frame(source))
-            origin = transfer.scale * prop.positions + lift
+            origin = transfer.scale * prop.positions + ground_offset
             goals[k][is_gripped] = (origin + grip)[is_gripped]
-            active[k] |= is_gripped
+            is_active[k] |= is_gripped
             grip_frames |= is_gripped
             gripped_props.add(prop.track)
         if floor is not None:
             height = source[:, up] - floor.source
-            level = floor.target + transfer.scale * np.minimum(
+            ground_level = floor.target + transfer.scale * np.minimum(
                 height, GROUND_HEIGHT / 2 * length
             )
             is_slow = find_contacts(source, None, fps, length, up).ankle & ~grip_frames
             for start, end in runs(
-                is_slow & (height < GROUND_HEIGHT * length) & ~active[k]
+                is_slow & (height < GROUND_HEIGHT * length) & ~is_active[k]
             ):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
-                goals[k][start:end, up] = float(level[start:end].mean())
-                active[k][start:end] = True
-        is_contact = active[k].copy()
-        if level is not None:
+                goals[k][start:end, up] = float(ground_level[start:end].mean())
+                is_active[k][start:end] = True
+        is_contact = is_active[k].copy()
+        if ground_level is not None:
             height_above_ground, soft_height = (
-                wrists[k][:, up] - level,
+                wrists[k][:, up] - ground_level,
                 SLOWING_HEIGHT * length * transfer.scale,
             )
             is_low = ~is_contact & (height_above_ground < soft_height)
             goals[k][is_low, up] = (
-                level + _soften_heights(height_above_ground, soft_height)
+                ground_level + _soften_heights(height_above_ground, soft_height)
             )[is_low]
             is_contact |= is_low
         bends = _arm_rotations(
-            transfer.target, side, tracks[k], starts[k], goals[k], is_contact, fps
+            transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
         contacts.append(
-            HandContact(side, goals[k], active[k], bends, frozenset(gripped_props))
+            HandContact(side, goals[k], is_active[k], bends, frozenset(gripped_props))
         )
     return contacts
 
@@ -211,7 +212,7 @@ def _arm_rotations(
     target: RoledSkeleton,
     side: str,
     tracks: ArmTracks,
-    start: FloatArray,
+    shoulder: FloatArray,
     goal: FloatArray,
     is_contact: BoolArray,
     fps: float,
@@ -222,12 +223,12 @@ def _arm_rotations(
     positions, because a nearly straight arm bends a lot for a small motion of its hand.
     """
     bends = np.zeros((len(is_contact), 2, 3))
-    arm, frames = arm_of(target, side), np.flatnonzero(is_contact)
+    arm, frames = arm_joints(target, side), np.flatnonzero(is_contact)
     if arm is None or not len(frames):
         return bends
-    joints = start[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
+    joints = shoulder[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
     bone_rotations = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
-    hinge = hinge_of(target, arm)
+    hinge = elbow_hinge(target, arm)
     bent_rotations = limb_rotations(
         target, arm, joints, goal[frames], bone_rotations, hinge
     )
@@ -240,7 +241,7 @@ def _arm_rotations(
     return flat_bends.reshape(bends.shape)
 
 
-def _bent_wrist(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
+def _wrist_of_bent_arm(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
     """Return the wrist relative to the shoulder for bent arms ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
@@ -253,21 +254,23 @@ def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:
 
 def _shift_into_reach(
     goals: Sequence[FloatArray],
-    starts: Sequence[FloatArray],
+    shoulders: Sequence[FloatArray],
     reaches: Sequence[float],
 ) -> list[FloatArray]:
     """Return the goals of both hands, shifted together until both arms reach.
 
     Args:
         goals: Goals of each wrist ``(F, 3)`` [m].
-        starts: Shoulder of each arm ``(F, 3)`` [m].
+        shoulders: Shoulder of each arm ``(F, 3)`` [m].
         reaches: Reach of each arm [m].
     """
     goals_in_reach = list(goals)
     for _ in range(MAX_REACH_ITERATIONS):
         excess = np.zeros_like(goals_in_reach[0])
-        for goal, start, reach in zip(goals_in_reach, starts, reaches, strict=True):
-            offset = goal - start
+        for goal, shoulder, reach in zip(
+            goals_in_reach, shoulders, reaches, strict=True
+        ):
+            offset = goal - shoulder
             distance = np.maximum(np.linalg.norm(offset, axis=1), 1e-12)[:, None]
             excess += offset * np.maximum(1 - reach / distance, 0.0)
         if not excess.any():
@@ -276,7 +279,7 @@ def _shift_into_reach(
     return goals_in_reach
 
 
-def _hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArray:
+def _are_hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArray:
     """Return when hands hold each other ``(F,)``: near, and moving together."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
@@ -288,14 +291,14 @@ def _hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArra
 
 def _arm_length(skeleton: RoledSkeleton, side: str) -> float:
     """Return the rest length of upper arm plus forearm [m]."""
-    arm = arm_of(skeleton, side)
+    arm = arm_joints(skeleton, side)
     if arm is None:
         return 0.0
     bones = np.diff(skeleton.positions[arm], axis=0)
     return float(np.linalg.norm(bones, axis=1).sum())
 
 
-def hinge_of(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
+def elbow_hinge(skeleton: RoledSkeleton, arm: Sequence[int]) -> FloatArray:
     """Return an elbow's hinge axis for a straight arm, in the elbow's frame ``(3,)``.
 
     It is perpendicular to the upper arm and as level as possible.

@@ -34,14 +34,15 @@ class LegTracks:
     knee: FloatArray  # (F, 3) [m]
     # World rotations of the thigh's parent, thigh, shin and foot (F, 4, 4).
     rotations: FloatArray
-    source: FloatArray  # hip, ankle and toe of the source in the target's axes (F, 9)
+    # hip, ankle and toe of the source in the target's axes (F, 9)
+    source_points: FloatArray
 
     @staticmethod
     def of(
         transfer: Transfer,
         side: str,
         source: FloatArray,
-        ball: FloatArray,
+        source_ball: FloatArray,
         rotations: FloatArray,
         relative: FloatArray,
     ) -> LegTracks:
@@ -51,17 +52,18 @@ class LegTracks:
             transfer: The transfer between the skeletons.
             side: Side of the leg.
             source: Source joints in the target's axes ``(F, J, 3)`` [m].
-            ball: Ball of the source's foot, or its ankle, in these axes ``(F, 3)`` [m].
+            source_ball: Ball of the source's foot, or its ankle, in these axes ``(F,
+                3)`` [m].
             rotations: World rotations of the target ``(F, K, 4)``.
             relative: Target joints relative to the middle of its hips ``(F, K, 3)``
                 [m].
         """
         target = transfer.target
-        thigh, shin, foot, _ = leg_of(target, side)
+        thigh, shin, foot, _ = leg_joints(target, side)
         thigh_parent = int(target.rig.parents[thigh])
-        source_thigh, _, ankle, _ = leg_of(transfer.source, side)
+        source_thigh, _, ankle, _ = leg_joints(transfer.source, side)
         source_points = np.concatenate(
-            [source[:, [source_thigh, ankle]], ball[:, None]], axis=1
+            [source[:, [source_thigh, ankle]], source_ball[:, None]], axis=1
         )
         return LegTracks(
             relative[:, thigh],
@@ -74,9 +76,13 @@ class LegTracks:
 
     def foot(self, transfer: Transfer, side: str, fps: float) -> Foot:
         """Return the target's foot, with the contacts of the source's foot."""
-        leg = leg_of(transfer.target, side)
+        leg = leg_joints(transfer.target, side)
         up = up_index(transfer.target.rig)
-        hip, ankle, toe = self.source[:, :3], self.source[:, 3:6], self.source[:, 6:]
+        hip, ankle, toe = (
+            self.source_points[:, :3],
+            self.source_points[:, 3:6],
+            self.source_points[:, 6:],
+        )
         length = transfer.source.leg_length(side)
         tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)
@@ -94,7 +100,7 @@ class LegTracks:
             self.toe if side in transfer.target.balls else None,
             self.rotations[:, 3],
             None if transfer.similar_legs else _flat_rotation(transfer, leg[2]),
-            _standing_height(transfer, side, contacts.ground, up),
+            _planted_ankle_height(transfer, side, contacts.ground, up),
             longest_reach,
             shortest_reach,
             transfer.scale * (ankle[:, up] - contacts.ground),
@@ -107,7 +113,7 @@ def up_index(rig: Rig) -> int:
     return 1 if rig.up is UpAxis.Y else 2
 
 
-def leg_of(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
+def leg_joints(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
     """Return thigh, shin, foot and toe (-1 for none) of an existing leg."""
     leg = skeleton.leg(side)
     assert leg is not None
@@ -125,7 +131,7 @@ def ball_of_foot(
         positions: Positions of all joints ``(F, J, 3)`` [m].
         rotations: Rotations of all joints in the world ``(F, J, 4)``.
     """
-    foot, ball = leg_of(skeleton, side)[2], skeleton.balls.get(side)
+    foot, ball = leg_joints(skeleton, side)[2], skeleton.balls.get(side)
     if ball is None:
         return positions[:, foot]
     return ball_positions(ball, foot, positions, rotations)
@@ -139,8 +145,10 @@ def _leg_reach(
     joint, rest_rotation = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
     if joint.type is not JointType.PIN:
-        sizes = np.linalg.norm(upper), np.linalg.norm(lower)
-        return float(abs(sizes[0] - sizes[1])), float(sizes[0] + sizes[1])
+        bone_lengths = np.linalg.norm(upper), np.linalg.norm(lower)
+        return float(abs(bone_lengths[0] - bone_lengths[1])), float(
+            bone_lengths[0] + bone_lengths[1]
+        )
     lower_limit, upper_limit = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
         lower_limit, upper_limit = joint.limits.low, joint.limits.high
@@ -170,14 +178,16 @@ def _flat_rotation(transfer: Transfer, foot: int) -> FloatArray:
     target = transfer.target
     facing, up = target.facing, up_index(target.rig)
     if facing is None or facing[1, up] < MIN_STANDING_COSINE:
-        return np.asarray(transfer.aligned[foot])
+        return np.asarray(transfer.rest_alignment[foot])
     return np.asarray(target.rotations[foot])
 
 
-def _standing_height(transfer: Transfer, side: str, ground: float, up: int) -> float:
+def _planted_ankle_height(
+    transfer: Transfer, side: str, ground: float, up: int
+) -> float:
     """Return the height of a planted ankle above the ground [m]."""
     target, source = transfer.target, transfer.source
-    leg = leg_of(target, side)
+    leg = leg_joints(target, side)
     if transfer.similar_legs:
         return transfer.scale * ground
     lowest = float(target.positions[:, up].min())
@@ -188,8 +198,12 @@ def _standing_height(transfer: Transfer, side: str, ground: float, up: int) -> f
     balls = target.balls.get(side), source.balls.get(side)
     if balls[0] is None or balls[1] is None:
         return ground * transfer.scale
-    feet = [float(np.linalg.norm(ball.offset)) for ball in balls if ball is not None]
-    return ground * (feet[0] / feet[1] if feet[1] > 0 else transfer.scale)
+    foot_lengths = [
+        float(np.linalg.norm(ball.offset)) for ball in balls if ball is not None
+    ]
+    return ground * (
+        foot_lengths[0] / foot_lengths[1] if foot_lengths[1] > 0 else transfer.scale
+    )
 
 
 def ankle_rotations(
@@ -210,7 +224,7 @@ def ankle_rotations(
         rotations: Current world rotations of thigh and shin ``(F, 4)``.
         swivel: Rotation of the knee about the line from hip to ankle ``(F,)`` [rad].
     """
-    leg = leg_of(target, side)[:3]
+    leg = leg_joints(target, side)[:3]
     bone_rotations = limb_rotations(
         target, leg, joints, goal, rotations, _knee_axis(target, leg[1])
     )

@@ -17,7 +17,7 @@ from animtool.retarget.feet import PlacedFeet, upper_envelope
 from animtool.retarget.legs import (
     LegTracks,
     ankle_rotations,
-    leg_of,
+    leg_joints,
     swivel_leg,
     up_index,
 )
@@ -43,9 +43,9 @@ class _Leg:
     target: RoledSkeleton
     side: str
     tracks: LegTracks
-    goal: FloatArray  # goal of the ankle (F, 3) [m]
-    foot: FloatArray  # world rotations of the foot (F, 4)
-    stands: BoolArray  # whether the foot is planted (F,)
+    ankle_goal: FloatArray  # goal of the ankle (F, 3) [m]
+    foot_rotations: FloatArray  # world rotations of the foot (F, 4)
+    is_planted: BoolArray  # whether the foot is planted (F,)
 
     def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations of thigh and shin that bring the ankle to its goal."""
@@ -56,17 +56,17 @@ class _Leg:
             self.target,
             self.side,
             hips[:, None] + relative_joints,
-            self.goal,
+            self.ankle_goal,
             bone_rotations,
         )
 
-    def swivel(self, hips: FloatArray, fps: float) -> FloatArray:
+    def solve_swivel(self, hips: FloatArray, fps: float) -> FloatArray:
         """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].
 
         The smallest sufficient one, or the best if none is sufficient.
         """
         swivel = np.zeros(len(hips))
-        rotations, axis = self.rotations(hips), self.goal - hips - self.tracks.hip
+        rotations, axis = self.rotations(hips), self.ankle_goal - hips - self.tracks.hip
         all_frames = np.arange(len(hips))
         violating_frames = np.flatnonzero(
             self._squared_excess(rotations, axis, all_frames, swivel) > 0
@@ -95,14 +95,17 @@ class _Leg:
         angles: FloatArray,
     ) -> FloatArray:
         """Return the squared limit violations of hip and ankle [rad²]."""
-        rig, (thigh, _, foot, _) = self.target.rig, leg_of(self.target, self.side)
+        rig, (thigh, _, foot, _) = self.target.rig, leg_joints(self.target, self.side)
         bone_rotations = rotations[0][frames], rotations[1][frames]
         thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
         violation = np.zeros(len(frames))
         for joint, local in (
             (thigh, so3.multiply(inverse_parent, thigh_rotation)),
-            (foot, so3.multiply(so3.conjugate(shin_rotation), self.foot[frames])),
+            (
+                foot,
+                so3.multiply(so3.conjugate(shin_rotation), self.foot_rotations[frames]),
+            ),
         ):
             limit = rig.joints[joint].limits
             if isinstance(limit, BallLimit):
@@ -115,13 +118,16 @@ class _Leg:
 
         Caused by hip limits; 0 while the foot is in the air.
         """
-        rig, (thigh, shin, foot, _) = self.target.rig, leg_of(self.target, self.side)
+        rig, (thigh, shin, foot, _) = (
+            self.target.rig,
+            leg_joints(self.target, self.side),
+        )
         limit = rig.joints[thigh].limits
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
         hip_positions = hips + self.tracks.hip
         thigh_rotation, shin_rotation = swivel_leg(
-            self.rotations(hips), self.goal - hip_positions, swivel
+            self.rotations(hips), self.ankle_goal - hip_positions, swivel
         )
         parent_rotation, rest_rotation = (
             self.tracks.rotations[:, 0],
@@ -141,8 +147,8 @@ class _Leg:
         knee = hip_positions + so3.rotate(clamped, bones[shin])
         ankle = knee + so3.rotate(shin_rotation, bones[foot])
         up = up_index(rig)
-        depth = np.maximum(self.goal[:, up] - ankle[:, up], 0.0)
-        return np.where(self.stands, depth, 0.0)
+        depth = np.maximum(self.ankle_goal[:, up] - ankle[:, up], 0.0)
+        return np.where(self.is_planted, depth, 0.0)
 
 
 def solve_within_limits(
@@ -164,18 +170,27 @@ def solve_within_limits(
     legs = [
         _Leg(target, *leg_data)
         for leg_data in zip(
-            sides, tracks, placed.ankles, placed.rotations, placed.locked, strict=True
+            sides,
+            tracks,
+            placed.ankles,
+            placed.rotations,
+            placed.is_locked,
+            strict=True,
         )
     ]
     hips = placed.hips.copy()
-    angles = [leg.swivel(hips, fps) for leg in legs]
+    angles = [leg.solve_swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):
         depth = np.max(
-            [leg.ankle_depth(hips, a) for leg, a in zip(legs, angles, strict=True)], 0
+            [
+                leg.ankle_depth(hips, angle)
+                for leg, angle in zip(legs, angles, strict=True)
+            ],
+            0,
         )
         if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
         hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_TIME * fps)
         if attempt == MAX_HIP_ITERATIONS - 1:
-            angles = [leg.swivel(hips, fps) for leg in legs]
+            angles = [leg.solve_swivel(hips, fps) for leg in legs]
     return hips, angles

@@ -21,12 +21,12 @@ from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.retarget.feet import Foot, PlacedFeet, plant_feet
-from animtool.retarget.hands import AnkleHeights, ArmTracks, arm_of, hand_contacts
+from animtool.retarget.hands import AnkleHeights, ArmTracks, arm_joints, hand_contacts
 from animtool.retarget.legs import (
     LegTracks,
     ankle_rotations,
     ball_of_foot,
-    leg_of,
+    leg_joints,
     up_index,
 )
 from animtool.retarget.legs_in_limits import solve_within_limits
@@ -61,7 +61,7 @@ MAX_ANKLE_ITERATIONS, ANKLE_TOLERANCE = 5, 1e-5
 # this in radians, count as static [1].
 STATIC_TOLERANCE = 1e-6
 # Numbers that differ by less are equal up to rounding [1], [m].
-ROUNDING = 1e-13
+ROUNDING_TOLERANCE = 1e-13
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,8 @@ class _PosedFrames:
     balls: FloatArray
     rotations: LocalRotations
     bones: FloatArray  # local translations (F or 1, K, 3) [m]
-    about: FloatArray  # joints relative to the middle of the hips (F, K, 3) [m]
+    # joints relative to the middle of the hips (F, K, 3) [m]
+    relative_positions: FloatArray
     hips: FloatArray  # the middle of the hips (F, 3) [m]
 
 
@@ -82,12 +83,12 @@ class Retargeting:
 
     Attributes:
         transfer: The transfer between the skeletons.
-        standing: Which feet are planted, and when.
+        contact_frames: Which feet are planted, and when.
         clamped: Fraction of the frames so far in which limits clamp each joint.
-        moving: Moving joints of the source.
-        longest: Largest distance of the source's joints from their parents ``(J,)``
-            [m].
-        forced: Errors ignored on request.
+        moving_joints: Moving joints of the source.
+        max_bone_lengths: Largest distance of the source's joints from their parents
+            ``(J,)`` [m].
+        ignored_errors: Errors ignored on request.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Retargeting:
         fps: float,
         *,
         lock: bool = True,
-        same: bool = False,
+        plant_similar_legs: bool = False,
         hands: bool = False,
         props: PropTracks | None = None,
     ) -> None:
@@ -110,23 +111,23 @@ class Retargeting:
             motions: Motion of the source, block by block.
             fps: Frames a second.
             lock: Whether planted feet stay in place.
-            same: Whether this also applies to legs like those of the source; else such
-                legs move as the source's do.
+            plant_similar_legs: Whether this also applies to legs like those of the
+                source; else such legs move as the source's do.
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
         """
         self.transfer, self._moves = transfer, False
         # Errors ignored on request.
-        self.forced: list[Fault] = []
+        self.ignored_errors: list[Fault] = []
         # Frame of the source that is its rest pose; None for another one.
         self.rest_frame: int | None = None
         self._start: tuple[FloatArray, FloatArray] | None = None
         # Moving joints of the source.
-        self.moving: set[int] = set()
+        self.moving_joints: set[int] = set()
         # Largest distance of the source's joints from their parents (J,) [m].
-        self.longest: FloatArray = np.zeros(len(transfer.source.rig.joints))
+        self.max_bone_lengths: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
-        self._stopped: list[dict[int, BoolArray]] = []
+        self._clamped_blocks: list[dict[int, BoolArray]] = []
         legs = "".join(
             side
             for side in "lr"
@@ -135,7 +136,9 @@ class Retargeting:
         arms = "".join(
             side
             for side in "lr"
-            if hands and arm_of(transfer.target, side) and arm_of(transfer.source, side)
+            if hands
+            and arm_joints(transfer.target, side)
+            and arm_joints(transfer.source, side)
         )
         tracks, leg_lengths = self._read_tracks(motions, legs, arms)
         feet = [
@@ -143,7 +146,7 @@ class Retargeting:
             for leg_tracks, side in zip(tracks, legs, strict=True)
         ]
         planted = None
-        if legs and lock and (same or not transfer.similar_legs):
+        if legs and lock and (plant_similar_legs or not transfer.similar_legs):
             planted = self._plant_feet(legs, tracks, feet, fps)
         floor = _ankle_heights(transfer, feet, placed=planted is not None)
         hand_goals = hand_contacts(
@@ -153,15 +156,15 @@ class Retargeting:
             self._hips,
             floor,
             fps,
-            props.motions(transfer) if props is not None and arms else (),
+            props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
         self.lift = AnkleHeights.lift(
             floor, transfer.scale, up_index(transfer.target.rig)
         )
         contacts = tuple(foot.contacts for foot in feet)
-        self.standing = ContactFrames(legs, contacts, planted, hand_goals)
-        self._meter = FitMeter(transfer, joint_map, self.standing)
+        self.contact_frames = ContactFrames(legs, contacts, planted, hand_goals)
+        self._meter = FitMeter(transfer, joint_map, self.contact_frames)
         self._clamped_frames: dict[int, int] = {}
         self._frames = 0
 
@@ -171,7 +174,7 @@ class Retargeting:
         """Read the take; return the tracks of legs and arms on the given sides."""
         transfer = self.transfer
         tracks: list[list[LegTracks]] = []
-        reaches: list[list[ArmTracks]] = []
+        arm_tracks: list[list[ArmTracks]] = []
         hips = []
         for motion in split_blocks(motions, BLOCK_FRAMES):
             moving = len(motion.rotations.animated) + len(motion.translations.animated)
@@ -179,7 +182,7 @@ class Retargeting:
             self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
-            arm_arguments = block.source, rotations.world, block.about
+            arm_arguments = block.source, rotations.world, block.relative_positions
             tracks.append(
                 [
                     LegTracks.of(
@@ -192,7 +195,7 @@ class Retargeting:
                     for k, side in enumerate(legs)
                 ]
             )
-            reaches.append(
+            arm_tracks.append(
                 [ArmTracks.of(transfer, side, *arm_arguments) for side in arms]
             )
             hips.append(block.hips)
@@ -200,15 +203,21 @@ class Retargeting:
                 rotations.local,
                 rotations.world,
                 block.bones,
-                block.about,
+                block.relative_positions,
                 block.balls,
             ]
             self._spool.append([block.source, *frame_arrays])
-            self._stopped.append(rotations.clamped)
+            self._clamped_blocks.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
-            [join_tracks([track[k] for track in tracks]) for k in range(len(legs))],
-            [join_tracks([track[k] for track in reaches]) for k in range(len(arms))],
+            [
+                concatenate_tracks([track[k] for track in tracks])
+                for k in range(len(legs))
+            ],
+            [
+                concatenate_tracks([track[k] for track in arm_tracks])
+                for k in range(len(arms))
+            ],
         )
 
     def _record_moving_joints(self, motion: Motion) -> None:
@@ -216,14 +225,14 @@ class Retargeting:
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
-        longest = np.linalg.norm(values[0], axis=2).max(axis=0)
-        self.longest = np.maximum(self.longest, longest)
-        has_moved = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
+        bone_lengths = np.linalg.norm(values[0], axis=2).max(axis=0)
+        self.max_bone_lengths = np.maximum(self.max_bone_lengths, bone_lengths)
+        max_displacement = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
         quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
-        moves = (has_moved > STATIC_TOLERANCE * self.transfer.source.size) | (
-            quaternion_dots < 1 - STATIC_TOLERANCE
-        )
-        self.moving.update(np.flatnonzero(moves).tolist())
+        is_moving = (
+            max_displacement > STATIC_TOLERANCE * self.transfer.source.size
+        ) | (quaternion_dots < 1 - STATIC_TOLERANCE)
+        self.moving_joints.update(np.flatnonzero(is_moving).tolist())
 
     def _plant_feet(
         self,
@@ -256,12 +265,15 @@ class Retargeting:
         rotations = bend_hinges(transfer, transfer.rotations(world))
         posed = local_rotations(transfer, rotations)
         bones = transfer.bones(world, local[0], posed.world)
-        relative = relative_to_hips(target, posed.world, bones, limbs_of(target))
+        relative = relative_to_hips(target, posed.world, bones, limb_joints(target))
         hips = transfer.hips(positions)
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
-        source_points = transfer.turned(positions), transfer.turned(balls)
+        source_points = (
+            transfer.to_target_axes(positions),
+            transfer.to_target_axes(balls),
+        )
         return _PosedFrames(*source_points, posed, bones, relative, hips)
 
     @property
@@ -275,7 +287,7 @@ class Retargeting:
 
     def verdict(self) -> Verdict:
         """Return whether the frames so far are usable."""
-        verdict = self._meter.verdict(self.clamped, self.forced)
+        verdict = self._meter.verdict(self.clamped, self.ignored_errors)
         stopped = self.stopped_by_rest_frame
         if not stopped or verdict.status is TakeStatus.UNUSABLE:
             return verdict
@@ -296,7 +308,9 @@ class Retargeting:
         first_rows: tuple[FloatArray, FloatArray] | None = None
         signs: FloatArray | None = None
         twists: FloatArray | None = None
-        for clamped, arrays in zip(self._stopped, self._spool.drain(), strict=True):
+        for clamped, arrays in zip(
+            self._clamped_blocks, self._spool.drain(), strict=True
+        ):
             begin, count = self._frames, len(arrays[0])
             hips = self._hips[begin : begin + count]
             source, local, world, bones, hip_relative, balls = arrays
@@ -326,7 +340,7 @@ class Retargeting:
             for values, first_row in zip(
                 (translations, local), first_rows, strict=True
             ):
-                static = np.abs(values - first_row) < ROUNDING
+                static = np.abs(values - first_row) < ROUNDING_TOLERANCE
                 np.copyto(values, first_row, where=static)
             self._meter.add(
                 begin, forward_kinematics(rig, translations, local), source, balls
@@ -343,28 +357,37 @@ class Retargeting:
         return Channel(first, np.arange(values.shape[1]), values)
 
     def _solve_legs(
-        self, rotations: LocalRotations, hips: FloatArray, about: FloatArray, begin: int
+        self,
+        rotations: LocalRotations,
+        hips: FloatArray,
+        relative_positions: FloatArray,
+        begin: int,
     ) -> LocalRotations:
         """Return rotations with legs that bring the feet to their placed positions."""
-        target, placed = self.transfer.target, self.standing.placed
+        target, placed = self.transfer.target, self.contact_frames.placed
         if placed is None:
             return rotations
-        legs = [leg_of(target, side) for side in self.standing.sides]
+        legs = [leg_joints(target, side) for side in self.contact_frames.sides]
         goals = [ankle[begin : begin + len(hips)].copy() for ankle in placed.ankles]
         rows = np.arange(len(hips))
-        solution = self._solve_ankles(rotations, hips, about, goals, rows + begin)
+        solution = self._solve_ankles(
+            rotations, hips, relative_positions, goals, rows + begin
+        )
         for _ in range(MAX_ANKLE_ITERATIONS - 1):
             # If a limit stops the foot, the ankle yields so that the toe stays.
             largest_error = np.zeros(len(rows))
             output_frames = rows + begin
             for k, (_, _, foot, _) in enumerate(legs):
-                ball = target.balls.get(self.standing.sides[k])
+                ball = target.balls.get(self.contact_frames.sides[k])
                 if foot not in solution.clamped or ball is None:
                     continue
                 bone = ball.offset
                 if ball.toe >= 0:
                     inverse_rotation = so3.conjugate(rotations.world[rows, foot])
-                    tip = about[rows, ball.toe] - about[rows, foot]
+                    tip = (
+                        relative_positions[rows, ball.toe]
+                        - relative_positions[rows, foot]
+                    )
                     bone = so3.rotate(inverse_rotation, tip)
                 requested, actual = (
                     placed.rotations[k][output_frames],
@@ -373,7 +396,7 @@ class Retargeting:
                 toe_error = so3.rotate(requested, bone) - so3.rotate(actual, bone)
                 goal = (
                     placed.ankles[k][output_frames]
-                    + placed.rolls[k][output_frames, None] * toe_error
+                    + placed.toe_rolls[k][output_frames, None] * toe_error
                 )
                 largest_error = np.maximum(
                     largest_error, np.abs(goal - goals[k][rows]).max(axis=1)
@@ -384,7 +407,11 @@ class Retargeting:
                 break
             nearer = [goal[rows] for goal in goals]
             corrected = self._solve_ankles(
-                rotations.rows(rows), hips[rows], about[rows], nearer, rows + begin
+                rotations.rows(rows),
+                hips[rows],
+                relative_positions[rows],
+                nearer,
+                rows + begin,
             )
             solution.set_rows(rows, corrected)
         return solution
@@ -393,18 +420,18 @@ class Retargeting:
         self,
         rotations: LocalRotations,
         hips: FloatArray,
-        about: FloatArray,
+        relative_positions: FloatArray,
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
         """Return rotations with ankles at their goals and planted feet."""
-        target, placed = self.transfer.target, self.standing.placed
+        target, placed = self.transfer.target, self.contact_frames.placed
         assert placed is not None
         world = rotations.world.copy()
         changed_joints: set[int] = set()
-        for k, side in enumerate(self.standing.sides):
-            leg = leg_of(target, side)
-            joints = hips[:, None] + about[:, leg[:3]]
+        for k, side in enumerate(self.contact_frames.sides):
+            leg = leg_joints(target, side)
+            joints = hips[:, None] + relative_positions[:, leg[:3]]
             bone_rotations = world[:, leg[0]], world[:, leg[1]]
             world[:, leg[0]], world[:, leg[1]] = ankle_rotations(
                 target, side, joints, goals[k], bone_rotations, self._swivels[k][frames]
@@ -417,9 +444,9 @@ class Retargeting:
         """Return rotations with arms that bring the hands to their contacts."""
         changed_joints: set[int] = set()
         part, world = slice(begin, begin + len(rotations.world)), rotations.world.copy()
-        for hand in self.standing.hands:
-            arm = arm_of(self.transfer.target, hand.side)
-            bends = hand.bends[part]
+        for hand in self.contact_frames.hands:
+            arm = arm_joints(self.transfer.target, hand.side)
+            bends = hand.bone_rotations[part]
             if arm is None or not bends.any():
                 continue
             world[:, arm[:2]] = so3.multiply(so3.exp(bends), world[:, arm[:2]])
@@ -443,7 +470,7 @@ def _ankle_heights(
 Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
-def join_tracks(parts: list[Tracks]) -> Tracks:
+def concatenate_tracks(parts: list[Tracks]) -> Tracks:
     """Return blocks of consecutive frames as one set of tracks."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
@@ -483,13 +510,13 @@ class Retargeted:
         return self.take.world()
 
 
-def limbs_of(skeleton: RoledSkeleton) -> set[int]:
+def limb_joints(skeleton: RoledSkeleton) -> set[int]:
     """Return the joints that determine hips, legs and arms."""
-    joint_map = {max(skeleton.first("hips"), 0)}
+    joints = {max(skeleton.first("hips"), 0)}
     for side in "lr":
-        joint_map.update(skeleton.leg(side) or (), arm_of(skeleton, side) or ())
-        joint_map.add(skeleton.first(f"thigh_{side}"))
-    return {joint for joint in joint_map if joint >= 0}
+        joints.update(skeleton.leg(side) or (), arm_joints(skeleton, side) or ())
+        joints.add(skeleton.first(f"thigh_{side}"))
+    return {joint for joint in joints if joint >= 0}
 
 
 def build_transfer(
@@ -543,4 +570,6 @@ def retarget_take(
     )
     motion = Motion.concatenate(list(retargeting.blocks())).map(Channel.compact)
     result = drive_take(replace(take, rig=rig, motion=motion))
-    return Retargeted(result, transfer, retargeting.standing, retargeting.report())
+    return Retargeted(
+        result, transfer, retargeting.contact_frames, retargeting.report()
+    )

@@ -67,7 +67,7 @@ class ParsedName:
     """A parsed joint name."""
 
     side: str  # ``l``, ``r`` or empty
-    key: str  # its words in lower case, without prefix, side and separators
+    name_key: str  # its words in lower case, without prefix, side and separators
     kind: str = ""  # `TWIST`, `END` or `CONTROL`, if a word says so
 
 
@@ -78,26 +78,31 @@ class Preset:
     name: str
     title: str
     source: str  # where its names were found
-    complete: bool  # whether all names come from there; else some are derived by a rule
-    keys: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
-    joints: Mapping[str, tuple[str, ...]]  # names by role, the default first
+    # whether all names come from there; else some are derived by a rule
+    is_complete: bool
+    roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
+    names_by_role: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
-    def texts(self) -> frozenset[str]:
+    def unparsed_names(self) -> frozenset[str]:
         """All names of the convention, unparsed."""
-        return frozenset(name for names in self.joints.values() for name in names)
+        return frozenset(
+            name for names in self.names_by_role.values() for name in names
+        )
 
 
 def _split_words(name: str) -> list[str]:
+    """Return the words and numbers of a name, without exporter prefixes."""
     text = unicodedata.normalize("NFKC", name)
     return _WORD.findall(_FILLER_WORDS.sub(" ", text)) or _WORD.findall(text)
 
 
-def _name_key(words: Sequence[str]) -> str:
+def _normalized_key(words: Sequence[str]) -> str:
+    """Return words as a key of the presets: lower case, without filler words."""
     return "".join(words).lower()
 
 
-def _side_and_rest(words: Sequence[str]) -> tuple[str, list[str]]:
+def _split_side(words: Sequence[str]) -> tuple[str, list[str]]:
     """Return the side that a word states, and the remaining words."""
     for i, word in enumerate(words):
         side = _SIDE_WORDS.get(word.lower(), "")
@@ -108,23 +113,23 @@ def _side_and_rest(words: Sequence[str]) -> tuple[str, list[str]]:
     return "", list(words)
 
 
-def bare_names(names: Sequence[str]) -> list[str]:
+def strip_common_prefix(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and without their common prefix."""
     without_namespace = [_NAMESPACE.sub("", name) or name for name in names]
     without_namespace = [_PREFIX.sub("", name) for name in without_namespace]
-    starts = Counter(
+    prefix_counts = Counter(
         name[: mark.end()]
         for name in without_namespace
         for mark in re.finditer(r"[ _.\-]+", name)
     )
-    common = [
+    common_prefixes = [
         start
-        for start, count in starts.items()
+        for start, count in prefix_counts.items()
         if count > max(_MIN_PREFIX_FRACTION * len(without_namespace), 2)
         and _split_words(start)
         and not any(word.lower() in _SIDE_WORDS for word in _split_words(start))
     ]
-    longest = max(common, key=len, default="")
+    longest = max(common_prefixes, key=len, default="")
     return [name.removeprefix(longest) or name for name in without_namespace]
 
 
@@ -132,25 +137,29 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
     """Return the parsed names of J joints.
 
     >>> parse_names(["a:LeftUpLeg", "a:RightUpLeg"], [-1, -1])[0]
-    ParsedName(side='l', key='upleg', kind='')
+    ParsedName(side='l', name_key='upleg', kind='')
     >>> parse_names(["lfemur", "rfemur"], [-1, -1])[1]
-    ParsedName(side='r', key='femur', kind='')
+    ParsedName(side='r', name_key='femur', kind='')
     """
-    names_without_prefix = bare_names(names)
+    names_without_prefix = strip_common_prefix(names)
     sides = pair_sides(names, parents)
-    partner = {j: int(sides.partners[j]) for j in range(len(names))}
+    partners_by_joint = {j: int(sides.partners[j]) for j in range(len(names))}
     left_joints = set(sides.left)
-    parsed = []
+    parsed_names = []
     for j, name in enumerate(names_without_prefix):
-        side, words = _side_and_rest(_split_words(name))
-        without_side_letter = _strip_side_letter(name, names_without_prefix[partner[j]])
+        side, words = _split_side(_split_words(name))
+        without_side_letter = _strip_side_letter(
+            name, names_without_prefix[partners_by_joint[j]]
+        )
         if without_side_letter:
             side, words = (
                 "l" if j in left_joints else "r",
                 _split_words(without_side_letter),
             )
-        parsed.append(ParsedName(side, _name_key(words), _name_kind(name, words)))
-    return parsed
+        parsed_names.append(
+            ParsedName(side, _normalized_key(words), _name_kind(name, words))
+        )
+    return parsed_names
 
 
 def _strip_side_letter(name: str, other: str) -> str:
@@ -162,12 +171,18 @@ def _strip_side_letter(name: str, other: str) -> str:
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
-    lower = [word.lower() for word in words if not word.isdigit()]
-    if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lower):
+    """Return TWIST, END or CONTROL if a word of the name says so, else ""."""
+    lowercase_words = [word.lower() for word in words if not word.isdigit()]
+    if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lowercase_words):
         return CONTROL
     if _TWIST_WORDS.search("".join(map(str.lower, words))):
         return TWIST
-    return END if lower and (lower[-1] in _END_WORDS or lower[0] == "leaf") else ""
+    return (
+        END
+        if lowercase_words
+        and (lowercase_words[-1] in _END_WORDS or lowercase_words[0] == "leaf")
+        else ""
+    )
 
 
 @cache
@@ -186,13 +201,14 @@ def presets() -> Mapping[str, Preset]:
 
 
 def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
+    """Return a convention from its entry in the presets file."""
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
-    for role, template in _templates(_with_fingers(entry)):
+    for role, template in _templates(_expand_digits(entry)):
         stripped_name = _PREFIX.sub(
             "", _NAMESPACE.sub("", template.replace("{s}", " "))
         )
-        keys.setdefault(_name_key(_split_words(stripped_name)), set()).add(role)
+        keys.setdefault(_normalized_key(_split_words(stripped_name)), set()).add(role)
         sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
         for word, side in sides:
             text = template.replace("{s}", word)
@@ -209,7 +225,7 @@ def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     )
 
 
-def _with_fingers(entry: Mapping[str, Any]) -> dict[str, Any]:
+def _expand_digits(entry: Mapping[str, Any]) -> dict[str, Any]:
     """Return a convention's joints, with digit names expanded into finger joints."""
     words, joints = entry.get("digits", ()), dict(entry["joints"])
     digit, metacarpal = joints.pop("digit", ()), joints.pop("digit_0", None)
@@ -240,15 +256,17 @@ def find_preset(name: str) -> Preset:
     return table[name]
 
 
-def best_preset(names: Sequence[str], read: Sequence[ParsedName]) -> Preset | None:
+def best_preset(
+    names: Sequence[str], parsed_names: Sequence[ParsedName]
+) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
-    keys = {name.key for name in read if name.kind != CONTROL}
+    keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
     scores = {
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
-            len(keys & preset.keys.keys())
-            + 0.1 * len(preset.texts.intersection(names)),
-            -len(preset.keys),
+            len(keys & preset.roles_by_key.keys())
+            + 0.1 * len(preset.unparsed_names.intersection(names)),
+            -len(preset.roles_by_key),
         )
         for name, preset in presets().items()
     }
@@ -257,18 +275,23 @@ def best_preset(names: Sequence[str], read: Sequence[ParsedName]) -> Preset | No
 
 
 def role_votes(
-    read: Sequence[ParsedName], preset: Preset | None
+    parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the role votes of names: weights 0 to 1 for each of J joints."""
-    tables, words = preset.keys if preset else {}, _load_tables()[COMMON_WORDS].keys
+    tables, words = (
+        preset.roles_by_key if preset else {},
+        _load_tables()[COMMON_WORDS].roles_by_key,
+    )
     votes = []
-    for name in read:
+    for name in parsed_names:
         # The detected convention takes precedence over other meanings of the word.
-        table, weight = (tables, 1.0) if name.key in tables else (words, _WORD_WEIGHT)
-        weights = dict.fromkeys(table.get(name.key, ()), weight)
+        table, weight = (
+            (tables, 1.0) if name.name_key in tables else (words, _WORD_WEIGHT)
+        )
+        weights = dict.fromkeys(table.get(name.name_key, ()), weight)
         if weights:
             other_weights = dict.fromkeys(
-                _limb_words().get(name.key, ()), _OTHER_WEIGHT
+                _limb_words().get(name.name_key, ()), _OTHER_WEIGHT
             )
             weights = {**other_weights, **weights}
         suffix = f"_{name.side}" if name.side else ""
@@ -290,7 +313,7 @@ def _limb_words() -> Mapping[str, frozenset[str]]:
     """Return the limb roles that any convention assigns to a name, by its key."""
     roles: dict[str, set[str]] = {}
     for preset in presets().values():
-        for key, base_roles in preset.keys.items():
+        for key, base_roles in preset.roles_by_key.items():
             roles.setdefault(key, set()).update(base_roles & {*ARM_ROLES, *LEG_ROLES})
     return {
         key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles

@@ -196,12 +196,14 @@ def _leg_counts(
     return [Fault("MAP109", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _unmapped_joints(rig: Rig, side: Anatomy, used_joints: set[int]) -> tuple[int, ...]:
+def _unmapped_joints(
+    rig: Rig, anatomy: Anatomy, used_joints: set[int]
+) -> tuple[int, ...]:
     """Return the unmapped joints, without those that only mark a bone's end."""
     return tuple(
         j
         for j in range(len(rig.joints))
-        if j not in used_joints and side.roles[j] != END
+        if j not in used_joints and anatomy.roles[j] != END
     )
 
 
@@ -238,11 +240,13 @@ class _PairCollector:
         follows = np.full(len(target.joints), -1)
         for pair in self.pairs.values():
             follows[pair.target] = pair.source
-        used = {j for chain in self.chains for j in chain.source} | self.ignored[0]
+        used_joints = {j for chain in self.chains for j in chain.source} | self.ignored[
+            0
+        ]
         for joint, other in equal_name_pairs(source, target, follows):
-            ends = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
-            free = other not in used and joint not in self.ignored[1]
-            if free and _NO_ROLE.isdisjoint(ends):
+            roles = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
+            is_free = other not in used_joints and joint not in self.ignored[1]
+            if is_free and _NO_ROLE.isdisjoint(roles):
                 pair = JointPair(other, joint, "", RoleSource.NAME, 1.0)
                 self.pairs[joint] = pair
 
@@ -251,10 +255,10 @@ class _PairCollector:
         source_joints, target_joints = (
             [
                 j
-                for j in parsed.chain(role)
-                if j not in ignored and (mode != "names" or _joint_by_name(parsed, j))
+                for j in anatomy.chain(role)
+                if j not in ignored and (mode != "names" or _is_named(anatomy, j))
             ]
-            for parsed, ignored in zip(self.anatomies, self.ignored, strict=True)
+            for anatomy, ignored in zip(self.anatomies, self.ignored, strict=True)
         )
         target_joints = [j for j in target_joints if j not in self.pairs]
         if mode == "rename":
@@ -272,8 +276,8 @@ class _PairCollector:
     ) -> None:
         """Pair the toes of a foot in order, from the inner side outwards."""
         toe_rows = [
-            _toes_inside_out(rig, parsed, role, chain)
-            for rig, parsed, chain in zip(
+            _toes_inside_out(rig, anatomy, role, chain)
+            for rig, anatomy, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
         ]
@@ -286,11 +290,11 @@ class _PairCollector:
         """Pair fingers with a mitten chain, on either side."""
         for side in SIDES:
             mittens = [
-                parsed.chain(f"{MITTEN_ROLE}_{side}") for parsed in self.anatomies
+                anatomy.chain(f"{MITTEN_ROLE}_{side}") for anatomy in self.anatomies
             ]
             first_joints = [
-                [j for digit in DIGITS[1:] for j in parsed.chain(f"{digit}_1_{side}")]
-                for parsed in self.anatomies
+                [j for digit in DIGITS[1:] for j in anatomy.chain(f"{digit}_1_{side}")]
+                for anatomy in self.anatomies
             ]
             source_joints, target_joints = mittens
             if source_joints and not target_joints:
@@ -315,8 +319,8 @@ class _PairCollector:
     ) -> None:
         """Pair two chains, and record them if either has several joints."""
         positions = [
-            _chain_fractions(rig, parsed, chain)
-            for rig, parsed, chain in zip(
+            _chain_fractions(rig, anatomy, chain)
+            for rig, anatomy, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
             )
         ]
@@ -330,60 +334,64 @@ class _PairCollector:
             self.chains.append(JointChain(role, *chain))
         for i, j in enumerate(target_joints):
             is_same_length = len(source_joints) == len(target_joints)
-            k = (
+            source_joint = (
                 source_joints[i]
                 if is_same_length
-                else source_joints[_last_before(positions[0], positions[1][i])]
+                else source_joints[_last_index_before(positions[0], positions[1][i])]
             )
-            joint_anatomies = zip(self.anatomies, (k, j), strict=True)
+            joint_anatomies = zip(self.anatomies, (source_joint, j), strict=True)
             confidence, evidence_of_pair = min(
                 (
-                    (parsed.confidence[joint], parsed.evidence[joint])
-                    for parsed, joint in joint_anatomies
+                    (anatomy.confidence[joint], anatomy.evidence[joint])
+                    for anatomy, joint in joint_anatomies
                 ),
                 key=lambda pair: pair[0],
             )
             if evidence is not None:
                 confidence, evidence_of_pair = 1.0, evidence
-            self.pairs[j] = JointPair(k, j, role, evidence_of_pair, confidence)
+            self.pairs[j] = JointPair(
+                source_joint, j, role, evidence_of_pair, confidence
+            )
 
 
 def _toes_inside_out(
-    rig: Rig, parsed: Anatomy, role: str, joints: list[int]
+    rig: Rig, anatomy: Anatomy, role: str, joints: list[int]
 ) -> list[list[int]]:
     """Return the joints of each toe of a foot, the innermost first."""
-    tops = [j for j in joints if int(rig.parents[j]) not in joints]
+    toe_roots = [j for j in joints if int(rig.parents[j]) not in joints]
     toes = [
-        [j for j in joints if first_joint in rig.upwards(j)] for first_joint in tops
+        [j for j in joints if first_joint in rig.upwards(j)]
+        for first_joint in toe_roots
     ]
     side_suffix, positions = role[-1:], rest_world(rig).positions[0]
     feet = [
-        parsed.chain(f"foot_{suffix}")
+        anatomy.chain(f"foot_{suffix}")
         for suffix in (side_suffix, "lr".replace(side_suffix, ""))
     ]
     if len(toes) < 2 or not all(feet):
         return toes
-    inwards = positions[feet[1][0]] - positions[feet[0][0]]
-    return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inwards))
+    inward_direction = positions[feet[1][0]] - positions[feet[0][0]]
+    return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inward_direction))
 
 
-def _joint_by_name(known: Anatomy, joint: int) -> bool:
-    return known.evidence[joint] in {
+def _is_named(anatomy: Anatomy, joint: int) -> bool:
+    """Return whether a joint's role was found by its name."""
+    return anatomy.evidence[joint] in {
         RoleSource.NAME,
         RoleSource.PRESET,
         RoleSource.FILE,
     }
 
 
-def _last_before(starts: Sequence[float], position: float) -> int:
+def _last_index_before(starts: Sequence[float], position: float) -> int:
     """Return the last joint that begins at or before a position along its chain."""
     return int(np.argmin(np.abs(np.asarray(starts) - position)))
 
 
-def _chain_fractions(rig: Rig, parsed: Anatomy, chain: Sequence[int]) -> list[float]:
+def _chain_fractions(rig: Rig, anatomy: Anatomy, chain: Sequence[int]) -> list[float]:
     """Return where the joints of a chain begin, as fractions of its length."""
     steps = [0.0, *(_path_length(rig, a, b) for a, b in pairwise(chain))]
-    chain_length = sum(steps) + _bone_length(rig, parsed, chain[-1])
+    chain_length = sum(steps) + _bone_length(rig, anatomy, chain[-1])
     if chain_length <= 0 or max(steps) <= 0:
         return [i / len(chain) for i in range(len(chain))]
     return [float(distance) / chain_length for distance in np.cumsum(steps)]
@@ -396,13 +404,13 @@ def _path_length(rig: Rig, upper: int, lower: int) -> float:
     return float(np.linalg.norm(rig.rest_translations[path], axis=1).sum())
 
 
-def _bone_length(rig: Rig, parsed: Anatomy, joint: int) -> float:
+def _bone_length(rig: Rig, anatomy: Anatomy, joint: int) -> float:
     """Return the length of a joint's bone: to the next role, else to its end [m]."""
-    role = parsed.roles[joint]
+    role = anatomy.roles[joint]
     side_suffix = role.removeprefix(base_role(role))
     for name in _NEXT_ROLES.get(base_role(role), ()):
         next_joints = [
-            j for j in parsed.chain(name + side_suffix) if joint in rig.upwards(j)[1:]
+            j for j in anatomy.chain(name + side_suffix) if joint in rig.upwards(j)[1:]
         ]
         if next_joints:
             return _path_length(rig, joint, next_joints[0])
@@ -414,17 +422,17 @@ def _bone_length(rig: Rig, parsed: Anatomy, joint: int) -> float:
 
 
 def _twist_fractions(
-    target: Rig, parsed: Anatomy, pairing: _PairCollector
+    target: Rig, anatomy: Anatomy, pairing: _PairCollector
 ) -> tuple[TwistFraction, ...]:
     """Return the twist fractions of joints that lie along a bone."""
     fractions = []
-    for j, role in enumerate(parsed.roles):
+    for j, role in enumerate(anatomy.roles):
         bone = target.joints[j].parent
         if role != TWIST or bone < 0 or j in {*pairing.pairs, *pairing.ignored[1]}:
             continue
-        if base_role(parsed.roles[bone]) not in _TWIST_BONES:
+        if base_role(anatomy.roles[bone]) not in _TWIST_BONES:
             continue
-        length = _bone_length(target, parsed, bone)
+        length = _bone_length(target, anatomy, bone)
         offset = float(np.linalg.norm(target.joints[j].translation))
         fraction = min(offset / length, 1.0) if length > 0 else 0.5
         fractions.append(TwistFraction(j, bone, fraction))

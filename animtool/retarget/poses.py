@@ -58,35 +58,42 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         if joint.type is not JointType.PIN or parent < 0:
             continue
         # Joints that follow none stay at rest.
-        if rig.joints[parent].type is not JointType.BALL or transfer.follows[j] < 0:
+        if (
+            rig.joints[parent].type is not JointType.BALL
+            or transfer.source_joints[j] < 0
+        ):
             continue
         bone = target.bone(j)
         if bone is None:
             continue
-        upper = so3.rotate(
-            adjusted_rotations[:, parent], _normalized(rig.rest_translations[j])
+        upper_direction = so3.rotate(
+            adjusted_rotations[:, parent], _normalize(rig.rest_translations[j])
         )
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
         direction = so3.rotate(adjusted_rotations[:, j], bone_local)
         rest_axis = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
         axis = so3.rotate(adjusted_rotations[:, parent], rest_axis)
-        normal = np.cross(upper, direction)
-        sine = np.linalg.norm(normal, axis=1)
-        normal = normal / np.maximum(sine, 1e-12)[:, None]
+        bend_normal = np.cross(upper_direction, direction)
+        sine = np.linalg.norm(bend_normal, axis=1)
+        bend_normal = bend_normal / np.maximum(sine, 1e-12)[:, None]
         # It bends as its limits allow, else towards the axis.
-        bend_sign = np.where((normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+        bend_sign = np.where((bend_normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
             bend_sign = np.full_like(bend_sign, _bend_direction(joint.limits))
-        perpendicular = axis - (axis * upper).sum(axis=1)[:, None] * upper
+        perpendicular = (
+            axis - (axis * upper_direction).sum(axis=1)[:, None] * upper_direction
+        )
         angle = np.arctan2(
-            (np.cross(perpendicular, normal * bend_sign) * upper).sum(axis=1),
-            (perpendicular * normal * bend_sign).sum(axis=1),
+            (np.cross(perpendicular, bend_normal * bend_sign) * upper_direction).sum(
+                axis=1
+            ),
+            (perpendicular * bend_normal * bend_sign).sum(axis=1),
         )
         bend_weight = np.clip(
             (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0]), 0.0, 1.0
         )
         angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
-        twist = so3.from_axis_angle(upper, angle)
+        twist = so3.from_axis_angle(upper_direction, angle)
         adjusted_rotations[:, parent] = so3.multiply(
             twist, adjusted_rotations[:, parent]
         )
@@ -98,7 +105,8 @@ def _bend_direction(limits: RangeLimit) -> float:
     return 1.0 if limits.low + limits.high >= 0 else -1.0
 
 
-def _normalized(vector: FloatArray) -> FloatArray:
+def _normalize(vector: FloatArray) -> FloatArray:
+    """Return a unit vector; a zero vector stays zero."""
     norm = float(np.linalg.norm(vector))
     return vector / norm if norm > 0 else np.array([0.0, 1.0, 0.0])
 
@@ -161,7 +169,7 @@ def local_rotations(
             so3.IDENTITY if parent_rotation is None else so3.conjugate(parent_rotation)
         )
         joint_local = rest_rotation[None]
-        if transfer.follows[j] >= 0:
+        if transfer.source_joints[j] >= 0:
             joint_local = so3.multiply(inverse_parent, rotations[:, j])
             twisted_joint = _twist_joint(target, j)
             if twisted_joint >= 0:
@@ -197,7 +205,7 @@ def _twist_joint(target: RoledSkeleton, j: int) -> int:
         or target.roles[children_with_role[0]] == target.roles[j]
     ):
         return -1
-    bone = _normalized(rig.rest_translations[children_with_role[0]])
+    bone = _normalize(rig.rest_translations[children_with_role[0]])
     return (
         children_with_role[0]
         if abs(float(bone @ np.array(joint.axis))) > MIN_BONE_COSINE
@@ -215,22 +223,24 @@ def _clamp_to_limits(
         joint.type is JointType.BALL and limits is None
     ):
         return local, is_clamped
-    relative = so3.multiply(so3.conjugate(rest), local)
+    rotation_from_rest = so3.multiply(so3.conjugate(rest), local)
     if joint.type is JointType.PIN:
-        angle = swing_twist(relative, joint.axis)[1]
+        angle = swing_twist(rotation_from_rest, joint.axis)[1]
         if isinstance(limits, RangeLimit):
             is_clamped = np.abs(limits.excess(angle)) > LIMIT_ROUNDING
             angle = limits.clamped(angle)
-        relative = so3.from_axis_angle(np.array(joint.axis, np.float64), angle)
+        rotation_from_rest = so3.from_axis_angle(
+            np.array(joint.axis, np.float64), angle
+        )
     elif isinstance(limits, BallLimit):
-        clamped_rotations = limits.clamped(relative)
-        is_clamped, relative = (
-            so3.angle_between(clamped_rotations, relative) > LIMIT_ROUNDING,
+        clamped_rotations = limits.clamped(rotation_from_rest)
+        is_clamped, rotation_from_rest = (
+            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING,
             clamped_rotations,
         )
     else:
-        relative = np.broadcast_to(so3.IDENTITY, relative.shape)
-    return so3.multiply(rest, relative), is_clamped
+        rotation_from_rest = np.broadcast_to(so3.IDENTITY, rotation_from_rest.shape)
+    return so3.multiply(rest, rotation_from_rest), is_clamped
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
@@ -259,12 +269,12 @@ def distribute_twist(
     rig = transfer.target.rig
     last_angles = np.zeros(len(transfer.twists))
     for k, (joint, _, next_joint, fraction) in enumerate(transfer.twists):
-        axis = _normalized(rig.rest_translations[next_joint])
-        relative = so3.multiply(
+        axis = _normalize(rig.rest_translations[next_joint])
+        rotation_from_rest = so3.multiply(
             so3.conjugate(rig.rest_rotations[next_joint]), local[:, next_joint]
         )
         next_axis = so3.rotate(so3.conjugate(rig.rest_rotations[next_joint]), axis)
-        angle = swing_twist(relative, tuple(next_axis))[1]
+        angle = swing_twist(rotation_from_rest, tuple(next_axis))[1]
         if previous_angles is None:
             angle = np.unwrap(angle)
         else:

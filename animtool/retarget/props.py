@@ -35,7 +35,9 @@ class PropMotion:
     positions: FloatArray  # (F, 3) [m]
     rotations: FloatArray  # (F, 4)
 
-    def gripped_by(self, wrist: FloatArray, arm: float, fps: float) -> BoolArray:
+    def find_gripped_frames(
+        self, wrist: FloatArray, arm: float, fps: float
+    ) -> BoolArray:
         """Return when a hand grips the prop ``(F,)``.
 
         Args:
@@ -76,7 +78,7 @@ class PropTracks:
             self._times.append(block.track_times)
             yield block
 
-    def motions(self, transfer: Transfer) -> list[PropMotion]:
+    def moving_props(self, transfer: Transfer) -> list[PropMotion]:
         """Return the motion of props that move; call it after all frames were read."""
         times = Channel.concatenate(self._times).dense()[..., 0]
         motions = []
@@ -92,7 +94,7 @@ class PropTracks:
                 )
         return motions
 
-    def with_gripped(
+    def rescale_gripped(
         self, gripped: set[int], transfer: Transfer, lift: FloatArray
     ) -> tuple[Track, ...]:
         """Return the tracks, with gripped props scaled to follow the target.

@@ -15,7 +15,7 @@ from animtool.motion.contacts import FootContacts
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.retarget.feet import PlacedFeet
 from animtool.retarget.hands import HandContact
-from animtool.retarget.legs import ball_of_foot, leg_of, up_index
+from animtool.retarget.legs import ball_of_foot, leg_joints, up_index
 from animtool.retarget.map import JointMap
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import FINGER_ROLES, MITTEN_ROLE, base_role
@@ -79,7 +79,7 @@ class RetargetReport:
 
 @dataclass(frozen=True, slots=True)
 class ContactFrames:
-    """Which feet and hands are in contact, and in which frames."""
+    """Feet and hands in contact, and the frames of each contact."""
 
     sides: str  # sides of the legs that both skeletons have, such as "lr"
     contacts: Sequence[FootContacts]  # contacts of each of these feet
@@ -97,21 +97,25 @@ class FitMeter:
     """
 
     def __init__(
-        self, transfer: Transfer, joint_map: JointMap, standing: ContactFrames
+        self, transfer: Transfer, joint_map: JointMap, contact_frames: ContactFrames
     ) -> None:
-        self._transfer, self._joint_map, self._standing = transfer, joint_map, standing
+        self._transfer, self._joint_map, self._contact_frames = (
+            transfer,
+            joint_map,
+            contact_frames,
+        )
         self._up = up_index(transfer.target.rig)
         self._frames = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
         # is the ankle if it is unknown (F, 2, 2, 3).
-        self._feet: list[list[FloatArray]] = [[] for _ in standing.sides]
-        self._angles = 0.0, 0, 0.0  # sum, count and largest [rad]
+        self._foot_blocks: list[list[FloatArray]] = [[] for _ in contact_frames.sides]
+        self._angle_sums = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach, self._hand = math.nan, 0.0
         # Per-frame values by score.
         self._values: dict[str, list[FloatArray]] = {}
-        self._worst: dict[str, FloatArray] = {}
+        self._worst_by_frame: dict[str, FloatArray] = {}
         # Largest accelerations of both so far, and the last frames of both.
-        self._fastest = np.zeros(2)
+        self._max_accelerations = np.zeros(2)
         self._last_frames: list[FloatArray] = []
         target_lengths = transfer.target.path_lengths[
             [pair.target for pair in joint_map.pairs]
@@ -128,7 +132,7 @@ class FitMeter:
             where=source_lengths > 0,
         )
         # Hands of arms that are longer relative to the legs move faster by that ratio.
-        self._sizes = np.maximum(path_ratios, transfer.scale)[:, None]
+        self._path_ratios = np.maximum(path_ratios, transfer.scale)[:, None]
 
     def add(
         self, begin: int, world: WorldTransforms, source: FloatArray, balls: FloatArray
@@ -143,30 +147,30 @@ class FitMeter:
         """
         target = world.positions
         self._frames += len(target)
-        part = slice(begin, begin + len(target))
-        for k, side in enumerate(self._standing.sides):
+        frames = slice(begin, begin + len(target))
+        for k, side in enumerate(self._contact_frames.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
             tip_positions, foot_rows = (ball, balls[:, k]), []
             for (skeleton, points, scale_factor), tip_position in zip(
                 self._both_skeletons(target, source), tip_positions, strict=True
             ):
-                ankle = points[:, leg_of(skeleton, side)[2]]
+                ankle = points[:, leg_joints(skeleton, side)[2]]
                 foot_rows.append(scale_factor * np.stack([ankle, tip_position], axis=1))
-            self._feet[k].append(np.stack(foot_rows, axis=1))
-        self._add_angles(part, target, source)
+            self._foot_blocks[k].append(np.stack(foot_rows, axis=1))
+        self._add_angles(frames, target, source)
         reach_errors = _reach_errors(self._both_skeletons(target, source))
         self._reach = float(np.fmax(self._reach, np.fmax.reduce(reach_errors)))
         self._add_score("hands", reach_errors)
-        for hand in self._standing.hands:
+        for hand in self._contact_frames.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
-            hand_errors = np.linalg.norm(wrist - hand.goal[part], axis=1)[
-                hand.active[part]
+            hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)[
+                hand.is_active[frames]
             ]
             self._hand = max(self._hand, float(hand_errors.max(initial=0.0)))
         pairs = self._joint_map.pairs
         current = [
             target[:, [pair.target for pair in pairs]],
-            self._sizes * source[:, [pair.source for pair in pairs]],
+            self._path_ratios * source[:, [pair.source for pair in pairs]],
         ]
         if self._last_frames:
             current = [
@@ -181,8 +185,9 @@ class FitMeter:
                 )
                 for previous in current
             ]
-            self._fastest = np.maximum(
-                self._fastest, [previous.max(initial=0.0) for previous in scale_factors]
+            self._max_accelerations = np.maximum(
+                self._max_accelerations,
+                [previous.max(initial=0.0) for previous in scale_factors],
             )
             self._add_score("acceleration", scale_factors[0])
 
@@ -199,10 +204,12 @@ class FitMeter:
             (transfer.source, source, transfer.scale),
         ]
 
-    def _add_angles(self, part: slice, target: FloatArray, source: FloatArray) -> None:
+    def _add_angles(
+        self, frames: slice, target: FloatArray, source: FloatArray
+    ) -> None:
         """Add angles between bones of both skeletons; planted legs are left out."""
-        standing = self._standing
-        angle_sum, count, largest_angle = self._angles
+        contact_frames = self._contact_frames
+        angle_sum, count, largest_angle = self._angle_sums
         bends, counts = np.zeros((2, len(target)))
         for side in "lr":
             for role, end_role in BONE_ENDS.items():
@@ -210,7 +217,7 @@ class FitMeter:
                 for skeleton, points, _ in self._both_skeletons(target, source):
                     start_joint = skeleton.first(f"{role}_{side}")
                     end_joint = skeleton.first(f"{end_role}_{side}")
-                    if min(start_joint, end_joint) >= 0 and skeleton.separate(
+                    if min(start_joint, end_joint) >= 0 and skeleton.are_distinct(
                         start_joint, end_joint
                     ):
                         directions.append(points[:, end_joint] - points[:, start_joint])
@@ -222,9 +229,9 @@ class FitMeter:
                 angle = np.arctan2(
                     cross_length, (directions[0] * directions[1]).sum(axis=1)
                 )
-                if role in {"thigh", "shin"} and side in standing.sides:
-                    k = standing.sides.index(side)
-                    is_unplanted = ~standing.contacts[k].any[part]
+                if role in {"thigh", "shin"} and side in contact_frames.sides:
+                    k = contact_frames.sides.index(side)
+                    is_unplanted = ~contact_frames.contacts[k].any[frames]
                     bends[is_unplanted] += angle[is_unplanted]
                     counts[is_unplanted] += 1
                     angle = angle[is_unplanted]
@@ -233,12 +240,15 @@ class FitMeter:
                     counts += 1
                 angle_sum, count = angle_sum + float(angle.sum()), count + len(angle)
                 largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
-        self._angles = angle_sum, count, largest_angle
+        self._angle_sums = angle_sum, count, largest_angle
         self._add_score("limbs", bends / np.maximum(counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return where limits lift a heel whose toe is planted ``(F,)``."""
-        planted, contacts = self._standing.placed, self._standing.contacts[k]
+        planted, contacts = (
+            self._contact_frames.placed,
+            self._contact_frames.contacts[k],
+        )
         if planted is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
         heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
@@ -249,8 +259,10 @@ class FitMeter:
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
         """Add per-frame values of a score, keeping the worst per frame."""
-        previous = self._worst.get(score)
-        self._worst[score] = values if previous is None else np.fmax(previous, values)
+        previous = self._worst_by_frame.get(score)
+        self._worst_by_frame[score] = (
+            values if previous is None else np.fmax(previous, values)
+        )
 
     def verdict(
         self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
@@ -264,15 +276,15 @@ class FitMeter:
         report = self.report(clamped)
         values = {
             name: np.concatenate(blocks) for name, blocks in self._values.items()
-        } | self._worst
+        } | self._worst_by_frame
         if "acceleration" in values:
             # Second differences belong to their middle frame.
             accelerations = values["acceleration"] / max(
-                float(self._fastest[1]), 1e-300
+                float(self._max_accelerations[1]), 1e-300
             )
             values["acceleration"] = np.pad(accelerations, 1)
         source_values = {"drift": report.source_drift_max}
-        return assess_take(scores_of(report), values, source_values, forced)
+        return assess_take(fit_scores(report), values, source_values, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
         """Return the fit of the frames so far.
@@ -280,65 +292,79 @@ class FitMeter:
         Args:
             clamped: Fraction of frames in which limits clamp each joint.
         """
-        transfer, joint_map, standing = self._transfer, self._joint_map, self._standing
-        self._worst.clear()
-        drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
-        soles: list[float] = []
+        transfer, joint_map, contact_frames = (
+            self._transfer,
+            self._joint_map,
+            self._contact_frames,
+        )
+        self._worst_by_frame.clear()
+        all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
+        sole_heights: list[float] = []
         depths: list[float] = []
-        stands = 0.0
-        for k, side in enumerate(standing.sides):
-            feet, contacts = np.concatenate(self._feet[k]), standing.contacts[k]
-            stands += float(contacts.any.mean()) / len(standing.sides)
+        planted_frames = 0.0
+        for k, side in enumerate(contact_frames.sides):
+            feet, contacts = (
+                np.concatenate(self._foot_blocks[k]),
+                contact_frames.contacts[k],
+            )
+            planted_frames += float(contacts.any.mean()) / len(contact_frames.sides)
             has_toe = side in transfer.target.balls
             both_balls = has_toe and side in transfer.source.balls
-            heel = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
-            for joint, mask in enumerate((heel, contacts.toe)):
+            is_heel_planted = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
+            for joint, mask in enumerate((is_heel_planted, contacts.toe)):
                 if joint == 0 or both_balls:
-                    drifts.append(_contact_drift(feet[:, 0, joint], mask, self._up))
+                    all_drifts.append(
+                        _drift_in_contacts(feet[:, 0, joint], mask, self._up)
+                    )
                     planted_heights = contacts.toe if joint else contacts.ankle
                     source_drifts.append(
-                        _contact_drift(feet[:, 1, joint], planted_heights, self._up)
+                        _drift_in_contacts(feet[:, 1, joint], planted_heights, self._up)
                     )
-                    self._keep_worst("drift", drifts[-1])
+                    self._keep_worst("drift", all_drifts[-1])
             sole_height = feet[:, 0, 1, self._up]
             is_flat = contacts.toe if has_toe else contacts.any
             if is_flat.any():
-                level = float(np.median(sole_height[is_flat]))
-                if standing.placed is not None:
-                    level = standing.placed.soles[k]
-                soles.append(float(np.abs(sole_height[is_flat] - level).max()))
-                self._keep_worst(
-                    "soles", np.where(is_flat, np.abs(sole_height - level), 0.0)
+                ground_level = float(np.median(sole_height[is_flat]))
+                if contact_frames.placed is not None:
+                    ground_level = contact_frames.placed.sole_heights[k]
+                sole_heights.append(
+                    float(np.abs(sole_height[is_flat] - ground_level).max())
                 )
-                depths.append(level - float(sole_height.min()))
+                self._keep_worst(
+                    "soles", np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
+                )
+                depths.append(ground_level - float(sole_height.min()))
         drift, source_drift = (
             drift_values[~np.isnan(drift_values)]
-            for drift_values in (np.concatenate(drifts), np.concatenate(source_drifts))
+            for drift_values in (
+                np.concatenate(all_drifts),
+                np.concatenate(source_drifts),
+            )
         )
-        angle_sum, count, max_angle = self._angles
-        fastest, source_fastest = self._fastest.tolist()
+        angle_sum, count, max_angle = self._angle_sums
+        fastest, source_fastest = self._max_accelerations.tolist()
         names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
         driven_joints = {
             j for j, joint in enumerate(joints) if joint.driven is not None
         }
-        planted = standing.placed
+        planted = contact_frames.placed
         return RetargetReport(
             self._frames,
             transfer.scale,
             len(joint_map.pairs),
-            stands,
+            planted_frames,
             float(drift.mean()) if len(drift) else math.nan,
             float(drift.max()) if len(drift) else math.nan,
             float(source_drift.max()) if len(source_drift) else math.nan,
-            max(soles, default=math.nan),
+            max(sole_heights, default=math.nan),
             max([0.0, *depths]) if depths else math.nan,
             self._reach,
             self._hand,
             angle_sum / count if count else math.nan,
             max_angle if count else math.nan,
             fastest / source_fastest if source_fastest > 0 else math.nan,
-            0.0 if planted is None else planted.lowered,
+            0.0 if planted is None else planted.max_lowering,
             {names[j]: fraction for j, fraction in clamped.items()},
             _mean_clamped(joint_map, clamped),
             tuple(source_names[j] for j in joint_map.unmapped_source),
@@ -348,7 +374,7 @@ class FitMeter:
         )
 
 
-def scores_of(report: RetargetReport) -> PassScores:
+def fit_scores(report: RetargetReport) -> PassScores:
     """Return the scores by which takes are compared, and the joints they concern."""
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     unmapped_count, mean_clamped = len(report.unmapped_source), report.held_mean
@@ -385,14 +411,16 @@ def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
 
 
-def _contact_drift(points: FloatArray, stands: BoolArray, up: int) -> FloatArray:
+def _drift_in_contacts(
+    points: FloatArray, is_planted: BoolArray, up: int
+) -> FloatArray:
     """Return ground distances from the middle of each contact ``(F,)`` [m].
 
     NaN while nothing is planted.
     """
     ground_positions = [k for k in range(3) if k != up]
     drift = np.full(len(points), math.nan)
-    for start, end in runs(stands):
+    for start, end in runs(is_planted):
         path = points[start:end][:, ground_positions]
         drift[start:end] = np.linalg.norm(path - path.mean(axis=0), axis=1)
     return drift

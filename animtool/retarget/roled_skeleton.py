@@ -65,7 +65,7 @@ class RoledSkeleton:
             rig, roles, rest_transforms.positions[0], rest_transforms.rotations[0]
         )
 
-    def joint(self, role: str) -> int:
+    def last(self, role: str) -> int:
         """Return the last joint of a role; -1 for none."""
         return max(
             (j for j, joint_role in enumerate(self.roles) if joint_role == role),
@@ -92,19 +92,19 @@ class RoledSkeleton:
         if end_joint < 0 and ball is not None:
             bone = so3.rotate(self.rotations[joint], ball.offset)
             return np.asarray(bone / np.linalg.norm(bone))
-        if end_joint < 0 or not self.separate(joint, end_joint):
+        if end_joint < 0 or not self.are_distinct(joint, end_joint):
             return None
         bone = self.positions[end_joint] - self.positions[joint]
         return np.asarray(bone / np.linalg.norm(bone))
 
-    def offset(self, joint: int, below: int) -> FloatArray:
+    def offset(self, joint: int, lower_joint: int) -> FloatArray:
         """Return a joint's rest offset from one above, in its frame ``(3,)`` [m]."""
-        offset = self.positions[below] - self.positions[joint]
+        offset = self.positions[lower_joint] - self.positions[joint]
         return so3.rotate(so3.conjugate(self.rotations[joint]), offset)
 
-    def separate(self, joint: int, other: int) -> bool:
+    def are_distinct(self, joint: int, other_joint: int) -> bool:
         """Return whether two joints are at distinct positions at rest."""
-        offset = self.positions[other] - self.positions[joint]
+        offset = self.positions[other_joint] - self.positions[joint]
         return float(np.linalg.norm(offset)) > MIN_BONE_LENGTH * self.size
 
     def stands_on_hands(self) -> bool | None:
@@ -152,7 +152,7 @@ class RoledSkeleton:
                     self.positions[left_side] - self.positions[right_side]
                 )
         hips, head = self.first("hips"), self.first("head")
-        head = head if head >= 0 else self.joint("spine")
+        head = head if head >= 0 else self.last("spine")
         if not directions or hips < 0 or head < 0:
             return None
         left_side = directions[0] / (np.linalg.norm(directions[0]) or 1.0)

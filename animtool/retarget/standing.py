@@ -1,4 +1,4 @@
-"""The axis along which a body stands, for files that do not state the up axis.
+"""Finds the axis along which a body stands, for files that do not state the up axis.
 
 It is inferred from limbs, trunk and head, independent of names, and from motion.
 """
@@ -87,16 +87,18 @@ def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
     legs, arms = (_limb_vectors(roles, positions, *limb_roles) for limb_roles in _LIMBS)
     if legs is None:
         return trunk
-    up = (trunk * -legs).sum(axis=1)
+    uprightness = (trunk * -legs).sum(axis=1)
     axes = np.where(
-        up[:, None] > MIN_UPRIGHT_COSINE, _unit_vectors(trunk - legs), no_direction
+        uprightness[:, None] > MIN_UPRIGHT_COSINE,
+        _unit_vectors(trunk - legs),
+        no_direction,
     )
     if arms is None:
         return axes
     down_directions = _unit_vectors(legs + arms)
-    fours = (legs * arms).sum(axis=1) > MIN_FOURS_COSINE
-    fours &= np.abs((trunk * down_directions).sum(axis=1)) < MIN_UPRIGHT_COSINE
-    return np.where(fours[:, None], -down_directions, axes)
+    is_on_fours = (legs * arms).sum(axis=1) > MIN_FOURS_COSINE
+    is_on_fours &= np.abs((trunk * down_directions).sum(axis=1)) < MIN_UPRIGHT_COSINE
+    return np.where(is_on_fours[:, None], -down_directions, axes)
 
 
 _LIMBS = (("thigh", "foot"), ("upper_arm", "hand"))
@@ -157,13 +159,13 @@ def measure_stance(
         return Stance(
             fraction=float((upright < -MIN_STANDING_COSINE).mean()), upside_down=True
         )
-    rests = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
-    if rests @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
-        starts = bool(is_along_other[0] or is_along_other[-1]) and fraction >= max(
-            upright_fraction, MAX_CHANCE_FRACTION
-        )
+    rest_axis = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
+    if rest_axis @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
+        is_standing_at_end = bool(
+            is_along_other[0] or is_along_other[-1]
+        ) and fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
         along_other = (
-            starts
+            is_standing_at_end
             or fraction >= MIN_STANDING_FRACTION
             or _is_trunk_along(roles, positions, other_axis, up)
         )
@@ -172,13 +174,13 @@ def measure_stance(
         is_along_other[0] and fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
     ):
         return Stance()
-    standing = positions[is_along_other]
+    standing_positions = positions[is_along_other]
     if _travels_across(positions, other_axis, up) or _feet_on_ground(
-        standing, other_axis, up
+        standing_positions, other_axis, up
     ):
         return Stance(other_axis, fraction)
-    lies = fraction < MIN_STANDING_FRACTION or _on_one_level(standing, up)
-    return Stance() if lies else Stance(other_axis, fraction)
+    is_lying = fraction < MIN_STANDING_FRACTION or _on_one_level(standing_positions, up)
+    return Stance() if is_lying else Stance(other_axis, fraction)
 
 
 def _is_trunk_along(
@@ -192,11 +194,11 @@ def _is_trunk_along(
     legs = _limb_vectors(roles, positions, *_LIMBS[0])
     if trunk is None:
         return False
-    cosines, upright = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
+    cosines, uprightness = (trunk.mean(axis=0) @ np.array(a.vector) for a in (axis, up))
     legs_along_up = 0.0 if legs is None else legs.mean(axis=0) @ np.array(up.vector)
     return bool(
         cosines > MIN_TRUNK_COSINE
-        and upright < MIN_UPRIGHT_COSINE
+        and uprightness < MIN_UPRIGHT_COSINE
         and legs_along_up > -MIN_TRUNK_COSINE
     )
 
@@ -216,34 +218,34 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether feet are at 0 of an axis while the body is not at 0 of up."""
-    spans = np.ptp(positions, axis=1).max(axis=1)
-    body_size = float(np.median(spans))
+    extents = np.ptp(positions, axis=1).max(axis=1)
+    body_size = float(np.median(extents))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
     lowest = (positions @ np.array(up.vector)).min(axis=1) / body_size
-    stands = float((np.abs(feet) < GROUND_DISTANCE).mean()) >= GROUND_FRACTION
+    is_on_ground = float((np.abs(feet) < GROUND_DISTANCE).mean()) >= GROUND_FRACTION
     # A lying body has nothing below the ground.
-    lies = (
+    is_lying = (
         float(((lowest > -GROUND_DEPTH) & (lowest < GROUND_DISTANCE)).mean())
         >= GROUND_FRACTION
     )
-    return stands and not lies
+    return is_on_ground and not is_lying
 
 
 def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether a body travels across an axis as a walking one does."""
-    middle = positions.mean(axis=1)
+    centre = positions.mean(axis=1)
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
-    spans = np.ptp(middle, axis=0)
-    travel_along_axis = float(spans @ np.array(axis.vector))
+    extents = np.ptp(centre, axis=0)
+    travel_along_axis = float(extents @ np.array(axis.vector))
     # A lying body does not travel along the assumed up axis.
-    travel_along_up = float(spans @ np.array(up.vector))
+    travel_along_up = float(extents @ np.array(up.vector))
     return (
         travel_along_up > MIN_TRAVEL * body_size
         and travel_along_axis < MAX_VERTICAL_TRAVEL * body_size
     )
 
 
-def standing_axis(
+def find_standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, downwards: bool = False
 ) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
@@ -291,7 +293,7 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     return False
 
 
-def lying_notice(
+def lying_body_notices(
     path: Path,
     rig: Rig,
     motion: Motion,
@@ -307,11 +309,11 @@ def lying_notice(
     from animtool.retarget.anatomy import find_anatomy
 
     roles, sign = find_anatomy(rig).roles, ""
-    axis = standing_axis(rig, motion, roles)
-    read_as = axis
+    axis = find_standing_axis(rig, motion, roles)
+    suggested_axis = axis
     if axis is None and up is not None:
-        axis = standing_axis(rig, motion, roles, downwards=True)
-        read_as, sign = _other_axis(up), "-"
+        axis = find_standing_axis(rig, motion, roles, downwards=True)
+        suggested_axis, sign = _other_axis(up), "-"
     if axis is None:
         return []
     message = f"the body stands along {sign}{axis}, but the up axis is {rig.up}"
@@ -319,11 +321,10 @@ def lying_notice(
         stated = argument("source.up", up)
         message = f"the body stands along {sign}{axis}, but {stated} was given"
     if up not in {None, rig.up}:
-        chosen = argument("source.up", up)
-        message = (
-            f"read with {chosen}, the body stands along {sign}{axis}, not {rig.up}"
-        )
-    hint = f"read it with {argument('source.up', read_as)}"
+        chosen_option = argument("source.up", up)
+        message = f"read with {chosen_option}, the body stands along {sign}{axis}, "
+        message += f"not {rig.up}"
+    hint = f"read it with {argument('source.up', suggested_axis)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 
 
@@ -365,7 +366,7 @@ def with_source_warnings(
             if i == 0 and file_format not in {"BVH", "markers"}:
                 stream.notices.extend(order_warning(stream.rig, block, str(path)))
             if i == 0 and not is_stated:
-                notices = lying_notice(path, stream.rig, block, severity, up)
+                notices = lying_body_notices(path, stream.rig, block, severity, up)
                 stream.notices.extend(notices)
             yield block
 

@@ -121,7 +121,7 @@ class SkeletonTree:
         path = self.rig.upwards(bottom)[::-1]
         return path[path.index(top) :] if top in path else []
 
-    def common(self, joints: Sequence[int]) -> int:
+    def lowest_common_ancestor(self, joints: Sequence[int]) -> int:
         """Return the lowest common ancestor of joints; -1 for none."""
         common_ancestors = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
@@ -133,7 +133,7 @@ class SkeletonTree:
         children = [c for c in self.children[joint] if not self._is_end(c)]
         if len(children) < 2:
             return children
-        longest = max(children, key=self.extent)
+        longest = max(children, key=self.length_through_joint)
         return [
             c for c in children if c == longest or not self._lies_on_bone(c, longest)
         ]
@@ -181,7 +181,7 @@ class SkeletonTree:
         cosine = float(offsets[leaf] @ offsets[other]) / max(length * bone, 1e-30)
         return cosine > _MIN_TWIST_COSINE and length <= 1.05 * bone
 
-    def extent(self, joint: int) -> float:
+    def length_through_joint(self, joint: int) -> float:
         """Return the longest path length from a joint's parent through it [m]."""
         return float(self.lengths[joint] + self.reach[joint])
 
@@ -189,20 +189,24 @@ class SkeletonTree:
         """Return the longest path down from a joint, itself first."""
         path = [joint]
         while children := self.limb_children(path[-1]):
-            path.append(max(children, key=self.extent))
+            path.append(max(children, key=self.length_through_joint))
         return path
 
-    def branches(self, path: Sequence[int]) -> tuple[int, int]:
+    def widest_branching(self, path: Sequence[int]) -> tuple[int, int]:
         """Return the joint of a path with the most branches, and their number."""
         counts = [len(self.limb_children(j)) for j in path]
         largest = max(counts)
         return path[counts.index(largest)], largest
 
 
-def limb_pairs(body: SkeletonTree) -> tuple[JointIndices | None, JointIndices | None]:
+def find_limb_pairs(
+    body: SkeletonTree,
+) -> tuple[JointIndices | None, JointIndices | None]:
     """Return the pairs of legs and of arms, as far as the tree shows them."""
     outer_pairs: list[JointIndices] = []
-    for pair in sorted(_similar_subtrees(body), key=lambda pair: -body.extent(pair[0])):
+    for pair in sorted(
+        _similar_subtrees(body), key=lambda pair: -body.length_through_joint(pair[0])
+    ):
         ancestors = set(body.rig.upwards(pair[0]))
         if not any(ancestors & set(kept_pair) for kept_pair in outer_pairs):
             outer_pairs.append(pair)
@@ -212,10 +216,11 @@ def limb_pairs(body: SkeletonTree) -> tuple[JointIndices | None, JointIndices | 
             key=lambda pair_of_joints: _leg_score(body, *pair_of_joints),
         )
     if outer_pairs:
-        hand = max(
-            body.branches(body.longest_path(joint))[1] for joint in outer_pairs[0]
+        max_fingers = max(
+            body.widest_branching(body.longest_path(joint))[1]
+            for joint in outer_pairs[0]
         )
-        return (None, outer_pairs[0]) if hand >= 4 else (outer_pairs[0], None)
+        return (None, outer_pairs[0]) if max_fingers >= 4 else (outer_pairs[0], None)
     return None, None
 
 
@@ -226,12 +231,15 @@ def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
         long_children = [
             c
             for c in children
-            if body.counts[c] > 1 and body.extent(c) >= _MIN_LIMB_REACH * body.size
+            if body.counts[c] > 1
+            and body.length_through_joint(c) >= _MIN_LIMB_REACH * body.size
         ]
         for a, b in combinations(
-            sorted(long_children, key=body.extent)[-_MAX_LIMB_JOINTS:], 2
+            sorted(long_children, key=body.length_through_joint)[-_MAX_LIMB_JOINTS:], 2
         ):
-            shorter, longer = sorted((body.extent(a), body.extent(b)))
+            shorter, longer = sorted(
+                (body.length_through_joint(a), body.length_through_joint(b))
+            )
             fewer_joints, more_joints = sorted((body.counts[a], body.counts[b]))
             if (
                 longer - shorter <= _PAIR_TOLERANCE * longer
@@ -252,19 +260,23 @@ def _leg_score(body: SkeletonTree, legs: JointIndices, arms: JointIndices) -> fl
     score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
     score += float(np.sign(len(paths[1]) - len(paths[0])))
     fingers = [
-        max(body.branches(body.longest_path(child))[1] for child in pair)
+        max(body.widest_branching(body.longest_path(child))[1] for child in pair)
         for pair in (legs, arms)
     ]
     score += 1.5 * float(np.sign(fingers[1] - fingers[0]))
     # On the side of the arms, the head is another branch.
     long_branches = [
-        child for child in body.children[chest] if body.extent(child) > 0.04 * body.size
+        child
+        for child in body.children[chest]
+        if body.length_through_joint(child) > 0.04 * body.size
     ]
     score += 0.5 * (len(long_branches) > 2)
-    return score + (body.extent(legs[0]) + body.extent(arms[0])) / max(body.size, 1e-30)
+    return score + (
+        body.length_through_joint(legs[0]) + body.length_through_joint(arms[0])
+    ) / max(body.size, 1e-30)
 
 
-def up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
+def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
     """Return the up direction of a standing body ``(3,)``; None if it does not stand.
 
     Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
@@ -273,23 +285,25 @@ def up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | No
     if len(tips) < 4:
         return None
     legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
-    hips, chest = body.common(legs), body.common(arms)
+    hips, chest = body.lowest_common_ancestor(legs), body.lowest_common_ancestor(arms)
     trunk = positions[chest] - positions[hips]
     # Toes and hands point anywhere; mean limb positions are more reliable.
-    drops = [
+    leg_drops = [
         positions[body.path(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
     ]
-    drop = np.asarray(drops).mean(axis=0)
-    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(drop))
+    mean_drop = np.asarray(leg_drops).mean(axis=0)
+    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(mean_drop))
     if min(lengths) <= 0.05 * body.size:
         return None
-    cosine = float(trunk @ drop) / (lengths[0] * lengths[1])
+    cosine = float(trunk @ mean_drop) / (lengths[0] * lengths[1])
     return (
-        trunk / lengths[0] - drop / lengths[1] if cosine < _MAX_UPRIGHT_COSINE else None
+        trunk / lengths[0] - mean_drop / lengths[1]
+        if cosine < _MAX_UPRIGHT_COSINE
+        else None
     )
 
 
-def left_direction(
+def find_left_direction(
     body: SkeletonTree, tips: Mapping[str, int], up: FloatArray | None, *, at_rest: bool
 ) -> FloatArray:
     """Return a body's left direction ``(3,)``, from feet and trunk."""
@@ -306,10 +320,12 @@ def left_direction(
         bones = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
         tip = body.last_bones[toe] if at_rest else np.zeros(3)
         for bone in (bones, tip):
-            level = bone - unit * float(bone @ unit)
+            horizontal = bone - unit * float(bone @ unit)
             # A leaning shin or ankle does not show where feet point.
-            if np.linalg.norm(level) > 0.6 * max(float(np.linalg.norm(bone)), 1e-30):
-                feet += level
+            if np.linalg.norm(horizontal) > 0.6 * max(
+                float(np.linalg.norm(bone)), 1e-30
+            ):
+                feet += horizontal
     if np.linalg.norm(feet) > 0.01 * body.size:
         forward = feet / np.linalg.norm(feet)
     return np.cross(unit, forward)
@@ -322,10 +338,10 @@ class LimbShape:
     roles: tuple[
         str, ...
     ]  # before the limb, its two long bones, its end, beyond the end
-    ratio: float  # of the upper long bone to the lower one
-    before: float  # length before the limb, relative to the upper bone
-    end: float  # length from the end's joint on, relative to the lower bone
-    led: bool  # whether most skeletons have a joint above it
+    lower_over_upper: float  # of the upper long bone to the lower one
+    before_over_upper: float  # length before the limb, relative to the upper bone
+    end_over_upper: float  # length from the end's joint on, relative to the lower bone
+    starts_with_lead: bool  # whether most skeletons have a joint above it
 
 
 # Standard deviations of the logarithms of these lengths.
@@ -360,7 +376,7 @@ def split_limb(
             )
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
-            elif not limb.led and end_index < n - 1:
+            elif not limb.starts_with_lead and end_index < n - 1:
                 score += _bend_amount(
                     body, [path[lower], path[end_index], path[end_index + 1]]
                 )
@@ -392,7 +408,7 @@ def _shape_score(
     counts = [b - a for a, b in pairwise(boundaries)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
-    score -= 0.5 * abs(counts[0] - limb.led)
+    score -= 0.5 * abs(counts[0] - limb.starts_with_lead)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
     length_before, upper_length = (
         float(distances[upper] - distances[0]),
@@ -403,19 +419,23 @@ def _shape_score(
         float(distances[n] - distances[end_index]),
     )
     if upper_length > 0 and lower_length > 0:
-        score -= _ratio_penalty(upper_length / lower_length, limb.ratio, _RATIO_SPREAD)
+        score -= _ratio_penalty(
+            upper_length / lower_length, limb.lower_over_upper, _RATIO_SPREAD
+        )
     elif distances[n] > 0:
         score -= 8.0
     if length_before > 0 and upper_length > 0:
         score -= _ratio_penalty(
-            max(length_before / upper_length, 0.3 * limb.before),
-            limb.before,
+            max(length_before / upper_length, 0.3 * limb.before_over_upper),
+            limb.before_over_upper,
             _BEFORE_SPREAD,
         )
     if end_length > 0 and lower_length > 0:
-        min_end_ratio = 0.0 if end_index < n and limb.roles[4] else limb.end
+        min_end_ratio = 0.0 if end_index < n and limb.roles[4] else limb.end_over_upper
         score -= _ratio_penalty(
-            max(end_length / lower_length, min_end_ratio), limb.end, _END_SPREAD
+            max(end_length / lower_length, min_end_ratio),
+            limb.end_over_upper,
+            _END_SPREAD,
         )
     return float(score)
 
@@ -425,9 +445,9 @@ def _ratio_penalty(value: float, expected: float, deviation: float) -> float:
     return min(0.5 * float(np.log(value / expected) / deviation) ** 2, 12.0)
 
 
-def _bend_amount(body: SkeletonTree, joints: Sequence[int]) -> float:
+def _bend_amount(body: SkeletonTree, joint_triple: Sequence[int]) -> float:
     """Return 0 to 1: how much the path through three joints bends, as at an ankle."""
-    first_bone, second_bone = np.diff(body.positions[list(joints)], axis=0)
+    first_bone, second_bone = np.diff(body.positions[list(joint_triple)], axis=0)
     length_product = float(np.linalg.norm(first_bone) * np.linalg.norm(second_bone))
     if length_product <= 0:
         return 0.0

@@ -40,7 +40,7 @@ from animtool.retarget.motion import Retargeting, build_transfer
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.props import PropTracks
-from animtool.retarget.report import scores_of
+from animtool.retarget.report import fit_scores
 from animtool.retarget.roles import (
     CONTROL,
     END,
@@ -49,7 +49,7 @@ from animtool.retarget.roles import (
     TWIST,
     base_role,
 )
-from animtool.retarget.standing import standing_axis
+from animtool.retarget.standing import find_standing_axis
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
@@ -68,33 +68,36 @@ MAX_LISTED_LIMBS = 6
 ZERO_LENGTH = 1e-4
 
 
-def insufficient_pairs(
-    source: Rig, joint_map: JointMap, follows: IntArray, moving: Collection[int]
+def insufficient_pairs_fault(
+    source: Rig,
+    joint_map: JointMap,
+    source_joints: IntArray,
+    moving_joints: Collection[int],
 ) -> Fault | None:
     """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
 
     Args:
         source: The skeleton of the take, of J joints.
         joint_map: Which joints follow which.
-        follows: Source joint of each target joint ``(K,)``.
-        moving: Moving joints of the source; if none moves, all count.
+        source_joints: Source joint of each target joint ``(K,)``.
+        moving_joints: Moving joints of the source; if none moves, all count.
     """
     roles = joint_map.source.roles
-    used_joints = {pair.source for pair in joint_map.pairs} | {*follows.tolist()}
+    used_joints = {pair.source for pair in joint_map.pairs} | {*source_joints.tolist()}
     used_joints |= {j for chain in joint_map.chains for j in chain.source}
     limbs = _complete_limbs(roles)
     intact_limbs = [
         name for name, joints in limbs.items() if used_joints.issuperset(joints)
     ]
     body_joints = _body_joints(source, roles)
-    counted_joints = [j for j in body_joints if j in moving] or body_joints
-    paired_joints = [j for j in counted_joints if j in used_joints]
-    if len(paired_joints) >= MIN_PAIRED_FRACTION * len(counted_joints) and (
+    relevant_joints = [j for j in body_joints if j in moving_joints] or body_joints
+    paired_joints = [j for j in relevant_joints if j in used_joints]
+    if len(paired_joints) >= MIN_PAIRED_FRACTION * len(relevant_joints) and (
         intact_limbs or not limbs
     ):
         return None
     message = (
-        f"{len(paired_joints)} of {counted(len(counted_joints), 'moving joint')} of "
+        f"{len(paired_joints)} of {counted(len(relevant_joints), 'moving joint')} of "
         f"{source.name!r} are paired"
     )
     if limbs and not intact_limbs:
@@ -109,20 +112,23 @@ def insufficient_pairs(
     return Fault("MAP010", message, hint=hint)
 
 
-def zero_length_limbs(
-    source: Rig, joint_map: JointMap, longest: FloatArray
+def zero_length_fault(
+    source: Rig, joint_map: JointMap, max_bone_lengths: FloatArray
 ) -> Fault | None:
     """Return which limbs of a take have bones without length (MAP011); None for none.
 
     Args:
         source: The skeleton of the take, of J joints.
         joint_map: Which joints follow which.
-        longest: Largest distance of its joints from their parents ``(J,)`` [m].
+        max_bone_lengths: Largest distance of its joints from their parents ``(J,)``
+            [m].
     """
     roles = joint_map.source.roles
     lengths = np.linalg.norm(source.rest_translations, axis=1)
     has_collapsed = (
-        (longest <= ZERO_LENGTH * lengths) & (lengths > 0) & (source.parents >= 0)
+        (max_bone_lengths <= ZERO_LENGTH * lengths)
+        & (lengths > 0)
+        & (source.parents >= 0)
     )
     bones = sorted(
         {
@@ -197,7 +203,7 @@ def retarget_stream(
     rig: Rig,
     options: RetargetOptions,
     *,
-    same: bool = False,
+    plant_similar_legs: bool = False,
     props: PropTracks | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
     """Return a retargeting of a take, the joint map, and warnings.
@@ -206,7 +212,8 @@ def retarget_stream(
         stream: The take.
         rig: The target rig.
         options: Retargeting options.
-        same: Whether feet are also planted on legs like those of the source.
+        plant_similar_legs: Whether feet are also planted on legs like those of the
+            source.
         props: Tracks of the take that hands may grip.
     """
     _check_bound(options)
@@ -223,7 +230,7 @@ def retarget_stream(
     notices = list(joint_map.notices)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
-    stance_axis = standing_axis(source, first_block, joint_map.source.roles)
+    stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
         stated = argument("source.up", source.up)
         message = f"the body stands along {stance_axis}, but {stated} was given"
@@ -253,23 +260,24 @@ def retarget_stream(
         motions,
         fps,
         lock=lock,
-        same=same,
+        plant_similar_legs=plant_similar_legs,
         hands=keep_hands,
         props=props,
     )
     retargeting.rest_frame = frame
-    missing_pairs = insufficient_pairs(
-        source, joint_map, transfer.follows, retargeting.moving
+    missing_pairs = insufficient_pairs_fault(
+        source, joint_map, transfer.source_joints, retargeting.moving_joints
     )
     if options.map is not None:
         missing_pairs = None
     missing_pairs = (
-        zero_length_limbs(source, joint_map, retargeting.longest) or missing_pairs
+        zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
+        or missing_pairs
     )
-    if missing_pairs is not None and not options.force_fit and not same:
+    if missing_pairs is not None and not options.force_fit and not plant_similar_legs:
         raise FormatError(missing_pairs)
-    retargeting.forced = [] if missing_pairs is None else [missing_pairs]
-    contacts = retargeting.standing.contacts if lock else ()
+    retargeting.ignored_errors = [] if missing_pairs is None else [missing_pairs]
+    contacts = retargeting.contact_frames.contacts if lock else ()
     if contacts and not any(foot_contacts.any.any() for foot_contacts in contacts):
         message = "no foot is planted in any frame: none is held"
         hint = "does the take show a person with legs, for more than two frames?"
@@ -354,6 +362,7 @@ def _scale_warnings(scale: float) -> list[Fault]:
 
 
 def _rig_of_options(options: RetargetPassOptions) -> Path:
+    """Return the path of the target rig."""
     if options.rig is None:
         message = "rig must name the file of a rig"
         raise OptionError(Fault("CAP001", message))
@@ -361,6 +370,7 @@ def _rig_of_options(options: RetargetPassOptions) -> Path:
 
 
 def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
+    """Run the pass: retarget the take and report its fit."""
     # The take determines root motion, not the rig's stage.
     rig = at_origin(Rig.load(context.folder / _rig_of_options(options)))
     names = RetargetOptions.__dataclass_fields__
@@ -385,11 +395,11 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     if props is None:
         return retargeted
     gripped_tracks = {
-        track for hand in retargeting.standing.hands for track in hand.props
+        track for hand in retargeting.contact_frames.hands for track in hand.props
     }
     return replace(
         retargeted,
-        tracks=props.with_gripped(
+        tracks=props.rescale_gripped(
             gripped_tracks, retargeting.transfer, retargeting.lift
         ),
     )
@@ -400,7 +410,7 @@ def _with_fit_report(
 ) -> Iterator[Motion]:
     """Yield the target's motion; report the fit at the end."""
     yield from blocks
-    context.scores.append(scores_of(retargeting.report()))
+    context.scores.append(fit_scores(retargeting.report()))
 
 
 def checked_blocks(
@@ -428,7 +438,7 @@ def checked_blocks(
         notices.append(Fault("MAP110", message, file, (), hint, Severity.WARNING))
     if options.warn_above is None:
         return
-    for score in scores_of(retargeting.report()).scores:
+    for score in fit_scores(retargeting.report()).scores:
         if score.excess > options.warn_above:
             good_text = replace(score, value=score.usual).text
             message = f"{score.name} {score.text}; a good take has up to {good_text}"
@@ -445,7 +455,8 @@ def _check_bound(options: Any) -> None:
         raise OptionError(Fault("CAP001", message))
 
 
-def _checks(options: Any) -> OptionChecks:
+def _option_checks(options: Any) -> OptionChecks:
+    """Return the checks of each option."""
     return {
         "rig": lambda: _rig_of_options(options),
         "warn_above": lambda: _check_bound(options),
@@ -458,7 +469,7 @@ PASS = Pass(
     RetargetPassOptions,
     Scope.WINDOW,
     _run,
-    _checks,
+    _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),
     changes=MOTION_PARTS | {TakePart.RIG, TakePart.TRACKS},
 )

@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.retarget.balls import balls_of
+from animtool.retarget.balls import find_balls
 from animtool.retarget.map import JointMap
 from animtool.retarget.roled_skeleton import MIN_BONE_LENGTH, RoledSkeleton
 from animtool.retarget.roles import base_role
@@ -38,11 +38,11 @@ class Transfer:
     scale: float
     # For each target joint (K,): the source joint that it follows, -1 for none; the
     # next one in its chain, and the weight of that.
-    follows: IntArray
-    after: IntArray
-    fraction: FloatArray
+    source_joints: IntArray
+    next_source_joints: IntArray
+    next_weights: FloatArray
     # World rotations of the target at the source's rest pose (K, 4).
-    aligned: FloatArray
+    rest_alignment: FloatArray
     twists: Sequence[tuple[int, int, int, float]] = field(default=())
 
     @staticmethod
@@ -57,21 +57,21 @@ class Transfer:
 
         ``as_rig``: whether the source's rest pose equals the target's.
         """
-        balls = balls_of(source, target), balls_of(target, source)
+        balls = find_balls(source, target), find_balls(target, source)
         source = replace(source, balls=balls[0])
         target = replace(target, balls=balls[1])
         up_rotation = up_from_up(target.rig.up, source.rig.up)
         upright = so3.IDENTITY if up_rotation is None else np.array(up_rotation)
         count = len(target.rig.joints)
-        follows, after = np.full(count, -1), np.full(count, -1)
-        fraction = np.zeros(count)
+        source_joints, next_source_joints = np.full(count, -1), np.full(count, -1)
+        next_weights = np.zeros(count)
         for pair in joint_map.pairs:
-            follows[pair.target] = after[pair.target] = pair.source
+            source_joints[pair.target] = next_source_joints[pair.target] = pair.source
         for chain in joint_map.chains:
             if len(chain.source) == len(chain.target):
                 positions = list(zip(chain.target, chain.source, strict=True))
                 for joint, source_joint in positions:
-                    follows[joint] = after[joint] = source_joint
+                    source_joints[joint] = next_source_joints[joint] = source_joint
                 continue
             middles = _fraction_middles(chain.source_at)
             for joint, position in zip(
@@ -80,16 +80,18 @@ class Transfer:
                 k = int(np.searchsorted(middles, position))
                 lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)
                 spacing = middles[upper_index] - middles[lower_index]
-                follows[joint], after[joint] = (
+                source_joints[joint], next_source_joints[joint] = (
                     chain.source[lower_index],
                     chain.source[upper_index],
                 )
-                fraction[joint] = (
+                next_weights[joint] = (
                     (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
                 )
-        for joint, source_joint in equal_name_pairs(source.rig, target.rig, follows):
-            follows[joint] = after[joint] = source_joint
-        aligned = _rest_alignment(source, target, follows, upright, as_rig=as_rig)
+        for joint, source_joint in equal_name_pairs(
+            source.rig, target.rig, source_joints
+        ):
+            source_joints[joint] = next_source_joints[joint] = source_joint
+        aligned = _rest_alignment(source, target, source_joints, upright, as_rig=as_rig)
         twists = []
         for twist in joint_map.twists:
             twisting_joint = _twist_source(target, twist.bone)
@@ -97,9 +99,17 @@ class Transfer:
                 twists.append(
                     (twist.target, twist.bone, twisting_joint, twist.fraction)
                 )
-        scale = _leg_ratio(source, target, follows)
+        scale = _leg_ratio(source, target, source_joints)
         return Transfer(
-            source, target, upright, scale, follows, after, fraction, aligned, twists
+            source,
+            target,
+            upright,
+            scale,
+            source_joints,
+            next_source_joints,
+            next_weights,
+            aligned,
+            twists,
         )
 
     @property
@@ -108,11 +118,11 @@ class Transfer:
         sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
         skeletons = self.target, self.source
         for side in sides:
-            balls = [foot_ball.balls.get(side) for foot_ball in skeletons]
+            balls = [skeleton.balls.get(side) for skeleton in skeletons]
             # Feet with other toes roll differently, even if they are equally long.
             if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
                 return False
-            bones = [foot_ball.leg_bones(side) for foot_ball in skeletons]
+            bones = [skeleton.leg_bones(side) for skeleton in skeletons]
             if len(bones[0]) != len(bones[1]):
                 return False
             length_errors = np.abs(bones[0] - self.scale * bones[1])
@@ -129,13 +139,15 @@ class Transfer:
         Joints that follow no source joint move with their parents.
         """
         rig = self.target.rig
-        changed = so3.multiply(world, so3.conjugate(self.source.rotations))
+        rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
         if (self.upright != so3.IDENTITY).any():
-            changed = so3.multiply(self.upright, changed)
-            changed = so3.multiply(changed, so3.conjugate(self.upright))
+            rotations_from_rest = so3.multiply(self.upright, rotations_from_rest)
+            rotations_from_rest = so3.multiply(
+                rotations_from_rest, so3.conjugate(self.upright)
+            )
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
-            source_joint = self.follows[j]
+            source_joint = self.source_joints[j]
             if source_joint < 0:
                 rest_rotation = rig.rest_rotations[j]
                 parent_rotations = (
@@ -144,11 +156,15 @@ class Transfer:
                 world_rotations[:, j] = so3.multiply(parent_rotations, rest_rotation)
                 continue
             del joint
-            rotation = changed[:, source_joint]
-            if self.after[j] != source_joint:
-                fraction = np.full(len(world), self.fraction[j])
-                rotation = so3.slerp(rotation, changed[:, self.after[j]], fraction)
-            world_rotations[:, j] = so3.multiply(rotation, self.aligned[j])
+            rotation = rotations_from_rest[:, source_joint]
+            if self.next_source_joints[j] != source_joint:
+                fraction = np.full(len(world), self.next_weights[j])
+                rotation = so3.slerp(
+                    rotation,
+                    rotations_from_rest[:, self.next_source_joints[j]],
+                    fraction,
+                )
+            world_rotations[:, j] = so3.multiply(rotation, self.rest_alignment[j])
         return world_rotations
 
     def bones(
@@ -166,17 +182,19 @@ class Transfer:
         """
         source_rig, target_rig = self.source.rig, self.target.rig
         deviations = translations - source_rig.rest_translations
-        moves = np.abs(deviations).max(axis=(0, 2)) > MIN_DEVIATION * self.source.size
+        is_moving = (
+            np.abs(deviations).max(axis=(0, 2)) > MIN_DEVIATION * self.source.size
+        )
         local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
-        for joint, source_joint in enumerate(self.follows.tolist()):
+        for joint, source_joint in enumerate(self.source_joints.tolist()):
             target_parent, source_parent = (
                 int(target_rig.parents[joint]),
                 int(source_rig.parents[max(source_joint, 0)]),
             )
             if (
                 source_joint < 0
-                or not moves[source_joint]
+                or not is_moving[source_joint]
                 or min(target_parent, source_parent) < 0
                 or joint == hips
             ):
@@ -201,9 +219,9 @@ class Transfer:
         Args:
             positions: Positions of the source's joints ``(F, J, 3)`` [m].
         """
-        return self.scale * self.turned(middle_of_hips(self.source, positions))
+        return self.scale * self.to_target_axes(middle_of_hips(self.source, positions))
 
-    def turned(self, points: FloatArray) -> FloatArray:
+    def to_target_axes(self, points: FloatArray) -> FloatArray:
         """Return points of the source ``(..., 3)`` in the target's axes."""
         if (self.upright == so3.IDENTITY).all():
             return points
@@ -219,22 +237,23 @@ def middle_of_hips(skeleton: RoledSkeleton, positions: FloatArray) -> FloatArray
 
 
 def equal_name_pairs(
-    source: Rig, target: Rig, follows: IntArray
+    source: Rig, target: Rig, source_joints: IntArray
 ) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used_joints, names = (
-        {*follows.tolist()},
+        {*source_joints.tolist()},
         {name: j for j, name in enumerate(source.names)},
     )
     return [
         (joint, names[name])
         for joint, name in enumerate(target.names)
-        if follows[joint] < 0 and name in names and names[name] not in used_joints
+        if source_joints[joint] < 0 and name in names and names[name] not in used_joints
     ]
 
 
-def _fraction_middles(at: Sequence[float]) -> FloatArray:
-    edges = np.append(at, 1.0)
+def _fraction_middles(start_fractions: Sequence[float]) -> FloatArray:
+    """Return the middles of a chain's bones, as fractions of its length."""
+    edges = np.append(start_fractions, 1.0)
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
@@ -248,7 +267,7 @@ def _twist_source(skeleton: RoledSkeleton, bone: int) -> int:
 def _rest_alignment(
     source: RoledSkeleton,
     target: RoledSkeleton,
-    follows: IntArray,
+    source_joints: IntArray,
     upright: FloatArray,
     *,
     as_rig: bool,
@@ -261,7 +280,7 @@ def _rest_alignment(
     up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
     heading = _heading_alignment(source, target, upright, up)
     rotations = so3.multiply(heading, target.rotations)
-    for j, source_joint in enumerate(follows.tolist() if not as_rig else []):
+    for j, source_joint in enumerate(source_joints.tolist() if not as_rig else []):
         role = base_role(target.roles[j])
         if source_joint < 0:
             continue
@@ -271,8 +290,7 @@ def _rest_alignment(
         bone, source_bone = so3.rotate(heading, bone), so3.rotate(upright, source_bone)
         if role == "foot":
             bone, source_bone = (
-                horizontal - (horizontal @ up) * up
-                for horizontal in (bone, source_bone)
+                direction - (direction @ up) * up for direction in (bone, source_bone)
             )
             sizes = np.linalg.norm(bone), np.linalg.norm(source_bone)
             if min(sizes) < MIN_BONE_LENGTH:
@@ -300,11 +318,13 @@ def _heading_alignment(
         < MIN_STANDING_COSINE
     ):
         return so3.from_matrix(source_facing.T @ target_facing)
-    target_up, source_up = (
-        horizontal - (horizontal @ up) * up
-        for horizontal in (target_facing[2], source_facing[2])
+    target_forward, source_forward = (
+        forward - (forward @ up) * up
+        for forward in (target_facing[2], source_facing[2])
     )
-    angle = np.arctan2(np.cross(target_up, source_up) @ up, target_up @ source_up)
+    angle = np.arctan2(
+        np.cross(target_forward, source_forward) @ up, target_forward @ source_forward
+    )
     return so3.from_axis_angle(up, angle)
 
 
@@ -314,7 +334,7 @@ _FINGER_NAMES = {"thumb", "index", "middle", "ring", "pinky"}
 
 
 def _leg_ratio(
-    source: RoledSkeleton, target: RoledSkeleton, follows: IntArray
+    source: RoledSkeleton, target: RoledSkeleton, source_joints: IntArray
 ) -> float:
     """Return the ratio of target leg length to source leg length.
 
@@ -336,10 +356,10 @@ def _leg_ratio(
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY_ROLES and role in target.roles
         ]
-        followers = np.flatnonzero(follows >= 0)
+        mapped_joints = np.flatnonzero(source_joints >= 0)
         leg_lengths = leg_lengths or [
-            (float(path_lengths[0][j]), float(path_lengths[1][follows[j]]))
-            for j in followers
+            (float(path_lengths[0][j]), float(path_lengths[1][source_joints[j]]))
+            for j in mapped_joints
         ]
     target_length, source_length = (
         sum(lengths) for lengths in zip((0.0, 0.0), *leg_lengths, strict=True)

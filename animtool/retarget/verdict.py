@@ -44,7 +44,7 @@ class FrameNumbers:
         frames: Numbers in the output; None uses all of the take.
 
     >>> ten = FrameRange(1001, 1010)
-    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), ten).run(48, 60)
+    >>> FrameNumbers(Fraction(1001), Fraction(1, 5), ten).numbers_of_run(48, 60)
     (1010, 1010)
     """
 
@@ -52,7 +52,7 @@ class FrameNumbers:
     step: Fraction = Fraction(1)
     frames: FrameRange | None = None
 
-    def run(self, first: int, last: int) -> tuple[int, int] | None:
+    def numbers_of_run(self, first: int, last: int) -> tuple[int, int] | None:
         """Return output numbers of a run of frames from 0; None if all are cut."""
         first_number = math.floor(self.start + first * self.step)
         last_number = math.ceil(self.start + last * self.step)
@@ -64,7 +64,7 @@ class FrameNumbers:
 
 @dataclass(frozen=True, slots=True)
 class VerdictReason:
-    """Why a take needs a look.
+    """A reason to check a take.
 
     Attributes:
         what: The score, or the fault.
@@ -76,11 +76,11 @@ class VerdictReason:
     text: str = ""
     frames: tuple[tuple[int, int], ...] = ()
 
-    def numbered(self, numbers: FrameNumbers) -> VerdictReason | None:
+    def in_output_frames(self, numbers: FrameNumbers) -> VerdictReason | None:
         """Return the reason with an output's frame numbers; None if all are cut."""
         if not self.frames:
             return self
-        runs = [numbers.run(first, last) for first, last in self.frames]
+        runs = [numbers.numbers_of_run(first, last) for first, last in self.frames]
         frames = tuple(run for run in runs if run is not None)
         return replace(self, frames=frames) if frames else None
 
@@ -93,9 +93,11 @@ class Verdict:
     reasons: tuple[VerdictReason, ...] = ()
     json_keys: ClassVar[str] = "verdict=status look_at=reasons{what value=text frames}"
 
-    def numbered(self, numbers: FrameNumbers) -> Verdict:
+    def in_output_frames(self, numbers: FrameNumbers) -> Verdict:
         """Return the verdict on the frames of an output, in its numbering."""
-        reasons_in_output = [reason.numbered(numbers) for reason in self.reasons]
+        reasons_in_output = [
+            reason.in_output_frames(numbers) for reason in self.reasons
+        ]
         reasons = tuple(reason for reason in reasons_in_output if reason is not None)
         is_good = self.status is TakeStatus.LOOK and not reasons
         return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)

@@ -729,9 +729,11 @@ def test_what_comes_after_a_window_is_kept_where_it_ends_as_before(
     """Frame k is at k; a window of frames 1 and 2 ends at another place or does not."""
     names = ClipPath.with_window.__globals__
     monkeypatch.setitem(names, "difference", lambda _, a, b: np.asarray(a - b))
-    monkeypatch.setitem(names, "at_poses", lambda *_: SimpleNamespace(coordinates=[7]))
-    monkeypatch.setitem(names, "_frames", lambda _, own: (own.start, own.stop))
-    monkeypatch.setitem(names, "_concatenated", lambda parts: parts)
+    monkeypatch.setitem(
+        names, "with_poses", lambda *_: SimpleNamespace(coordinates=[7])
+    )
+    monkeypatch.setitem(names, "_select_frames", lambda _, own: (own.start, own.stop))
+    monkeypatch.setitem(names, "_concatenate", lambda parts: parts)
 
     class Path:
         problem = SimpleNamespace(chain=None)

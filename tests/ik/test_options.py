@@ -56,7 +56,9 @@ def test_what_is_out_of_reach_is_searched_from_each_start_alone(
 
     monkeypatch.setattr(module, "solve", noted)
     options = IkOptions(warm=True, near=True, ordered=True, restarts=9)
-    found = module.nearest(problem, result, targets, options, np.zeros((1, 5)))
+    found = module.find_nearest_poses(
+        problem, result, targets, options, np.zeros((1, 5))
+    )
     assert found.positions[0, 0] <= result.positions[0, 0] + 1e-9
     for one in asked:
         assert (one.restarts, one.ordered, one.warm, one.near) == (

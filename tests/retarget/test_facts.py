@@ -10,7 +10,7 @@ import pytest
 
 from animtool import Channel, Take, open_source
 from animtool.maths import so3
-from animtool.retarget.facts import capture_facts
+from animtool.retarget.facts import measure_capture
 
 
 @pytest.fixture(scope="module")
@@ -20,7 +20,7 @@ def walk(root: Path) -> Take:
 
 def test_a_walk(walk: Take) -> None:
     """Of two cycles of 32 frames at 30 a second, 1.44 m each."""
-    found = capture_facts(walk)
+    found = measure_capture(walk)
     assert found is not None
     assert {name: foot.steps for name, foot in found.feet.items()} == {
         "left": 2,
@@ -37,7 +37,7 @@ def test_noise_is_that_of_the_noisiest_joint(walk: Take) -> None:
     shake = so3.exp(rng.normal(0, 0.02, (len(turns), 3)))
     turns[:, joint] = so3.multiply(turns[:, joint], shake)
     motion = replace(walk.motion, rotations=Channel.from_dense(turns))
-    found = capture_facts(replace(walk, motion=motion))
+    found = measure_capture(replace(walk, motion=motion))
     assert found is not None
     assert found.noisiest == "LeftHand"
     # Frames are few.
@@ -57,4 +57,4 @@ def test_who_has_no_legs_says_nothing(walk: Take) -> None:
         rig=alone,
         motion=replace(motion, translations=first[0], rotations=first[1]),
     )
-    assert capture_facts(take) is None
+    assert measure_capture(take) is None

@@ -10,10 +10,10 @@ from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
 from animtool.retarget.bending import bend_at_pin
 from animtool.retarget.feet import (
-    _foot_load,
+    _foot_weight,
     _locked_path,
     _planted_rotations,
-    smoothest_cover,
+    smooth_cover,
     upper_envelope,
 )
 from animtool.rig.limits import RangeLimit
@@ -22,21 +22,21 @@ from animtool.rig.limits import RangeLimit
 def test_what_covers_bends_less_than_a_window_of_the_most() -> None:
     rng = np.random.default_rng(3)
     values = np.where(rng.random(200) < 0.05, rng.random(200), -1.0)
-    made = smoothest_cover(values, 4.0)
+    made = smooth_cover(values, 4.0)
     assert (made >= values - 1e-4).all()
     bends = [
         np.abs(np.diff(each, 2)).max() for each in (made, upper_envelope(values, 8.0))
     ]
     assert bends[0] < 0.5 * bends[1]
-    assert not smoothest_cover(-np.ones(9), 4.0).any()
+    assert not smooth_cover(-np.ones(9), 4.0).any()
 
 
 def test_what_covers_depends_on_what_is_near() -> None:
     values = np.full(200, -1.0)
     values[20] = 1.0
-    assert np.abs(smoothest_cover(values, 4.0)[100:]).max() < 1e-5
+    assert np.abs(smooth_cover(values, 4.0)[100:]).max() < 1e-5
     values[150] = 0.5
-    whole, part = smoothest_cover(values, 4.0), smoothest_cover(values[100:], 4.0)
+    whole, part = smooth_cover(values, 4.0), smooth_cover(values[100:], 4.0)
     np.testing.assert_allclose(part[30:], whole[130:], atol=1e-5)
 
 
@@ -61,17 +61,17 @@ def test_a_foot_carries_all_where_the_take_cuts_its_stance_off() -> None:
     third, more = 17 / 81, 64 / 81  # of t³ (10 - 15 t + 6 t²)
     stands = np.zeros(40, np.bool_)
     stands[:8] = stands[14:24] = stands[33:] = True
-    found = _foot_load(stands, 20.0)
+    found = _foot_weight(stands, 20.0)
     np.testing.assert_allclose(found[5:9], [more, third, 0, 0])
     np.testing.assert_allclose(found[:5], 1)
     inside = [0, third, more, 1, 1, 1, 1, more, third, 0]
     np.testing.assert_allclose(found[14:24], inside)
     np.testing.assert_allclose(found[33:36], [0, third, more])
     np.testing.assert_allclose(found[36:], 1)
-    np.testing.assert_allclose(_foot_load(np.ones(9, np.bool_), 20.0), 1)
+    np.testing.assert_allclose(_foot_weight(np.ones(9, np.bool_), 20.0), 1)
     # A stance of four frames has two of them to come and two to go.
     stands = np.array([0, 0, 1, 1, 1, 1, 0, 0], np.bool_)
-    np.testing.assert_allclose(_foot_load(stands, 20.0)[2:6], [0, 0.5, 0.5, 0])
+    np.testing.assert_allclose(_foot_weight(stands, 20.0)[2:6], [0, 0.5, 0.5, 0])
 
 
 @pytest.mark.parametrize(("lean", "kept"), [(10.0, 0.0), (-19.0, 0.0), (25.0, 25.0)])
@@ -91,7 +91,7 @@ def test_who_kneels_stands_on_toes_that_have_no_joint(
     above: float, high: float
 ) -> None:
     """Above a twentieth of its leg an ankle stays as far above where it stands."""
-    one = foot(8, lift_above=np.full(8, above))
+    one = foot(8, height_change=np.full(8, above))
     ankle = np.tile([0.3, 0.4, 0.1], (8, 1)) + np.linspace(-0.01, 0.01, 8)[:, None]
     found = _locked_path(ankle, np.zeros((8, 3)), one, 30.0, 1)
     np.testing.assert_allclose(found, np.tile([0.3, 0.08 + high, 0.1], (8, 1)))

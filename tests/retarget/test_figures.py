@@ -22,12 +22,12 @@ from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import TakeStream
 from animtool.retarget import map_joints, map_text, retarget_take
 from animtool.retarget.anatomy import find_anatomy
-from animtool.retarget.facts import capture_facts
+from animtool.retarget.facts import measure_capture
 from animtool.retarget.fingers import _digits_by_position
 from animtool.retarget.options import RetargetOptions
-from animtool.retarget.report import scores_of
+from animtool.retarget.report import fit_scores
 from animtool.retarget.roled_skeleton import RoledSkeleton
-from animtool.retarget.standing import body_axes, measure_stance, standing_axis
+from animtool.retarget.standing import body_axes, find_standing_axis, measure_stance
 from animtool.retarget.take_pass import retarget_stream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Joint
@@ -105,7 +105,7 @@ def test_irregular_takes_on_an_uneven_rig(name: str) -> None:
     take, rig = uneven(taken(name)), odd_biped()
     found = map_joints(take.rig, rig)
     made = retarget_take(take, rig, found, hands=name == "lift")
-    scores = scores_of(made.report)
+    scores = fit_scores(made.report)
     check_figures(
         __file__,
         name,
@@ -335,13 +335,13 @@ def test_nobody_stands_nowhere() -> None:
     empty = Motion(
         Channel.from_dense(np.zeros((3, 0, 3))), Channel.from_dense(np.zeros((3, 0, 4)))
     )
-    assert standing_axis(none, empty, ()) is None
+    assert find_standing_axis(none, empty, ()) is None
 
 
 @pytest.mark.parametrize("name", ["kick", "run"])
 def test_facts_of_takes(name: str) -> None:
     take = uneven(taken(name))
-    facts = capture_facts(take)
+    facts = measure_capture(take)
     assert facts is not None
     roles = find_anatomy(take.rig).roles
     positions = take.world().positions
@@ -352,7 +352,7 @@ def test_facts_of_takes(name: str) -> None:
         {
             "facts": asdict(facts),
             "axes": body_axes(roles, positions),
-            "stands": str(standing_axis(take.rig, take.motion, roles)),
+            "stands": str(find_standing_axis(take.rig, take.motion, roles)),
             "stance": [
                 measure_stance(roles, where, UpAxis.Y, rest)
                 for where in (positions, lying, -positions)

@@ -21,13 +21,13 @@ from animtool.retarget import Retargeted, map_joints, retarget_take
 from animtool.retarget.hands import (
     AnkleHeights,
     ArmTracks,
+    _are_hands_joined,
     _arm_length,
-    _bent_wrist,
-    _hands_joined,
     _shift_into_reach,
     _soften_heights,
-    arm_of,
-    hinge_of,
+    _wrist_of_bent_arm,
+    arm_joints,
+    elbow_hinge,
 )
 from animtool.rig.write import rig_text
 
@@ -101,7 +101,7 @@ def wrists(take: Take) -> tuple[FloatArray, FloatArray]:
 def test_hands_that_hold_each_other(clasp: Take, share: float) -> None:
     rig = longer(clasp.rig, share)
     free, made = (onto(clasp, rig, hands=hands) for hands in (False, True))
-    held = made.standing.hands[0].active
+    held = made.standing.hands[0].is_active
     assert held[30:60].all()
     assert not held[[0, -1]].any()
     source = np.subtract(*wrists(clasp))
@@ -222,10 +222,10 @@ def test_hands_hold_each_other_who_are_near_and_go_one_way(
     """Nearer than 0.4 of an arm of half a metre, slower than 0.25 of it a second."""
     frames = np.arange(60) - 30
     ways = np.stack([np.full(60, apart), speed * frames / 60, 0.0 * frames], axis=1)
-    found = _hands_joined(ways, 0.5, 60.0)
+    found = _are_hands_joined(ways, 0.5, 60.0)
     assert found[25:35].all() == held
-    assert not _hands_joined(ways[:2], 0.5, 60.0).any()
-    assert not _hands_joined(ways, 0.0, 60.0).any()
+    assert not _are_hands_joined(ways[:2], 0.5, 60.0).any()
+    assert not _are_hands_joined(ways, 0.0, 60.0).any()
 
 
 def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
@@ -241,15 +241,15 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
         rotations=np.array([so3.IDENTITY, turn, so3.IDENTITY]),
     )
     person: Any = arm
-    assert arm_of(person, "l") == [0, 1, 2]
-    assert arm_of(person, "r") is None
+    assert arm_joints(person, "l") == [0, 1, 2]
+    assert arm_joints(person, "r") is None
     assert _arm_length(person, "l") == pytest.approx(0.7)
     assert _arm_length(person, "r") == 0
-    axis = so3.rotate(turn, hinge_of(person, [0, 1, 2]))
+    axis = so3.rotate(turn, elbow_hinge(person, [0, 1, 2]))
     assert_allclose(axis, [0, 0, -1], atol=1e-12)
     tracks = ArmTracks(places[None], np.tile(so3.IDENTITY, (1, 2, 1)), places[None, 2])
     bends = np.array([[[0.0, 0, np.pi / 2], [0, 0, np.pi]]])
-    assert_allclose(_bent_wrist(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
+    assert_allclose(_wrist_of_bent_arm(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
 
 
 def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from animtool import Rig, open_source
 from animtool.retarget import map_joints
-from animtool.retarget.legs import _standing_height
+from animtool.retarget.legs import _planted_ankle_height
 from animtool.retarget.motion import retarget_take
 from animtool.rig.kinematics import rest_world
 
@@ -31,4 +31,4 @@ def test_ankles_of_a_rig_that_stands_on_the_ground_are_as_high_as_at_rest(
     for side in "lr":
         ankle = float(rest[target.index(f"ankle_{side}"), 1])
         assert 0 < ankle < 0.2
-        assert _standing_height(transfer, side, 0.3, 1) == pytest.approx(ankle)
+        assert _planted_ankle_height(transfer, side, 0.3, 1) == pytest.approx(ankle)

@@ -17,7 +17,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.edit import mirror
 from animtool.maths import so3
 from animtool.retarget import map_joints, motion
-from animtool.retarget.motion import Retargeted, limbs_of, retarget_take
+from animtool.retarget.motion import Retargeted, limb_joints, retarget_take
 from animtool.rig.limits import BallLimit, RangeLimit, swing_twist
 from animtool.rig.skeleton import JointType
 
@@ -58,7 +58,7 @@ def test_limbs_are_of_the_hips_on_whichever_joint_these_are(walk: Take) -> None:
     """The first joint counts, too; spine, neck and head do not."""
     made = onto_rig(walk, walk.rig)
     person = made.transfer.target
-    limbs = limbs_of(person)
+    limbs = limb_joints(person)
     hips = person.first("hips")
     assert hips == 0
     assert hips in limbs

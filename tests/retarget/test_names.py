@@ -82,13 +82,13 @@ def test_spellings_of_a_convention_are_known(
 )
 def test_a_name_is_taken_apart(name: str, other: str, side: str, key: str) -> None:
     read = parse_names([name, other], np.array([-1, -1]))
-    assert (read[0].side, read[0].key) == (side, key)
+    assert (read[0].side, read[0].name_key) == (side, key)
 
 
 def test_a_start_that_all_share_is_no_prefix_where_it_says_the_side() -> None:
     names = ["puppet_L_shoulder", "puppet_L_elbow", "puppet_L_wrist"]
     read = parse_names(names, np.array([-1, 0, 1]))
-    assert [(one.side, one.key) for one in read] == [
+    assert [(one.side, one.name_key) for one in read] == [
         ("l", "shoulder"), ("l", "elbow"), ("l", "wrist")
     ]  # fmt: skip
 
@@ -98,7 +98,7 @@ def test_every_preset_has_its_source_and_roles_that_there_are() -> None:
     for preset in presets().values():
         assert preset.title
         assert preset.source
-        assert {role for role in preset.joints if role != "twist"} <= {
+        assert {role for role in preset.names_by_role if role != "twist"} <= {
             *ROLES,
             *map(base_role, ROLES),
             *(f"twist_{side}" for side in "lr"),
@@ -107,8 +107,10 @@ def test_every_preset_has_its_source_and_roles_that_there_are() -> None:
 
 def test_sides_of_presets_have_the_same_joints() -> None:
     for preset in presets().values():
-        left = {role[:-2] for role in preset.joints if role.endswith("_l")}
-        assert left == {role[:-2] for role in preset.joints if role.endswith("_r")}
+        left = {role[:-2] for role in preset.names_by_role if role.endswith("_l")}
+        assert left == {
+            role[:-2] for role in preset.names_by_role if role.endswith("_r")
+        }
 
 
 def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
@@ -168,10 +170,10 @@ def test_the_page_of_unknown_presets_lists_all(root: Path) -> None:
 def test_a_convention_is_known_by_six_of_its_names(count: int, known: bool) -> None:
     preset = presets()["mixamo"]
     texts: dict[str, str] = {}
-    for text in sorted(preset.texts):
+    for text in sorted(preset.unparsed_names):
         (name,) = parse_names([text], np.array([-1]))
-        if name.key in preset.keys:
-            texts.setdefault(name.key, text)
+        if name.name_key in preset.roles_by_key:
+            texts.setdefault(name.name_key, text)
     chosen = list(texts.values())[:count]
     found = best_preset(chosen, parse_names(chosen, np.arange(count) - 1))
     assert (found is not None) == known

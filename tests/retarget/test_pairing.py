@@ -14,7 +14,7 @@ from animtool.retarget import JointMap, map_joints, map_text
 from animtool.retarget.pairing import (
     _bone_length,
     _chain_fractions,
-    _last_before,
+    _last_index_before,
     _path_length,
 )
 from animtool.retarget.roles import Anatomy, RoleSource
@@ -355,8 +355,8 @@ def test_places_along_a_chain_are_shares_of_its_length() -> None:
     headed = Anatomy(("spine", "spine", "", "neck", "head"), none, (1.0,) * 5)
     assert _bone_length(rig, headed, 1) == pytest.approx(2)
     assert _chain_fractions(rig, known, [4]) == [0]
-    assert _last_before([0.0, 0.5, 0.7], 0.59) == 1
-    assert _last_before([0.0, 0.5, 0.7], 0.61) == 2
+    assert _last_index_before([0.0, 0.5, 0.7], 0.59) == 1
+    assert _last_index_before([0.0, 0.5, 0.7], 0.61) == 2
 
 
 @pytest.mark.parametrize(("height", "codes"), [(0.0, ["MAP109"]), (0.7, [])])

@@ -13,7 +13,7 @@ from support.feet import foot
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.contacts import FootContacts
-from animtool.retarget.bending import bend_limb, shortest
+from animtool.retarget.bending import bend_limb, shortest_rotations
 from animtool.retarget.feet import (
     _ankle_rise,
     _ankle_to_toe,
@@ -21,29 +21,29 @@ from animtool.retarget.feet import (
     _hip_lift,
     _hip_shifts,
     _level_bone,
-    _peaks,
+    _local_maxima,
     _raise_above_ground,
     _smooth_step,
-    _smoothest_path,
     _toe_roll,
     fill_between,
     plant_feet,
+    smooth_path_to_targets,
     upper_envelope,
 )
 from animtool.retarget.hands import (
     AnkleHeights,
+    _are_hands_joined,
     _arm_length,
-    _hands_joined,
     _shift_into_reach,
     _soften_heights,
-    arm_of,
-    hinge_of,
+    arm_joints,
+    elbow_hinge,
 )
 from animtool.retarget.legs import (
     _leg_reach,
-    _standing_height,
+    _planted_ankle_height,
     ball_of_foot,
-    leg_of,
+    leg_joints,
     limb_rotations,
     swivel_leg,
     up_index,
@@ -66,11 +66,13 @@ def test_the_way_that_is_best_at_once_solves_its_equations() -> None:
     draw, places = rng.random(7), rng.normal(size=(7, 2))
     bends = np.diff(np.eye(7), 2, axis=0)
     system = np.diag(draw + 1e-6) + 3.0 * bends.T @ bends
-    assert_allclose(_smoothest_path(draw, places, 3.0), np.linalg.solve(system, places))
-    assert not _smoothest_path(0 * draw, places, 3.0).any()
-    assert not _smoothest_path(draw[:2], places[:2], 3.0).any()
+    assert_allclose(
+        smooth_path_to_targets(draw, places, 3.0), np.linalg.solve(system, places)
+    )
+    assert not smooth_path_to_targets(0 * draw, places, 3.0).any()
+    assert not smooth_path_to_targets(draw[:2], places[:2], 3.0).any()
     three = np.diag(draw[:3] + 1e-6) + 3.0 * np.outer([1, -2, 1], [1, -2, 1])
-    found = _smoothest_path(draw[:3], places[:3], 3.0)
+    found = smooth_path_to_targets(draw[:3], places[:3], 3.0)
     assert_allclose(found, np.linalg.solve(three, places[:3]))
 
 
@@ -98,7 +100,7 @@ def test_steps_and_peaks_and_what_is_above_a_window() -> None:
     assert _smooth_step(np.array([0.25])) == pytest.approx(0.103515625)
     rows = np.array([3.0, 1, 2, 2, 1, -1, -0.5, -2, 0, 4])
     expected = [True, False, True, True, False, False, False, False, False, True]
-    assert _peaks(rows).tolist() == expected
+    assert _local_maxima(rows).tolist() == expected
     found = upper_envelope(np.array([0.0, 0, 0, 1, 0, 0, 0]), 1.5, 0.0)
     assert found.tolist() == [0, 1, 1, 1, 1, 1, 0]
     rolls = _toe_roll(np.array([0] * 30 + [1] * 4 + [0] * 30, np.bool_), 30.0)
@@ -130,14 +132,16 @@ def test_a_toe_goes_with_its_foot_and_raises_the_ankle_where_it_stands_alone() -
     assert_allclose(bone, np.tile([0, -0.15, -0.08], (4, 1)), atol=1e-12)
     assert _level_bone(own, 1) == pytest.approx(-0.08)
     assert_allclose(_ankle_rise(own, bone, 1), [0, 0, -0.08 + 0.15, 0], atol=1e-12)
-    tilted = foot(4, toe=tips, level=turn(X, 90))
+    tilted = foot(4, toe=tips, flat_rotation=turn(X, 90))
     assert _level_bone(tilted, 1) == pytest.approx(-0.15)
     tips = tips.copy()
     tips[:, 1] = [-0.9, -0.97, -0.95, 3.0]
-    free = foot(4, FootContacts(heel, toe, 0.08), toe=tips, level=None)
+    free = foot(4, FootContacts(heel, toe, 0.08), toe=tips, flat_rotation=None)
     assert _level_bone(free, 1) == pytest.approx(-0.07)
     none = FootContacts(heel & ~heel, toe & ~toe, 0.08)
-    assert _level_bone(foot(4, none, toe=tips, level=None), 1) == pytest.approx(-0.025)
+    assert _level_bone(foot(4, none, toe=tips, flat_rotation=None), 1) == pytest.approx(
+        -0.025
+    )
     assert not _ankle_to_toe(foot(4), turns).any()
     assert _level_bone(foot(4), 1) == 0
 
@@ -188,7 +192,9 @@ def test_hips_come_down_until_legs_are_as_straight_as_they_may(
 ) -> None:
     """Hips are 1.1 m above an ankle that is 0.3 m aside; the leg is 1 m."""
     hips = np.tile([0.0, 1.2, 0.0], (50, 1))
-    one = foot(50, straightness=np.full(50, straight), level=level, length=1.0)
+    one = foot(
+        50, straightness=np.full(50, straight), flat_rotation=level, leg_length=1.0
+    )
     ankle = np.tile([0.3, 0.1, 0.0], (50, 1))
     down, rise = _hip_shifts(hips, [one], [ankle], 30.0, 1)
     assert_allclose(down, 1.1 - np.sqrt(share**2 - 0.09), atol=1e-4)
@@ -199,7 +205,7 @@ def test_hips_come_down_until_legs_are_as_straight_as_they_may(
 def test_hips_rise_for_legs_that_fold_no_further(high: float, rise: float) -> None:
     """An ankle comes no nearer than half a metre to the hip, 0.3 m aside."""
     hips = np.tile([0.0, 1.0, 0.0], (50, 1))
-    one = foot(50, shortest=0.5, length=1.0)
+    one = foot(50, min_reach=0.5, leg_length=1.0)
     ankle = np.tile([0.3, 1.0 - high, 0.0], (50, 1))
     found = _hip_shifts(hips, [one], [ankle], 30.0, 1)[1]
     assert_allclose(found, rise, atol=1e-4)
@@ -215,11 +221,11 @@ def test_who_stands_all_the_time_stays() -> None:
     made = plant_feet(hips, [one], 30.0, 1)
     assert_allclose(made.hips, np.tile([0.5, 0.93, 0.2], (frames, 1)), atol=1e-5)
     assert_allclose(made.ankles[0], np.tile([0.6, 0.08, 0.2], (frames, 1)), atol=1e-6)
-    assert made.soles == [0.08]
-    assert made.lowered == 0
-    assert made.locked[0].all()
+    assert made.sole_heights == [0.08]
+    assert made.max_lowering == 0
+    assert made.is_locked[0].all()
     short = plant_feet(hips, [foot(frames, ankle=ankle, length=0.8)], 30.0, 1)
-    assert short.lowered == pytest.approx(
+    assert short.max_lowering == pytest.approx(
         0.85 - np.sqrt((0.9995 * 0.8) ** 2 - 0.01), abs=2e-4
     )
 
@@ -268,7 +274,7 @@ def test_a_straight_limb_bends_about_its_hinge() -> None:
 def test_the_shortest_turn_and_the_opposite_way() -> None:
     ways = np.array([[2.0, 0, 0], [0, 3, 0], [1, 0, 0]])
     aims = np.array([[0, 5.0, 0], [0, 1, 0], [-4, 0, 0]])
-    found = shortest(ways, aims)
+    found = shortest_rotations(ways, aims)
     assert_allclose(found[0], turn(Z, 90), atol=1e-12)
     assert_allclose(found[1], so3.IDENTITY, atol=1e-12)
     # Any would do; of what is opposite along y half a turn about x.
@@ -314,14 +320,14 @@ def test_how_near_and_far_an_ankle_can_be(
 ) -> None:
     own = None if limits is None else RangeLimit(*np.radians(limits))
     person = leg(kind, own)
-    found = _leg_reach(person, leg_of(person, "l"))
+    found = _leg_reach(person, leg_joints(person, "l"))
     assert found == pytest.approx(expected, abs=1e-9)
 
 
 @pytest.mark.parametrize("kind", [JointType.BALL, JointType.PIN])
 def test_a_limb_is_put_and_goes_round(kind: JointType) -> None:
     person = leg(kind, RangeLimit(-1.0, 2.0) if kind is JointType.PIN else None)
-    limb = leg_of(person, "l")[:3]
+    limb = leg_joints(person, "l")[:3]
     joints = person.positions[None, list(limb)]
     turns = person.rotations[None, 1], person.rotations[None, 2]
     goal = joints[:, 0] + [0.2, -0.6, 0.1]
@@ -351,7 +357,7 @@ def test_how_high_an_ankle_stands_without_a_ground_at_rest() -> None:
         transfer: Any = SimpleNamespace(
             target=own, source=other, scale=2.0, similar_legs=alike
         )
-        return _standing_height(transfer, "l", 0.3, 1)
+        return _planted_ankle_height(transfer, "l", 0.3, 1)
 
     none: Any = ({}, {})
     both: Any = tuple({"l": Ball(-1, np.array(v))} for v in ([0, 0, 0.3], [0, 0.1, 0]))
@@ -395,12 +401,12 @@ def arms() -> RoledSkeleton:
 
 def test_arms_are_told_by_three_joints() -> None:
     person = arms()
-    assert arm_of(person, "l") == [2, 3, 4]
-    assert arm_of(person, "r") is None
+    assert arm_joints(person, "l") == [2, 3, 4]
+    assert arm_joints(person, "r") is None
     assert _arm_length(person, "l") == pytest.approx(0.5)
     assert _arm_length(person, "r") == 0
     # Across an arm along x and as level as can be, seen from the forearm.
-    found = so3.rotate(turn(X, 40), hinge_of(person, [2, 3, 4]))
+    found = so3.rotate(turn(X, 40), elbow_hinge(person, [2, 3, 4]))
     assert_allclose(found, [0, 0, -1], atol=1e-12)
 
 
@@ -432,9 +438,9 @@ def test_hands_hold_each_other_that_are_near_and_go_together(
     ways = np.zeros((12, 3))
     ways[:, 1] = apart
     ways[:, 2] = speed * (np.arange(12) - 5.5) / 30.0
-    assert _hands_joined(ways, 1.0, 30.0).tolist() == [held] * 12
-    assert not _hands_joined(ways, 0.0, 30.0).any()
-    assert not _hands_joined(ways[:2], 1.0, 30.0).any()
+    assert _are_hands_joined(ways, 1.0, 30.0).tolist() == [held] * 12
+    assert not _are_hands_joined(ways, 0.0, 30.0).any()
+    assert not _are_hands_joined(ways[:2], 1.0, 30.0).any()
 
 
 @pytest.mark.parametrize(
@@ -456,7 +462,7 @@ def test_a_prop_is_held_that_goes_with_a_hand(
     wrist = places + np.array([0, 0, far])
     wrist[:, 1] += speed * np.arange(count) / 30.0
     assert_allclose(prop.in_prop_frame(wrist)[0], [-far, 0, 0], atol=1e-12)
-    assert prop.gripped_by(wrist, 1.0, 30.0).all() == held
-    assert prop.gripped_by(wrist, 1.0, 30.0).any() == held
-    assert not prop.gripped_by(wrist, 0.0, 30.0).any()
-    assert not prop.gripped_by(wrist[:2], 1.0, 30.0).any()
+    assert prop.find_gripped_frames(wrist, 1.0, 30.0).all() == held
+    assert prop.find_gripped_frames(wrist, 1.0, 30.0).any() == held
+    assert not prop.find_gripped_frames(wrist, 0.0, 30.0).any()
+    assert not prop.find_gripped_frames(wrist[:2], 1.0, 30.0).any()

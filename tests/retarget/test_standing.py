@@ -19,7 +19,7 @@ from animtool.retarget.standing import (
     _on_one_level,
     _travels_across,
     body_axes,
-    standing_axis,
+    find_standing_axis,
 )
 from animtool.scene.sources.open import open_source
 
@@ -61,7 +61,7 @@ def nameless(take: Take) -> Take:
 
 
 def found(take: Take) -> UpAxis | None:
-    return standing_axis(take.rig, take.motion, find_anatomy(take.rig).roles)
+    return find_standing_axis(take.rig, take.motion, find_anatomy(take.rig).roles)
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_rigs_that_are_no_person_stand_nowhere(root: Path) -> None:
         rig = Rig.load(path)
         still = Channel.static(rig.rest_translations, 9)
         motion = Motion(still, Channel.static(rig.rest_rotations, 9))
-        assert standing_axis(rig, motion, find_anatomy(rig).roles) is None, path
+        assert find_standing_axis(rig, motion, find_anatomy(rig).roles) is None, path
 
 
 @pytest.mark.parametrize("command", ["info", "bake"])

@@ -11,8 +11,8 @@ from animtool.retarget.roles import CONTROL, END, TWIST
 from animtool.retarget.structure import (
     SkeletonTree,
     _similar_subtrees,
-    left_direction,
-    up_direction,
+    find_left_direction,
+    find_up_direction,
 )
 from animtool.rig.skeleton import Joint, Rig
 
@@ -49,13 +49,17 @@ def test_lengths_and_ways_of_a_skeleton() -> None:
     assert own.counts == [8, 7, 2, 1, 3, 1, 1, 1]
     assert own.path(1, 3) == [1, 2, 3]
     assert own.path(2, 5) == []
-    assert (own.common([3, 5]), own.common([5, 6]), own.common([3])) == (1, 4, 3)
-    assert own.extent(2) == pytest.approx(1.8)
+    assert (
+        own.lowest_common_ancestor([3, 5]),
+        own.lowest_common_ancestor([5, 6]),
+        own.lowest_common_ancestor([3]),
+    ) == (1, 4, 3)
+    assert own.length_through_joint(2) == pytest.approx(1.8)
     # What lies along the bone to a sibling, nearer than that, twists it.
     assert own.limb_children(4) == [5]
     assert own.limb_children(1) == [2, 4, 7]
     assert own.longest_path(1) == [1, 2, 3]
-    assert own.branches([1, 2, 3]) == (1, 3)
+    assert own.widest_branching([1, 2, 3]) == (1, 3)
 
 
 def test_controls_that_carry_nothing_and_ends_are_no_bones() -> None:
@@ -90,26 +94,28 @@ TIPS = {"leg_l": 4, "leg_r": 7, "arm_l": 8, "arm_r": 9}
 
 def test_who_stands_has_a_way_up_and_a_left() -> None:
     own = standing(0.2)
-    up = up_direction(own, TIPS)
+    up = find_up_direction(own, TIPS)
     assert up is not None
     assert_allclose(up / np.linalg.norm(up), [0, 1, 0], atol=0.1)
-    assert up_direction(own, {"leg_l": 4, "leg_r": 7}) is None
-    assert_allclose(left_direction(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12)
+    assert find_up_direction(own, {"leg_l": 4, "leg_r": 7}) is None
+    assert_allclose(
+        find_left_direction(own, TIPS, up, at_rest=True), [1, 0, 0], atol=1e-12
+    )
     back = standing(-0.2)
     assert_allclose(
-        left_direction(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12
+        find_left_direction(back, TIPS, up, at_rest=True), [-1, 0, 0], atol=1e-12
     )
     # Who hangs head down has the left on the other side.
     down = np.array([0.1, -1.0, 0.2])
     assert_allclose(
-        left_direction(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12
+        find_left_direction(own, TIPS, down, at_rest=True), [-1, 0, 0], atol=1e-12
     )
     # Feet that only hang say nothing: then it is z that is ahead.
     none = standing(0.0)
     assert_allclose(
-        left_direction(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12
+        find_left_direction(none, TIPS, None, at_rest=True), [1, 0, 0], atol=1e-12
     )
-    lying = left_direction(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
+    lying = find_left_direction(standing(0.0, UpAxis.Z), {}, None, at_rest=True)
     assert_allclose(lying, [1, 0, 0], atol=1e-12)
 
 

@@ -205,7 +205,7 @@ def test_a_take_fits_by_a_third_of_its_joints_and_a_whole_limb(
         pairs=[SimpleNamespace(source=rig.index(name)) for name in paired],
         chains=[],
     )
-    fault = insufficient_pairs(rig, found, np.zeros(0, int), ())
+    fault = insufficient_pairs_fault(rig, found, np.zeros(0, int), ())
     assert (fault is not None) == refused
     if fault is not None:
         assert fault.code == "MAP010"

@@ -27,7 +27,7 @@ from animtool.retarget.map import JointMap, JointPair
 from animtool.retarget.poses import (
     LocalRotations,
     _clamp_to_limits,
-    _normalized,
+    _normalize,
     _twist_joint,
     bend_hinges,
     relative_to_hips,
@@ -37,10 +37,10 @@ from animtool.retarget.poses import (
 from animtool.retarget.report import (
     ContactFrames,
     FitMeter,
-    _contact_drift,
+    _drift_in_contacts,
     _mean_clamped,
     _reach_errors,
-    scores_of,
+    fit_scores,
 )
 from animtool.retarget.roled_skeleton import Ball, RoledSkeleton
 from animtool.retarget.roles import RoleSource
@@ -104,7 +104,7 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert own.leg_length("l") == pytest.approx(0.85)
     assert own.leg_length("x") == 0
     assert own.leg("l") == (3, 4, 5, -1)
-    assert (own.first("spine"), own.first("jaw"), own.joint("jaw")) == (1, -1, -1)
+    assert (own.first("spine"), own.first("jaw"), own.last("jaw")) == (1, -1, -1)
     assert own.size == pytest.approx(1.5)
     ways = own.path_lengths
     assert ways[0] == 0
@@ -119,8 +119,8 @@ def test_lengths_and_directions_of_a_person() -> None:
     assert own.bone(5) is None
     assert_allclose(own.bone(9), X)
     assert_allclose(own.offset(0, 4), [0.1, -0.5, 0], atol=1e-12)
-    assert own.separate(0, 1)
-    assert not own.separate(1, 1)
+    assert own.are_distinct(0, 1)
+    assert not own.are_distinct(1, 1)
 
 
 # No joint follows another.
@@ -198,7 +198,7 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     made = Transfer.of(own, body(2.0), mapped(WHOLE))
     assert made.scale == pytest.approx(2)
     assert made.similar_legs
-    assert made.follows.tolist() == list(range(13))  # tails have one name
+    assert made.source_joints.tolist() == list(range(13))  # tails have one name
     world = np.tile(so3.IDENTITY, (1, 13, 1))
     world[0, 3:6] = turn(X, 40)
     found = made.rotations(world)
@@ -206,13 +206,15 @@ def test_turns_follow_by_the_change_from_rest() -> None:
     assert_allclose(made.hips(own.positions[None]), [[0, 1.9, 0]])
     less = Transfer.of(own, body(), mapped([p for p in WHOLE if p.target != 4]))
     # A shin that follows none, but for its name.
-    assert less.follows[4] == 4
-    free = replace(less, follows=np.where(np.arange(13) == 4, -1, less.follows))
+    assert less.source_joints[4] == 4
+    free = replace(
+        less, source_joints=np.where(np.arange(13) == 4, -1, less.source_joints)
+    )
     assert_allclose(free.rotations(world)[0, 4], turn(X, 40), atol=1e-12)
     halved = replace(
         less,
-        after=np.where(np.arange(13) == 1, 3, less.after),
-        fraction=np.full(13, 0.25),
+        next_source_joints=np.where(np.arange(13) == 1, 3, less.next_source_joints),
+        next_weights=np.full(13, 0.25),
     )
     assert_allclose(halved.rotations(world)[0, 1], turn(X, 10), atol=1e-9)
 
@@ -220,13 +222,15 @@ def test_turns_follow_by_the_change_from_rest() -> None:
 def test_axes_of_the_target_are_those_of_its_up() -> None:
     own, tall = body(), body(up=UpAxis.Z)
     made = Transfer.of(own, tall, mapped(WHOLE))
-    assert_allclose(made.turned(np.array([[1.0, 2, 3]])), [[1, -3, 2]], atol=1e-12)
+    assert_allclose(
+        made.to_target_axes(np.array([[1.0, 2, 3]])), [[1, -3, 2]], atol=1e-12
+    )
     world = np.tile(turn(Y, 30), (1, 13, 1))
-    changed = so3.multiply(made.rotations(world), so3.conjugate(made.aligned))
+    changed = so3.multiply(made.rotations(world), so3.conjugate(made.rest_alignment))
     assert_allclose(np.abs(changed[0, 0]), np.abs(turn(Z, 30)), atol=1e-9)
     same = Transfer.of(own, own, mapped(WHOLE))
     points = np.ones((2, 3))
-    assert same.turned(points) is points
+    assert same.to_target_axes(points) is points
 
 
 def test_bones_that_stretch_do_so_by_the_scale() -> None:
@@ -320,7 +324,7 @@ def pinned(axis: Any, limits: Any = None) -> Any:
     person = RoledSkeleton.of(
         Rig("arm", joints), ("upper_arm_l", "forearm_l", "hand_l")
     )
-    return SimpleNamespace(target=person, follows=np.arange(3))
+    return SimpleNamespace(target=person, source_joints=np.arange(3))
 
 
 @pytest.mark.parametrize(
@@ -356,8 +360,8 @@ def test_pins_along_a_bone_twist_as_what_is_below_them() -> None:
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "forearm_l", "twist")) == -1
     assert told((1.0, 0.0, 0.0), roles=("upper_arm_l", "hand_l", "hand_l")) == -1
     assert _twist_joint(pinned((1.0, 0.0, 0.0)).target, 0) == -1
-    assert_array_equal(_normalized(np.zeros(3)), Y)
-    assert_allclose(_normalized(np.array([0, 0, 4.0])), Z)
+    assert_array_equal(_normalize(np.zeros(3)), Y)
+    assert_allclose(_normalize(np.array([0, 0, 4.0])), Z)
 
 
 def test_what_joints_of_each_type_can_have() -> None:
@@ -392,9 +396,9 @@ def test_rows_of_turns_are_taken_and_put_with_who_was_held() -> None:
 def test_drift_is_on_the_ground_and_reach_is_of_the_arm() -> None:
     points = np.array([[0.0, 9, 0], [4, 5, 0], [2, 1, 3], [7, 7, 7], [1, 2, 3]])
     stands = np.array([1, 1, 0, 0, 1], bool)
-    found = _contact_drift(points, stands, 1)
+    found = _drift_in_contacts(points, stands, 1)
     assert_allclose(found, [2, 2, np.nan, np.nan, 0])
-    assert_allclose(_contact_drift(points, stands, 2)[:2], np.hypot(2, 2))
+    assert_allclose(_drift_in_contacts(points, stands, 2)[:2], np.hypot(2, 2))
     own = body()
     straight, bent = own.positions[None].copy(), 2 * own.positions[None].copy()
     bent[0, 11] = bent[0, 10] + [0, 0, 0.5]
@@ -452,7 +456,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         assert (one.scale, one.pairs, one.lowered) == (1, 12, 0)
     verdict = made.verdict({})
     assert verdict.status in set(TakeStatus)
-    names = {score.name: score for score in scores_of(first).scores}
+    names = {score.name: score for score in fit_scores(first).scores}
     assert names["not mapped"].value == 0
     assert {name: score.ideal for name, score in names.items()} == {
         "drift": 0, "soles": 0, "hands": 0, "limbs": 0, "acceleration": 1,
@@ -465,7 +469,7 @@ def test_what_is_measured_adds_up_over_blocks() -> None:
         }
     )  # fmt: skip
     lost = replace(first, unmapped_source=("a", "b", "c"))
-    found = {score.name: score.value for score in scores_of(lost).scores}
+    found = {score.name: score.value for score in fit_scores(lost).scores}
     assert found["not mapped"] == pytest.approx(3 / 15)
 
 
@@ -487,10 +491,10 @@ def test_scores_are_looked_at_beyond_three_times_the_usual() -> None:
     limbs = [Score("limbs", np.radians(d), ScoreUnit.ANGLE, 9.0) for d in (29.9, 30.1)]
     statuses = [assess_take(PassScores((one,)), {}, {}).status for one in limbs]
     assert statuses == [TakeStatus.GOOD, TakeStatus.UNUSABLE]
-    assert FrameNumbers().run(0, 3) == (1, 4)
-    assert FrameNumbers(frames=FrameRange(5, 9)).run(0, 3) is None
-    assert FrameNumbers(frames=FrameRange(4, 9)).run(0, 3) == (4, 4)
-    assert FrameNumbers(frames=FrameRange(0, 1)).run(0, 3) == (1, 1)
+    assert FrameNumbers().numbers_of_run(0, 3) == (1, 4)
+    assert FrameNumbers(frames=FrameRange(5, 9)).numbers_of_run(0, 3) is None
+    assert FrameNumbers(frames=FrameRange(4, 9)).numbers_of_run(0, 3) == (4, 4)
+    assert FrameNumbers(frames=FrameRange(0, 1)).numbers_of_run(0, 3) == (1, 1)
 
 
 def test_integrals_slopes_and_medians_of_drift() -> None:

@@ -62,9 +62,9 @@ def test_frames_are_numbered_as_in_the_output(
     drift = np.zeros(60)
     drift[[10, 13, 40]] = 0.02
     drift[11:13] = 0.02
-    found = assess_take(scores(0.02), {"drift": drift}, {}).numbered(numbers)
+    found = assess_take(scores(0.02), {"drift": drift}, {}).in_output_frames(numbers)
     assert found.reasons[0].frames == runs
-    outside = assess_take(scores(0.02), {"drift": drift}, {}).numbered(
+    outside = assess_take(scores(0.02), {"drift": drift}, {}).in_output_frames(
         FrameNumbers(frames=FrameRange(100, 120))
     )
     assert outside.status is TakeStatus.GOOD

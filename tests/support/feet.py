@@ -19,11 +19,11 @@ def foot(frames: int, stands: FootContacts | None = None, **keys: Any) -> Foot:
         "ankle": np.tile([0.1, -0.9, 0.0], (frames, 1)),
         "toe": None,
         "rotation": np.tile(so3.IDENTITY, (frames, 1)),
-        "level": so3.IDENTITY,
+        "flat_rotation": so3.IDENTITY,
         "height": 0.08,
-        "length": 0.9,
-        "shortest": 0.1,
-        "lift_above": np.zeros(frames),
+        "leg_length": 0.9,
+        "min_reach": 0.1,
+        "height_change": np.zeros(frames),
         "straightness": np.ones(frames),
     }
     return Foot(**{**given, **keys})

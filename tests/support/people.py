@@ -100,7 +100,7 @@ def build(
 
 def named(preset: str) -> Callable[[str], str]:
     """Return the names of a convention, for `person`; empty where it has none."""
-    table = presets()[preset].joints
+    table = presets()[preset].names_by_role
 
     def rename(role: str) -> str:
         base, _, number = role.partition("_")

@@ -107,7 +107,7 @@ class RetargetResult:
     @property
     def verdict(self) -> Verdict:
         """Whether the take is usable; frames are those of the output."""
-        return self.retargeting.verdict().numbered(self.frame_numbers)
+        return self.retargeting.verdict().in_output_frames(self.frame_numbers)
 
     @property
     def score(self) -> RetargetReport:

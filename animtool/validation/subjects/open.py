@@ -72,9 +72,9 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
 
 def open_map(document: Document) -> CheckedFile:
     """Return the subject of a map file; its skeletons are unknown."""
-    from animtool.retarget.file import parse_map  # loads the kernels
+    from animtool.retarget.file import parse_map_document  # loads the kernels
 
-    return CheckedFile(Kind.MAP, [], parse_map(document))
+    return CheckedFile(Kind.MAP, [], parse_map_document(document))
 
 
 def open_markers(document: Document) -> CheckedFile:
