@@ -16,10 +16,14 @@ from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.rig.control_inverse import SolvedControls, keyed_values, solve_controls
+from animtool.rig.control_inverse import (
+    SolvedControls,
+    keys_of_controls,
+    solve_controls,
+)
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.driver_plan import plan_of
-from animtool.rig.shapes import uncombined_weights
+from animtool.rig.shapes import subtract_combinations
 from animtool.rig.skeleton import Rig
 
 # Fraction of the tolerance for control keys [1].
@@ -40,7 +44,7 @@ def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
     names = [shape.name for shape in rig.shapes]
     weights = take.motion.weights
     values = np.zeros((1, len(names))) if weights is None else weights.dense()[..., 0]
-    return uncombined_weights(rig.shapes, dict(zip(names, values.T, strict=True)))
+    return subtract_combinations(rig.shapes, dict(zip(names, values.T, strict=True)))
 
 
 def solved_controls(
@@ -57,7 +61,7 @@ def solved_controls(
     if take_controls is not None:
         columns = take_controls.dense()[..., 0].T
         control_values = {c.name: v for c, v in zip(controls, columns, strict=True)}
-        start |= keyed_values(controls, control_values)
+        start |= keys_of_controls(controls, control_values)
     if rig.is_driven:
         without_drives = {c.name: np.full(frames, c.default) for c in controls}
         start |= {name: without_drives[name] for name in plan_of(rig).controls}
@@ -80,7 +84,7 @@ def solved_controls(
             for control in controls
         },
         solved.solved_names,
-        () if take_controls is not None else solved.released,
+        () if take_controls is not None else solved.released_names,
     )
 
 

@@ -19,7 +19,7 @@ from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.rig.control_inverse import SolvedControls, keyed_values
+from animtool.rig.control_inverse import SolvedControls, keys_of_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import JointType, Rig
 
@@ -53,7 +53,7 @@ def channel_errors(
         control_values = {
             control.name: v for control, v in zip(rig.controls, columns, strict=True)
         }
-        values_of_target = keyed_values(rig.controls, control_values)
+        values_of_target = keys_of_controls(rig.controls, control_values)
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def errors(target: str) -> tuple[FloatArray, str | None]:
@@ -134,8 +134,8 @@ _Note = tuple[str, str, str | None]
 
 
 def _released_notes(solved: SolvedControls) -> Iterator[_Note]:
-    if solved.released:
-        names = listed(solved.released, MAX_NAMES)
+    if solved.released_names:
+        names = listed(solved.released_names, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"
         hint = "the joints and shapes that they drive have keys instead"
         yield "CLIP115", message, hint

@@ -18,7 +18,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.controls import DrivenValues, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.rig.limits import BallLimit, RangeLimit
-from animtool.rig.shapes import combined_weights
+from animtool.rig.shapes import add_combinations
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 if TYPE_CHECKING:
@@ -481,7 +481,7 @@ def _weights(
         if target in driven.targets:
             value = value + driven.targets[target]
         weights[shape.name] = value
-    weights = combined_weights(rig.shapes, weights)
+    weights = add_combinations(rig.shapes, weights)
     if not any(value.any() for value in weights.values()):
         return None
     return _column_channel([weights[shape.name] for shape in rig.shapes], count)

@@ -21,12 +21,12 @@ from animtool.rig.controls import evaluate_controls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.limits import RangeLimit
-from animtool.rig.skeleton import MAX_SIZE, Rig
+from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
     FULL_REVOLUTION,
-    HALF_CIRCLE_Z,
     HALF_REVOLUTION,
+    HALF_REVOLUTION_ABOUT_Z,
     MAX_DEGREES,
     OTHER_ANGLE_UNITS,
     are_multiples,
@@ -162,7 +162,7 @@ def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
             # Of an array, which is not a list in the document, by its values.
             from_array = isinstance(keys, str)
             written = [0.0, 0.0, 0.0, values[k, 2]] if from_array else keys[k]["v"]
-            if written == HALF_CIRCLE_Z:
+            if written == HALF_REVOLUTION_ABOUT_Z:
                 at = ("channels", i, "keys") if from_array else (*_at(i, k), "v")
                 warn_of_quaternion(document, "CLIP106", at)
                 return
@@ -373,7 +373,7 @@ def _warn_of_scale(
         if part != "scale" or not channel.target.startswith("joint/"):
             continue
         smallest = float(np.abs(channel.values).min())
-        if smallest < MIN_PERCENT or size * smallest <= MAX_SIZE:
+        if smallest < MIN_PERCENT or size * smallest <= MAX_RIG_SIZE:
             continue
         message = (
             f"{channel.target!r} is {smallest:.4g} or more at all keys; the rig, which "

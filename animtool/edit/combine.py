@@ -26,7 +26,7 @@ from animtool.motion.reorient import placed_motion
 from animtool.motion.take import Take
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -138,7 +138,7 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
             matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
         )
     if placement is not None:
-        matched_rig = placed_rig(matched_rig, placement, rig.up)
+        matched_rig = transform_rig(matched_rig, placement, rig.up)
     return replace(
         other,
         rig=matched_rig,

@@ -28,7 +28,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control, evaluate_controls
 from animtool.rig.joints import DRIVEN_PARTS, split_part
 from animtool.rig.kinematics import rest_size, rest_world
-from animtool.rig.sides import SidePairs, pair_sides, unpaired_sides
+from animtool.rig.sides import SidePairs, find_likely_pairs, pair_sides
 from animtool.rig.skeleton import Rig
 
 # Test change of a control, as a fraction of its range [1].
@@ -273,7 +273,7 @@ def _unpaired_warnings(
         return
     names_text = listed([repr(names[i]) for i in sorted(stray_indices)])
     message = f"mirror: {kind} of one side have no partner: {names_text}"
-    likely_pairs = unpaired_sides(names, pairs)
+    likely_pairs = find_likely_pairs(names, pairs)
     if kind != "joints":
         hint = (
             "each keeps its values; give both sides the same name except for the side"

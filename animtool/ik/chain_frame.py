@@ -24,8 +24,8 @@ from animtool.motion.take import Take
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
-    coordinates_from_local,
     local_from_coordinates,
+    project_to_coordinates,
 )
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
@@ -86,7 +86,7 @@ def spans_of_take(
 
     ``controls``: values ``(F,)`` of the controls that joint drivers read.
     """
-    coordinates = coordinates_from_local(rig, local)
+    coordinates = project_to_coordinates(rig, local)
     controls = controls or {}
     rig = with_controls(rig, controls, 0)
     probe = build(rig, goals, joints=joints, pose=coordinates[0])
@@ -156,7 +156,7 @@ def _moving_sources(
     sources = {
         source
         for j in driven_joints.intersection(plan.joints)
-        for source in plan.sources(j)
+        for source in plan.sources_of(j)
     }
     return [j for j in sources - solved_joints if is_changed[j]]
 

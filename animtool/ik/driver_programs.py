@@ -22,7 +22,7 @@ from animtool.rig.drivers import (
     smooth_slopes,
     split_coordinate,
 )
-from animtool.rig.driving import REVOLUTION_TOLERANCE, ball_part
+from animtool.rig.driving import REVOLUTION_TOLERANCE, ball_part_values
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -57,7 +57,7 @@ def with_sources(
             continue
         movable_sources = {
             source
-            for source in plan.sources(j)
+            for source in plan.sources_of(j)
             if (joints is None or rig.names[source] in joints)
             and rig.joints[source].type is not JointType.FIXED
         }
@@ -141,7 +141,7 @@ class Programs:
         kind, _, name = target.partition("/")
         names: list[str] = []
         if kind == "joint":
-            driven = self.plan.driver(self.rig.index(name))
+            driven = self.plan.driver_of(self.rig.index(name))
             if isinstance(driven, Mimic):
                 return [f"joint/{driven.joint}"]
             names += driven.names
@@ -187,7 +187,7 @@ class Programs:
                 rows += [*self._driver_rows(drive, sources, scales), ("+", 0, ())]
             return rows
         joint = self.rig.index(name)
-        driven, spec = self.plan.driver(joint), self.rig.joints[joint]
+        driven, spec = self.plan.driver_of(joint), self.rig.joints[joint]
         if isinstance(driven, Mimic):
             leader = self.rig.joints[self.rig.index(driven.joint)]
             part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
@@ -210,7 +210,7 @@ class Programs:
         """Return the rows that evaluate a driver's expression and curve."""
         rows: list[_Row] = []
         if driver.expression is None:
-            rows += self._input_rows(driver, driver.by, sources, scales)
+            rows += self._input_rows(driver, driver.curve_input, sources, scales)
             slopes = [0.0] * len(driver.curve)
             if driver.smooth and len(driver.curve) > 1:
                 slopes = smooth_slopes(driver.curve).tolist()
@@ -220,7 +220,7 @@ class Programs:
             ]
             rows.append(("curve", len(driver.curve), (float(driver.smooth),)))
         else:
-            for kind, value in driver.expression.program():
+            for kind, value in driver.expression.postfix_program():
                 if kind == "name":
                     rows += self._input_rows(driver, str(value), sources, scales)
                 elif kind == "number":
@@ -266,7 +266,7 @@ class Programs:
         values = self.pose[coordinate_slices(self.rig)[j]][None]
         spec = self.rig.joints[j]
         if spec.type is JointType.BALL:
-            return float(ball_part(spec, part, values)[0])
+            return float(ball_part_values(spec, part, values)[0])
         return float(values[0, 0])
 
 

@@ -17,11 +17,11 @@ from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
 from animtool.rig.driving import (
     DriverValues,
-    ball_part,
+    ball_part_values,
     evaluate_drivers,
 )
 from animtool.rig.limits import RangeLimit
-from animtool.rig.shapes import combined_weights, uncombined_weights
+from animtool.rig.shapes import add_combinations, subtract_combinations
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Smaller differences are float32 rounding [rad], [m]; of weights and controls [1].
@@ -185,7 +185,7 @@ class DriverRun:
         better than values from default controls.
         """
         kept_targets = set()
-        for target in self.plan.by_control:
+        for target in self.plan.controlled_targets:
             kind, _, name = target.partition("/")
             if kind == "joint":
                 is_posed = self._is_posed_joint(motion, self.rig.index(name))
@@ -265,8 +265,10 @@ class DriverRun:
             source_weights = {
                 s.name: _animated_column(channel, i) for i, s in enumerate(shapes)
             }
-        independent = uncombined_weights(shapes, source_weights) | driver_values.shapes
-        new_weights = combined_weights(shapes, independent)
+        independent = (
+            subtract_combinations(shapes, source_weights) | driver_values.shapes
+        )
+        new_weights = add_combinations(shapes, independent)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
@@ -337,7 +339,7 @@ class _CoordinateReader:
             return np.asarray(so3.rotate(inverse_rest, offset) @ np.array(joint.axis))
         rotation = so3.multiply(inverse_rest, _joint_rows(self.motion.rotations, j))
         if joint.type is JointType.BALL:
-            values = ball_part(joint, part, rotation)
+            values = ball_part_values(joint, part, rotation)
             if part == TWIST:
                 self.run.record_wrap(name, values, self.times)
             return values

@@ -15,7 +15,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.motion.transforms import placed_track, rotate_track
-from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placed import at_origin, transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 
@@ -40,7 +40,7 @@ def unplace_take(stream: TakeStream) -> TakeStream:
 
     Its size and its up axis are kept. Tracks that follow the placement move with it.
     """
-    stands = stream.rig.stands
+    stands = stream.rig.placement
     if stands is None:
         return stream
     inverse = stands.inverse()
@@ -57,7 +57,7 @@ def _with_placement(stream: TakeStream, placement: Placement, up: UpAxis) -> Tak
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
     placed_stream = replace(
         stream,
-        rig=placed_rig(stream.rig, placement, up),
+        rig=transform_rig(stream.rig, placement, up),
         blocks=_placed_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
@@ -76,7 +76,7 @@ def _placed_blocks(
 
 def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
     """Return a rig whose rest roots are rotated by a quaternion ``(4,)``."""
-    return placed_rig(rig, Placement.from_rotation(rotation), up)
+    return transform_rig(rig, Placement.from_rotation(rotation), up)
 
 
 def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
@@ -85,7 +85,7 @@ def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Moti
     ``roots``: joints without a parent ``(R,)``.
     """
     rotations = _position_roots(motion.rotations, roots, placement, rotates=True)
-    if placement.moves:
+    if placement.is_animated:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
@@ -106,7 +106,7 @@ def _position_roots(
     channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
-    operation = placement.transform_rotations if rotates else placement.points
+    operation = placement.transform_rotations if rotates else placement.transform_points
     rest_values, values = channel.rest.copy(), channel.values.copy()
     is_root = np.isin(channel.animated, roots)
     if placement.size != 1.0 and not rotates:
@@ -114,7 +114,7 @@ def _position_roots(
         is_child[roots] = False
         rest_values[is_child] *= placement.size
         values[:, ~is_root] *= placement.size
-    if placement.moves:
+    if placement.is_animated:
         placed_roots = operation(channel.gather(roots))
         return Channel(rest_values, channel.animated, values).put(roots, placed_roots)
     rest_values[roots] = operation(rest_values[roots])
@@ -138,13 +138,15 @@ def _scale_roots(
 
 
 def _placed_points(channel: Channel, placement: Placement) -> Channel:
-    if placement.moves:
+    if placement.is_animated:
         all_points = np.arange(len(channel.rest))
-        return channel.put(all_points, placement.points(channel.gather(all_points)))
+        return channel.put(
+            all_points, placement.transform_points(channel.gather(all_points))
+        )
     return replace(
         channel,
-        rest=placement.points(channel.rest),
-        values=placement.points(channel.values),
+        rest=placement.transform_points(channel.rest),
+        values=placement.transform_points(channel.values),
     )
 
 
@@ -161,14 +163,14 @@ def placement_notice(
     over: placement of the layer's rig; stays: whether a parent animated the placement,
     which is now in the joints.
     """
-    if rig.stands is None and not rig.rides:
+    if rig.placement is None and not rig.has_animated_parents:
         return []
-    placement_text = f"stands {rig.stands.described()}" if rig.stands else ""
-    rides = "moves with a prim above its SkelRoot" if rig.rides else ""
+    placement_text = f"stands {rig.placement.description()}" if rig.placement else ""
+    rides = "moves with a prim above its SkelRoot" if rig.has_animated_parents else ""
     message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
     message += "which is kept" if kept else "which is dropped"
     if over is not None and not over.is_identity:
-        message += f"; the rig has its placement {over.described()}"
+        message += f"; the rig has its placement {over.description()}"
     if stays:
         message += "; the motion from above is in its joints, and is kept"
     hint = f"{argument('placement', 'drop' if kept else 'keep')} does the opposite"

@@ -126,7 +126,7 @@ def placed_transforms(transforms: Transforms, placement: Placement) -> Transform
         matrices[:, :3, :3] *= placement.sizes[:, None, None]
         matrices[:, :3, 3] = placement.translations
         return transform_by_matrices(transforms, matrices)
-    points = placement.points(transforms.translations[:, None])[:, 0]
+    points = placement.transform_points(transforms.translations[:, None])[:, 0]
     rotations = placement.transform_rotations(transforms.rotations[:, None])[:, 0]
     scales = transforms.scales
     if (placement.sizes != 1.0).any():

@@ -125,7 +125,7 @@ def _formula(driver: Driver) -> str:
     if driver.expression is not None:
         return driver.expression.text
     kind = "smooth curve" if driver.smooth else "curve"
-    return f"{kind} of {driver.by}"
+    return f"{kind} of {driver.curve_input}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,7 +23,7 @@ from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
-from animtool.rig.skeleton import MAX_SIZE, Rig
+from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
 MIN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
@@ -377,7 +377,7 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     """Return a warning that a chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
     low = MIN_SIZES[len(rig.joints) >= MIN_JOINTS]
-    if not size or low <= size <= MAX_SIZE:
+    if not size or low <= size <= MAX_RIG_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
     fitting_units = [

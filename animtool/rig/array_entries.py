@@ -46,35 +46,40 @@ class ArrayReader:
     # Resolved paths of the file names seen so far.
     paths: dict[str, Path] = field(default_factory=dict)
 
-    def array(
-        self, at: Location, text: str, role: str, shape: Shape, count: int | None = None
+    def read_array(
+        self,
+        location: Location,
+        text: str,
+        role: str,
+        shape: Shape,
+        count: int | None = None,
     ) -> ArraySource:
         """Return a reference; record the faults of its array."""
         name, key = split_reference(text, _ROLE_KEYS.get(role, role))
         path = self.paths.get(name)
-        path = path or resolve_reference(self.document, at, name, self.roots)
+        path = path or resolve_reference(self.document, location, name, self.roots)
         if path is None:
             return NO_ARRAY
         self.paths[name] = path
-        ref = ArrayRef(text, path, key)
+        array_reference = ArrayRef(text, path, key)
         try:
-            if self._fits(at, ref, role, shape):
+            if self._check_header(location, array_reference, role, shape):
                 message = _value_fault(
                     role, self.archives.load_stored(path, key), count
                 )
                 if message is not None:
-                    self.document.add("RIG027", at, f"{text!r} {message}")
+                    self.document.add("RIG027", location, f"{text!r} {message}")
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
-            self.document.add(code, at, str(error))
-        return ref
+            self.document.add(code, location, str(error))
+        return array_reference
 
-    def rows(self, ref: ArraySource) -> int | None:
+    def row_count(self, ref: ArraySource) -> int | None:
         """Return the length of an array; None if it cannot be read."""
-        shape = self.shape(ref)
+        shape = self.array_shape(ref)
         return shape[0] if shape else None
 
-    def shape(self, ref: ArraySource) -> tuple[int, ...] | None:
+    def array_shape(self, ref: ArraySource) -> tuple[int, ...] | None:
         """Return the shape of an array; None if it cannot be read."""
         if isinstance(ref, LoadedArray):
             return None if ref is NO_ARRAY else ref.values.shape
@@ -83,7 +88,10 @@ class ArrayReader:
         except ValueError:
             return None
 
-    def _fits(self, at: Location, ref: ArrayRef, role: str, shape: Shape) -> bool:
+    def _check_header(
+        self, location: Location, ref: ArrayRef, role: str, shape: Shape
+    ) -> bool:
+        """Return whether an array's shape and type match; record a fault otherwise."""
         header = self.archives.header(ref.path, ref.key)
         is_match = len(header.shape) == len(shape) and all(
             expected_size is None or expected_size == size
@@ -92,27 +100,27 @@ class ArrayReader:
         if not is_match:
             expected = ", ".join("any" if n is None else str(n) for n in shape)
             message = f"{ref.text!r} has shape {header.shape}, not ({expected})"
-            self.document.add("RIG019", at, message)
+            self.document.add("RIG019", location, message)
             return False
         if role in _INTEGER_ROLES and header.kind not in "iu":
             message = f"{ref.text!r} contains floats, not whole numbers"
-            self.document.add("RIG019", at, message)
+            self.document.add("RIG019", location, message)
             return False
         if role in {"faces", "strands"} and not header.shape[0]:
             kind = role.removesuffix("s")
-            self.document.add("RIG019", at, f"{ref.text!r} has no {kind}")
+            self.document.add("RIG019", location, f"{ref.text!r} has no {kind}")
             return False
         if role == "strands" and header.shape[1] < 2:
             message = (
                 f"{ref.text!r} has strands of {header.shape[1]} points, fewer than 2"
             )
-            self.document.add("RIG019", at, message)
+            self.document.add("RIG019", location, message)
             return False
         if role == "faces" and header.shape[1] < 3:
             message = (
                 f"{ref.text!r} has faces of {header.shape[1]} corners, fewer than 3"
             )
-            self.document.add("RIG019", at, message)
+            self.document.add("RIG019", location, message)
             return False
         return True
 
@@ -138,6 +146,7 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
 
 
 def _strand_fault(values: npt.NDArray[Any]) -> str | None:
+    """Return the fault of a strand with two equal consecutive points, or None."""
     index = _first_index((values[:, 1:] == values[:, :-1]).all(axis=-1))
     if index is None:
         return None
@@ -146,6 +155,7 @@ def _strand_fault(values: npt.NDArray[Any]) -> str | None:
 
 
 def _weight_fault(values: npt.NDArray[Any]) -> str | None:
+    """Return the fault of negative or all-zero weights, or None."""
     index = _first_index(values < 0)
     if index is not None:
         return f"contains {values[index]} at {list(index)}, a negative weight"
@@ -153,10 +163,11 @@ def _weight_fault(values: npt.NDArray[Any]) -> str | None:
     return None if index is None else f"gives vertex {index[0]} no weight"
 
 
-def _first_index(wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
-    if not wrong.any():
+def _first_index(is_wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
+    """Return the index of the first wrong value, or None."""
+    if not is_wrong.any():
         return None
-    return tuple(map(int, np.unravel_index(int(wrong.argmax()), wrong.shape)))
+    return tuple(map(int, np.unravel_index(int(is_wrong.argmax()), is_wrong.shape)))
 
 
 LocatedCheck = Callable[[Location, str], object]
@@ -178,37 +189,41 @@ class AttachmentReader:
     document: Document  # the file
     arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh; None if unknown.
-    vertices: Mapping[str, int | None]
+    point_counts: Mapping[str, int | None]
     check_joint: LocatedCheck  # records an unknown joint
     check_mesh: LocatedCheck  # records an unknown mesh
 
-    def attachment(self, at: Location, entry: AttachModel) -> Attachment:
+    def read_attachment(self, location: Location, entry: AttachModel) -> Attachment:
         """Return an attachment; record its faults in the document."""
-        self._fitting_keys(at, entry)
+        self._check_keys(location, entry)
         joints = tuple(entry.joints or ())
         for k, name in enumerate(joints):
-            self.check_joint((*at, "joints", k), name)
+            self.check_joint((*location, "joints", k), name)
         if entry.joint is not None:
-            self.check_joint((*at, "joint"), entry.joint)
+            self.check_joint((*location, "joint"), entry.joint)
             joints = (entry.joint,)
         if entry.mesh is not None:
-            self.check_mesh((*at, "mesh"), entry.mesh)
+            self.check_mesh((*location, "mesh"), entry.mesh)
         pins = None
         if entry.pins is not None:
-            count = self.vertices.get(entry.mesh or "")
-            pins_location = (*at, "pins")
-            pins = self.arrays.array(pins_location, entry.pins, "pins", (None,), count)
+            count = self.point_counts.get(entry.mesh or "")
+            pins_location = (*location, "pins")
+            pins = self.arrays.read_array(
+                pins_location, entry.pins, "pins", (None,), count
+            )
         points = None
         if entry.points is not None:
-            pins_location, shape = (*at, "points"), (None, None, 3)
-            points = self.arrays.array(pins_location, entry.points, "strands", shape)
+            pins_location, shape = (*location, "points"), (None, None, 3)
+            points = self.arrays.read_array(
+                pins_location, entry.points, "strands", shape
+            )
         return Attachment(
             entry.name, entry.kind, joints, entry.mesh or "", pins, points
         )
 
-    def _fitting_keys(self, at: Location, entry: AttachModel) -> None:
+    def _check_keys(self, location: Location, entry: AttachModel) -> None:
         """Record the missing and unsupported keys of an attachment's kind."""
-        if self.document.is_placeholder((*at, "kind")):
+        if self.document.is_placeholder((*location, "kind")):
             return
         required, optional = _ATTACH_KEYS.get(
             entry.kind, _ATTACH_KEYS[AttachKind.SPRING_CHAIN]
@@ -221,17 +236,17 @@ class AttachmentReader:
             hint = nearest(entry.kind, kinds)
             if most_similar(entry.kind, kinds, MISSPELLING_SIMILARITY):
                 message = f"unknown kind of attachment {entry.kind!r}"
-                self.document.warn("RIG102", (*at, "kind"), message, hint)
+                self.document.warn("RIG102", (*location, "kind"), message, hint)
         for key in required:
-            is_certain = not self.document.is_placeholder((*at, key))
+            is_certain = not self.document.is_placeholder((*location, key))
             if (
                 key not in set_keys
                 and is_certain
                 and "attach" not in self.document.partial_lists
             ):
                 message = f"an attachment of kind {entry.kind!r} has no {key}"
-                self.document.add("RIG031", at, message, hint)
+                self.document.add("RIG031", location, message, hint)
         for key in set_keys:
             if key not in (*required, *optional):
                 message = f"an attachment of kind {entry.kind!r} does not use {key}"
-                self.document.add("RIG031", (*at, key), message, hint)
+                self.document.add("RIG031", (*location, key), message, hint)

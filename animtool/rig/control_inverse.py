@@ -36,11 +36,11 @@ class SolvedControls:
     solved_names: tuple[str, ...]
     # Controls reset to their start value, because their targets also move
     # independently, or in a way that no value explains.
-    released: tuple[str, ...]
+    released_names: tuple[str, ...]
 
 
-def keyed_values(
-    controls: Sequence[Control], reached: Mapping[str, FloatArray]
+def keys_of_controls(
+    controls: Sequence[Control], solved_values: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Return keys for control values ``(F,)``, minus what other controls add.
 
@@ -49,18 +49,18 @@ def keyed_values(
     >>> both = Drive("control/blink_l", parse_expression("blink"))
     >>> rig = [Control("blink", drives=(both,)), Control("blink_l")]
     >>> values = {"blink": np.array([0.5]), "blink_l": np.array([0.75])}
-    >>> keyed_values(rig, values)["blink_l"].tolist()
+    >>> keys_of_controls(rig, values)["blink_l"].tolist()
     [0.25]
     """
     keys_by_control = {
-        control.name: np.array(reached[control.name]) for control in controls
+        control.name: np.array(solved_values[control.name]) for control in controls
     }
     for control in controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "control" and name in keys_by_control:
                 keys_by_control[name] = keys_by_control[name] - drive.evaluate(
-                    control.name, reached
+                    control.name, solved_values
                 )
     return keys_by_control
 
@@ -98,8 +98,8 @@ def solve_controls(
         start_values = {
             control.name: values[control.name] for control in group_controls
         }
-        solved, unsolved_names = _solve_group(problem, start_values)
-        values |= solved
+        solved_values, unsolved_names = _solve_group(problem, start_values)
+        values |= solved_values
         released_names |= unsolved_names
         solved_names |= {
             control.name for control in group_controls if control.drives
@@ -120,25 +120,34 @@ def _solve_group(
         return start, set()
     solvable = [name for name in start if name not in problem.masters]
     values = problem.solve(start, solvable)
-    for shifted_problem in (*problem.on_revolutions(start, solvable), problem):
-        if not shifted_problem.missed_targets(values):
+    for candidate_problem in (
+        *problem.shifted_by_revolutions(start, solvable),
+        problem,
+    ):
+        if not candidate_problem.missed_targets(values):
             break
-        names = [*start] if shifted_problem is problem and problem.masters else solvable
-        trial = shifted_problem.solve(
-            start if shifted_problem is not problem else values, names
+        names = (
+            [*start] if candidate_problem is problem and problem.masters else solvable
         )
-        if not shifted_problem.missed_targets(trial):
+        trial = candidate_problem.solve(
+            start if candidate_problem is not problem else values, names
+        )
+        if not candidate_problem.missed_targets(trial):
             values = trial
     released: set[str] = set()
     while True:
-        unexplained = problem.missed_targets(values)
-        unsolved = {name for name in solvable if problem.targets[name] & unexplained}
-        if not unsolved:
+        missed_targets = problem.missed_targets(values)
+        unsolved_names = {
+            name
+            for name in solvable
+            if problem.targets_by_control[name] & missed_targets
+        }
+        if not unsolved_names:
             values, released = _solve_released(problem, values, released)
-            return _reset_needless(problem, values, start), released
-        released |= unsolved
-        solvable = [name for name in solvable if name not in unsolved]
-        values |= {name: start[name] for name in unsolved}
+            return _reset_if_unneeded(problem, values, start), released
+        released |= unsolved_names
+        solvable = [name for name in solvable if name not in unsolved_names]
+        values |= {name: start[name] for name in unsolved_names}
         values = problem.solve(values, solvable)
 
 
@@ -151,25 +160,25 @@ def _solve_released(
         name = control.name
         if name in remaining:
             trial = problem.solve(values, [name])
-            unexplained = problem.missed_targets(trial)
-            if not problem.targets[name] & unexplained:
+            missed_targets = problem.missed_targets(trial)
+            if not problem.targets_by_control[name] & missed_targets:
                 values, remaining = trial, remaining - {name}
     return values, remaining
 
 
-def _reset_needless(
+def _reset_if_unneeded(
     problem: _GroupProblem, values: dict[str, FloatArray], start: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Reset the controls to their start where that makes no difference.
 
     Samples in float32 leave rounding noise on static controls.
     """
-    unexplained = problem.missed_targets(values)
+    missed_targets = problem.missed_targets(values)
     for name, value in start.items():
         trial = {**values, name: value}
         if (values[name] != value).any() and problem.missed_targets(
             trial
-        ) <= unexplained:
+        ) <= missed_targets:
             values = trial
     return values
 
@@ -219,30 +228,34 @@ class _GroupProblem:
         self.controls = controls
         self.keyed = keyed
         self.by_name = {control.name: control for control in controls}
-        direct = {
+        direct_targets = {
             control.name: {drive.target for drive in control.drives}
             for control in controls
         }
-        self.targets = _reached_targets(controls, direct)
-        all_targets = sorted({t for targets in self.targets.values() for t in targets})
-        self.order = [target for target in all_targets if target in goals]
+        self.targets_by_control = _all_targets_by_control(controls, direct_targets)
+        all_targets = sorted(
+            {t for targets in self.targets_by_control.values() for t in targets}
+        )
+        self.targets_in_order = [target for target in all_targets if target in goals]
         self.goals = goals
         self.tolerances = tolerances
         self.masters = {
             name
-            for name, targets in direct.items()
+            for name, targets in direct_targets.items()
             if targets and all(target.startswith("control/") for target in targets)
         }
 
-    def on_revolutions(
-        self, start: Mapping[str, FloatArray], free: Sequence[str]
+    def shifted_by_revolutions(
+        self, start: Mapping[str, FloatArray], free_names: Sequence[str]
     ) -> Iterator[_GroupProblem]:
         """Yield the problem with goal angles shifted by revolutions."""
-        angles = [target for target in self.order if target.endswith(".angle")]
+        angles = [
+            target for target in self.targets_in_order if target.endswith(".angle")
+        ]
         for anchor in angles[:MAX_ANCHORS] if len(angles) > 1 else ():
-            single_target = self._of({anchor: self.goals[anchor]})
+            single_target = self._with_goals({anchor: self.goals[anchor]})
             driven_values = evaluate_controls(
-                self.controls, single_target.solve(start, free)
+                self.controls, single_target.solve(start, free_names)
             ).targets
             shifted_goals = dict(self.goals)
             for target in angles:
@@ -250,9 +263,10 @@ class _GroupProblem:
                     (driven_values[target] - shifted_goals[target]) / (2 * np.pi)
                 )
                 shifted_goals[target] = shifted_goals[target] + 2 * np.pi * revolutions
-            yield self._of(shifted_goals)
+            yield self._with_goals(shifted_goals)
 
-    def _of(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
+    def _with_goals(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
+        """Return the problem with some of the goals only."""
         return _GroupProblem(self.controls, targets, self.tolerances, self.keyed)
 
     def residuals(
@@ -266,7 +280,7 @@ class _GroupProblem:
         driven_values = evaluate_controls(self.controls, values).targets
         columns = []
         with np.errstate(invalid="ignore", over="ignore"):
-            for target in self.order:
+            for target in self.targets_in_order:
                 difference = self.goals[target][frames] - driven_values[target]
                 if modulo and target.endswith(".angle"):
                     difference = difference - 2 * np.pi * np.round(
@@ -282,28 +296,30 @@ class _GroupProblem:
 
     def missed_targets(self, values: Mapping[str, FloatArray]) -> set[str]:
         """Return the targets that are missed by more than their tolerance."""
-        if not self.order:
+        if not self.targets_in_order:
             return set()
         residuals = self.residuals(values, modulo=True)
         largest = np.abs(residuals).max(axis=0, initial=0.0)
         missed_targets = {
-            t for t, residual in zip(self.order, largest, strict=True) if residual > 1.0
+            t
+            for t, residual in zip(self.targets_in_order, largest, strict=True)
+            if residual > 1.0
         }
-        return missed_targets | (self.keyed & {*self.order})
+        return missed_targets | (self.keyed & {*self.targets_in_order})
 
     def solve(
-        self, start: Mapping[str, FloatArray], free: Sequence[str]
+        self, start: Mapping[str, FloatArray], free_names: Sequence[str]
     ) -> dict[str, FloatArray]:
         """Return the start with the values of some controls solved for."""
         values = {name: value.copy() for name, value in start.items()}
-        for _ in range(MAX_SWEEPS if free else 0):
+        for _ in range(MAX_SWEEPS if free_names else 0):
             largest_residuals = np.abs(self.residuals(values)).max(axis=1)
             open_frames = np.flatnonzero(largest_residuals > CONVERGED_RATIO)
             for start_index in range(0, len(open_frames), FRAMES_AT_ONCE):
                 frames = open_frames[start_index : start_index + FRAMES_AT_ONCE]
-                for name in free:
+                for name in free_names:
                     values[name][frames] = self._best_value(values, name, frames)
-                self._minimize(values, free, frames)
+                self._minimize(values, free_names, frames)
         return values
 
     def _best_value(
@@ -351,23 +367,23 @@ class _GroupProblem:
         )
 
     def _minimize(
-        self, values: dict[str, FloatArray], free: Sequence[str], frames: IntArray
+        self, values: dict[str, FloatArray], free_names: Sequence[str], frames: IntArray
     ) -> None:
         """Minimize the residual over some controls by Gauss-Newton, in place."""
-        bounds = [_control_bounds(self.by_name[name]) for name in free]
+        bounds = [_control_bounds(self.by_name[name]) for name in free_names]
         low_bounds, high_bounds = np.array(bounds).T
-        current = np.stack([values[name][frames] for name in free], axis=-1)
+        current = np.stack([values[name][frames] for name in free_names], axis=-1)
         other_values = {name: value[frames] for name, value in values.items()}
 
         def residual_at(point: FloatArray) -> FloatArray:
-            values_at = dict(zip(free, point.T, strict=True))
+            values_at = dict(zip(free_names, point.T, strict=True))
             return self.residuals({**other_values, **values_at}, frames)
 
         residual = residual_at(current)
         cost = (residual**2).sum(axis=1)
         for _ in range(MAX_NEWTON_STEPS):
             step = self._step(
-                residual_at, current, residual, free, (low_bounds, high_bounds)
+                residual_at, current, residual, free_names, (low_bounds, high_bounds)
             )
             has_moved = False
             for fraction in (1.0, 0.5, 0.125):
@@ -384,7 +400,7 @@ class _GroupProblem:
                 step[is_better] = 0.0
             if not has_moved or np.abs(residual).max(initial=0.0) <= CONVERGED_RATIO:
                 break
-        for i, name in enumerate(free):
+        for i, name in enumerate(free_names):
             values[name][frames] = current[:, i]
 
     def _step(
@@ -392,15 +408,15 @@ class _GroupProblem:
         residual_at: Callable[[FloatArray], FloatArray],
         current: FloatArray,
         residual: FloatArray,
-        free: Sequence[str],
+        free_names: Sequence[str],
         bounds: tuple[FloatArray, FloatArray],
     ) -> FloatArray:
         """Return the Gauss-Newton step ``(F, C)`` of least length.
 
         Controls at a bound are fixed if the step leads outside.
         """
-        slopes = np.zeros((*residual.shape, len(free)))
-        for i, name in enumerate(free):
+        slopes = np.zeros((*residual.shape, len(free_names)))
+        for i, name in enumerate(free_names):
             grid = _control_grid(self.by_name[name])
             increment = DIFFERENCE_STEP * float(np.ptp(grid))
             # Away from the nearer end, so that the difference quotient stays on one
@@ -411,7 +427,7 @@ class _GroupProblem:
             change = residual_at(displaced_values) - residual
             slopes[:, :, i] = change / (displaced_values[:, i] - current[:, i])[:, None]
         step = np.zeros_like(current)
-        for _ in range(1 + len(free)):
+        for _ in range(1 + len(free_names)):
             inverse = np.linalg.pinv(slopes, rcond=1e-9)
             step = -np.einsum("fct,ft->fc", inverse, residual)
             low_bounds, high_bounds = bounds
@@ -424,34 +440,41 @@ class _GroupProblem:
         return step
 
 
-def _reached_targets(
-    controls: Sequence[Control], direct: Mapping[str, Iterable[str]]
+def _all_targets_by_control(
+    controls: Sequence[Control], direct_targets: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
     """Return the joint parts and shapes that each control moves, directly or not."""
-    moves = {name: set(targets) for name, targets in direct.items()}
+    targets_by_control = {
+        name: set(targets) for name, targets in direct_targets.items()
+    }
     for control in controls:
         for drive in control.drives:
             for name in [] if drive.expression is None else drive.expression.names:
-                moves.setdefault(name, set()).add(drive.target)
+                targets_by_control.setdefault(name, set()).add(drive.target)
     has_grown = True
     while has_grown:
         has_grown = False
-        for name, targets in moves.items():
+        for name, targets in targets_by_control.items():
             reached_values = {
                 indirect
                 for target in targets
                 if target.startswith("control/")
-                for indirect in moves.get(target.removeprefix("control/"), ())
+                for indirect in targets_by_control.get(
+                    target.removeprefix("control/"), ()
+                )
             }
             has_grown = has_grown or not reached_values <= targets
-            moves[name] = targets | reached_values
+            targets_by_control[name] = targets | reached_values
     return {
-        control.name: {t for t in moves[control.name] if not t.startswith("control/")}
+        control.name: {
+            t for t in targets_by_control[control.name] if not t.startswith("control/")
+        }
         for control in controls
     }
 
 
 def _control_bounds(control: Control) -> tuple[float, float]:
+    """Return the lower and upper bound of a control, infinite without a range."""
     low = -np.inf if control.low is None else control.low
     return low, np.inf if control.high is None else control.high
 

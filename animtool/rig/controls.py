@@ -30,16 +30,16 @@ class Drive:
     smooth: bool = False  # whether a cubic joins the points, instead of straight lines
 
     @property
-    def of_length(self) -> bool:
+    def is_length(self) -> bool:
         """Whether the target is a length."""
         kind, _, name = self.target.partition("/")
         slides = name.endswith(f".{SLIDE}")
         return kind == "joint" and (slides or ".translation." in name)
 
     @property
-    def of_angle(self) -> bool:
+    def is_angle(self) -> bool:
         """Whether the target is an angle."""
-        return self.target.startswith("joint/") and not self.of_length
+        return self.target.startswith("joint/") and not self.is_length
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
         """Return the contribution, given the values of all controls."""
@@ -50,7 +50,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A named value."""
+    """A named animator value."""
 
     name: str  # a Python identifier, as used in expressions
     low: float | None = None  # lower end of the intended range; None for no limit
@@ -93,6 +93,7 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
 
 
 def _controls_read(control: str, drive: Drive) -> tuple[str, ...]:
+    """Return the controls that a drive reads."""
     return (control,) if drive.expression is None else drive.expression.names
 
 
@@ -126,20 +127,20 @@ def evaluate_controls(
         for control in controls
     }
     by_name = {control.name: control for control in controls}
-    drives_of: dict[str, list[tuple[str, Drive]]] = {}
+    drives_by_target: dict[str, list[tuple[str, Drive]]] = {}
     for control in controls:
         for drive in control.drives:
-            drives_of.setdefault(drive.target, []).append((control.name, drive))
+            drives_by_target.setdefault(drive.target, []).append((control.name, drive))
     unclamped_values: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
-        for driver, drive in drives_of.pop(f"control/{name}", ()):
+        for driver, drive in drives_by_target.pop(f"control/{name}", ()):
             values[name] = values[name] + drive.evaluate(driver, values)
         unclamped_values[name] = values[name]
         range_low, range_high = by_name[name].low, by_name[name].high
         if clamp and range_low is not None and range_high is not None:
             values[name] = np.clip(values[name], range_low, range_high)
     targets: dict[str, FloatArray] = {}
-    for target, drives in drives_of.items():
+    for target, drives in drives_by_target.items():
         contribution = np.zeros(1)
         for driver, drive in drives:
             contribution = contribution + drive.evaluate(driver, values)

@@ -10,7 +10,7 @@ from animtool.rig.driver_plan import (
     DriverCycleError,
     controls_read_by,
     coordinate_fault,
-    driving_order,
+    evaluation_order_of_drivers,
 )
 from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.expressions import parse_expression
@@ -22,66 +22,67 @@ from animtool.rig.skeleton import Rig
 
 def read_driver(
     document: Document,
-    at: Location,
+    location: Location,
     model: DrivenModel,
     units: tuple[float, float],
-    unit: float,
+    value_unit: float,
 ) -> Driver | None:
     """Return a file's driver without checking its inputs; record faults.
 
-    ``units``: the file's length [m] and angle [rad]; ``unit``: unit of its value.
+    ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
     """
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"
-        document.add("RIG015", at, message, "write one of them for the value")
+        document.add("RIG015", location, message, "write one of them for the value")
         return None
     if model.expr is not None:
-        return _expression_driver(document, at, model, units, unit)
+        return _expression_driver(document, location, model, units, value_unit)
     if model.by is None:
         message = "the curve does not name its input"
-        document.add("RIG015", at, message, "write by: elbow.angle, for example")
+        document.add("RIG015", location, message, "write by: elbow.angle, for example")
         return None
     points = tuple((x, y) for x, y in model.curve or ())
-    if list(ascending_faults(document, (*at, "curve"), [x for x, _ in points])):
+    if list(record_descents(document, (*location, "curve"), [x for x, _ in points])):
         return None
-    return Driver(None, model.by, points, model.interp == "smooth", unit, *units)
+    return Driver(None, model.by, points, model.interp == "smooth", value_unit, *units)
 
 
 def _expression_driver(
     document: Document,
-    at: Location,
+    location: Location,
     model: DrivenModel,
     units: tuple[float, float],
-    unit: float,
+    value_unit: float,
 ) -> Driver | None:
+    """Return a driver that evaluates an expression; None with a fault."""
     if model.by is not None:
         message = "`by` belongs to a curve; an expr names its inputs"
-        document.add("RIG015", (*at, "by"), message, "remove it")
+        document.add("RIG015", (*location, "by"), message, "remove it")
         return None
-    refuse_smooth(document, at, model.interp)
+    check_no_interpolation(document, location, model.interp)
     try:
         expression = parse_expression(model.expr or "", coordinates=True)
     except ValueError as error:
-        document.add("RIG013", (*at, "expr"), str(error))
+        document.add("RIG013", (*location, "expr"), str(error))
         return None
     length, angle = units
-    return Driver(expression, unit=unit, length=length, angle=angle)
+    return Driver(expression, unit=value_unit, length_unit=length, angle_unit=angle)
 
 
-def refuse_smooth(document: Document, at: Location, interp: str) -> None:
+def check_no_interpolation(document: Document, location: Location, interp: str) -> None:
     """Refuse ``interp`` with an expression, which it does not affect."""
     if interp == "smooth":
         message = "`interp` joins the points of a curve, but this is an expr"
-        document.add("RIG015", (*at, "interp"), message, "remove it")
+        document.add("RIG015", (*location, "interp"), message, "remove it")
 
 
-def ascending_faults(
-    document: Document, at: Location, values: list[float]
+def record_descents(
+    document: Document, location: Location, values: list[float]
 ) -> Iterator[int]:
     """Record and yield the points of a curve that do not ascend."""
-    for k, previous in list(document.not_ascending(at, values, 0)):
+    for k, previous in list(document.not_ascending(location, values, 0)):
         message = f"{values[k]:g} is not greater than {values[previous]:g}"
-        document.add("RIG016", (*at, k), message, "values ascend")
+        document.add("RIG016", (*location, k), message, "values ascend")
         yield k
 
 
@@ -95,56 +96,58 @@ class DriverCheck:
     # Whether unknown joints or controls may exist.
     has_unnamed: Mapping[str, bool]
     # Joints of unknown type.
-    untyped: frozenset[str]
+    untyped_joints: frozenset[str]
 
-    def run(self) -> None:
+    def check(self) -> None:
         """Record unknown inputs, conflicting motion and cycles of drivers."""
-        faults = False
+        has_faults = False
         for target, driver in _drivers_by_target(self.rig):
             location = self._target_location(target)
             for name in driver.names:
-                faults = self._record_unreadable(location, name) or faults
-        if faults:
+                has_faults = self._record_unreadable(location, name) or has_faults
+        if has_faults:
             return
         try:
-            order = driving_order(self.rig)
+            order = evaluation_order_of_drivers(self.rig)
         except DriverCycleError as error:
             driven_targets = {target for target, _ in _drivers_by_target(self.rig)}
             # Cycles of drives alone are reported as RIG014.
             driven_in_cycle = [name for name in error.cycle if name in driven_targets]
-            local = [
+            local_targets = [
                 name
                 for name in driven_in_cycle
                 if self._local_location(name) is not None
             ]
             if driven_in_cycle:
-                self._note(
+                self._add_fault(
                     "RIG032",
-                    self._target_location((local or driven_in_cycle)[0]),
+                    self._target_location((local_targets or driven_in_cycle)[0]),
                     str(error),
                 )
             return
         for target, message, hint in _motion_conflicts(self.rig, order):
-            self._note("RIG034", self._target_location(target), message, hint)
+            self._add_fault("RIG034", self._target_location(target), message, hint)
 
-    def _record_unreadable(self, at: Location, name: str) -> bool:
+    def _record_unreadable(self, location: Location, name: str) -> bool:
         """Record a name that a driver cannot read; return whether it was recorded."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
         open_names = self.has_unnamed["joints" if joint else "controls"]
         missing = joint not in self.rig.names if joint else True
-        is_known = not (joint in self.untyped or (missing and open_names))
+        is_known = not (joint in self.untyped_joints or (missing and open_names))
         if fault is not None and is_known:
-            self._note(fault.code, at, fault.message, fault.hint)
+            self._add_fault(fault.code, location, fault.message, fault.hint)
         return fault is not None
 
-    def _note(
-        self, code: str, at: Location, message: str, hint: str | None = None
+    def _add_fault(
+        self, code: str, location: Location, message: str, hint: str | None = None
     ) -> None:
-        inherited = at == ("from",)
-        self.document.add("RIG023" if inherited else code, at, message, hint)
+        """Record a fault; for an inherited driver, a note."""
+        inherited = location == ("from",)
+        self.document.add("RIG023" if inherited else code, location, message, hint)
 
     def _target_location(self, target: str) -> Location:
+        """Return the location of a target's driver, or that of `from`."""
         location = self._local_location(target)
         return ("from",) if location is None else location
 
@@ -160,6 +163,7 @@ class DriverCheck:
 
 
 def _drivers_by_target(rig: Rig) -> Iterator[tuple[str, Driver]]:
+    """Yield the driven targets of a rig, each with its driver."""
     for kind, parts in (
         ("joint", rig.joints),
         ("shape", rig.shapes),

@@ -64,11 +64,11 @@ def readable_parts(joint: Joint) -> list[str]:
     if joint.type is not JointType.BALL or not isinstance(joint.limits, BallLimit):
         return []
     swing_exists = np.abs(joint.limits.axes[0]) < 1 - AXIS_TOLERANCE
-    swings = [
+    swing_parts = [
         name for name, is_free in zip(SWING_PARTS, swing_exists, strict=True) if is_free
     ]
-    twists = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
-    return [*twists, SWING, *swings]
+    twist_parts = [] if joint.limits.twist == (0.0, 0.0) else [TWIST]
+    return [*twist_parts, SWING, *swing_parts]
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
@@ -78,7 +78,10 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         control_names = [control.name for control in rig.controls]
         if name in control_names:
             return None
-        message, hint = f"unknown control {name!r}", _similar_hint(name, control_names)
+        message, hint = (
+            f"unknown control {name!r}",
+            _suggestion_hint(name, control_names),
+        )
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"
@@ -88,7 +91,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
     if joint not in rig.names:
-        hint = _similar_hint(joint, rig.names)
+        hint = _suggestion_hint(joint, rig.names)
         return Fault("RIG008", f"unknown joint {joint!r}", hint=hint)
     rig_joint = rig.joints[rig.index(joint)]
     parts = readable_parts(rig_joint)
@@ -109,12 +112,13 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     return Fault("RIG033", message, hint=hint)
 
 
-def _similar_hint(name: str, names: Sequence[str]) -> str | None:
+def _suggestion_hint(name: str, names: Sequence[str]) -> str | None:
+    """Return a hint with the most similar names, or None."""
     suggestions = most_similar(name, names)
     return f"did you mean {suggestions}?" if suggestions else None
 
 
-def driving_order(rig: Rig) -> list[str]:
+def evaluation_order_of_drivers(rig: Rig) -> list[str]:
     """Return the driven targets in dependency order.
 
     This includes joints that mimic such a joint, and controls that a driven control
@@ -134,10 +138,10 @@ def driving_order(rig: Rig) -> list[str]:
             target = f"joint/{split_coordinate(name)[0]}" if kind == "joint" else name
             target = f"control/{name}" if kind == "control" else target
             if kind != "shape":
-                read = dict.fromkeys(
+                input_targets = dict.fromkeys(
                     f"control/{n}" for n in controls_read_by(control, drive)
                 )
-                dependencies.setdefault(target, {}).update(read)
+                dependencies.setdefault(target, {}).update(input_targets)
     try:
         order = list(TopologicalSorter(dependencies).static_order())
     except CycleError as error:
@@ -176,6 +180,7 @@ def driving_order(rig: Rig) -> list[str]:
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:
+    """Return the targets that a driver reads, as keys of a dict."""
     if driver is None:
         return {}
     joints = ((split_coordinate(name)[0], name) for name in driver.names)
@@ -201,7 +206,7 @@ class DriverPlan:
     # Joints that each driven joint reads, directly or through controls.
     joints_read: Mapping[str, tuple[str, ...]]
     # Targets whose values depend on undriven controls.
-    by_control: frozenset[str]
+    controlled_targets: frozenset[str]
 
     @staticmethod
     def of(rig: Rig) -> DriverPlan:
@@ -220,7 +225,7 @@ class DriverPlan:
         if faults:
             raise OptionError(faults)
         try:
-            order = driving_order(rig)
+            order = evaluation_order_of_drivers(rig)
         except DriverCycleError as error:
             raise OptionError(Fault("RIG032", str(error))) from error
         names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
@@ -244,14 +249,14 @@ class DriverPlan:
             _control_driven(rig, order),
         )
 
-    def driver(self, joint: int) -> DrivenSource:
+    def driver_of(self, joint: int) -> DrivenSource:
         """Return the driver or mimic of a driven joint."""
         rig_joint = self.rig.joints[joint]
         driver_or_mimic = rig_joint.driven or rig_joint.mimic
         assert driver_or_mimic is not None
         return driver_or_mimic
 
-    def sources(self, joint: int) -> list[int]:
+    def sources_of(self, joint: int) -> list[int]:
         """Return the undriven joints that move a driven joint.
 
         A joint that mimics another is moved by that joint.
@@ -282,7 +287,7 @@ class DriverPlan:
         pending = [
             name
             for j in self.joints
-            if isinstance(driver := self.driver(j), Driver)
+            if isinstance(driver := self.driver_of(j), Driver)
             for name in driver.names
         ]
         visited: set[str] = set()
@@ -294,24 +299,24 @@ class DriverPlan:
             driver_of_control = controls[name].driven
             pending += () if driver_of_control is None else driver_of_control.names
             pending += [
-                read
+                control_name
                 for control in self.rig.controls
                 for drive in control.drives
                 if drive.target == f"control/{name}" and name in self.controls
-                for read in controls_read_by(control, drive)
+                for control_name in controls_read_by(control, drive)
             ]
         return {name for name in visited if name not in self.controls}
 
-    def dependent_joints(self, moved: Collection[str]) -> list[str]:
+    def dependent_joints(self, moved_names: Collection[str]) -> list[str]:
         """Return the driven joints that depend on given joints, in the rig's order.
 
         Includes dependencies through mimic joints.
         """
-        moved_joints = {self.rig.index(name) for name in moved}
+        moved_joints = {self.rig.index(name) for name in moved_names}
         return [
             self.rig.names[j]
             for j in sorted(self.joints)
-            if moved_joints & {*self.sources(j)}
+            if moved_joints & {*self.sources_of(j)}
         ]
 
 
@@ -337,7 +342,7 @@ def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
         t.removeprefix("control/") for t in order if t.startswith("control/")
     }
     keyed_controls = {control.name for control in rig.controls} - driven_controls
-    dependent: set[str] = set()
+    dependent_targets: set[str] = set()
     for target in order:
         driver = drivers[target]
         names = () if driver is None else driver.names
@@ -352,16 +357,16 @@ def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
             ),
         )
         if keyed_controls.intersection(names):
-            dependent.add(target)
+            dependent_targets.add(target)
             if target.startswith("control/"):
                 keyed_controls.add(target.removeprefix("control/"))
-    return frozenset(dependent)
+    return frozenset(dependent_targets)
 
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the joints that each driven joint reads."""
     controls = {control.name: control for control in rig.controls}
-    of: dict[str, dict[str, None]] = {}
+    joints_by_target: dict[str, dict[str, None]] = {}
     for target in order:
         kind, _, name = target.partition("/")
         if kind == "shape":
@@ -379,24 +384,25 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
             names = [*driver.names]
         else:
             names = [
-                read
+                input_name
                 for control in rig.controls
                 for drive in control.drives
                 if drive.target == target
-                for read in controls_read_by(control, drive)
+                for input_name in controls_read_by(control, drive)
             ]
-        joints = of.setdefault(target, {})
-        for read in names:
-            if joint_name := _joint_of(read):
+        joints = joints_by_target.setdefault(target, {})
+        for input_name in names:
+            if joint_name := _joint_name_of(input_name):
                 joints[joint_name] = None
             else:
-                joints |= of.get(f"control/{read}", {})
+                joints |= joints_by_target.get(f"control/{input_name}", {})
     return {
         target.removeprefix("joint/"): tuple(joints)
-        for target, joints in of.items()
+        for target, joints in joints_by_target.items()
         if target.startswith("joint/")
     }
 
 
-def _joint_of(name: str) -> str:
+def _joint_name_of(name: str) -> str:
+    """Return the joint of a coordinate's name; empty for a control."""
     return split_coordinate(name)[0]

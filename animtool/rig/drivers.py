@@ -31,7 +31,7 @@ class Driver:
     # Expression over controls and coordinates, JOINT.PART; None if there is a curve.
     expression: Expression | None = None
     # Input of the curve: one such name.
-    by: str = ""
+    curve_input: str = ""
     # Points (input, value), ascending, constant beyond the ends.
     curve: CurvePoints = ()
     # Whether a monotone cubic joins the points, instead of straight lines.
@@ -39,20 +39,20 @@ class Driver:
     # Size of a value of 1: radians or metres per unit of the file, or 1.
     unit: float = 1.0
     # Unit of the slides and of the angles that it reads [m], [rad].
-    length: float = 1.0
-    angle: float = 1.0
+    length_unit: float = 1.0
+    angle_unit: float = 1.0
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the controls and coordinates that it reads."""
-        return (self.by,) if self.expression is None else self.expression.names
+        return (self.curve_input,) if self.expression is None else self.expression.names
 
     def unit_of(self, name: str) -> float:
         """Return the unit of an input [m], [rad], [1]."""
         joint, part = split_coordinate(name)
         if not joint:
             return 1.0
-        return self.length if part == SLIDE else self.angle
+        return self.length_unit if part == SLIDE else self.angle_unit
 
     def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
         """Evaluate the driver [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
@@ -62,12 +62,17 @@ class Driver:
         >>> Driver(half).evaluate({"wrist.twist": np.array([0.5])}).tolist()
         [0.25]
         """
-        in_units = {name: values[name] / self.unit_of(name) for name in self.names}
+        values_in_units = {
+            name: values[name] / self.unit_of(name) for name in self.names
+        }
         if self.expression is not None:
             # A constant expression.
-            return np.atleast_1d(self.expression.evaluate(in_units)) * self.unit
+            return np.atleast_1d(self.expression.evaluate(values_in_units)) * self.unit
         return (
-            curve_values(self.curve, in_units[self.by], smooth=self.smooth) * self.unit
+            curve_values(
+                self.curve, values_in_units[self.curve_input], smooth=self.smooth
+            )
+            * self.unit
         )
 
     def mirrored(self, names: Mapping[str, str]) -> Driver:
@@ -83,21 +88,23 @@ class Driver:
         }
         mirrored_driver = self
         if signs and self.expression is not None:
-            text = self.expression.scaled(signs, 1.0)
+            text = self.expression.scaled_text(signs, 1.0)
             mirrored_driver = replace(
                 self, expression=parse_expression(text, coordinates=True)
             )
         elif signs:
             points = tuple((-x, y) for x, y in reversed(self.curve))
             mirrored_driver = replace(self, curve=points)
-        return mirrored_driver.renamed(names)
+        return mirrored_driver.with_renamed_joints(names)
 
-    def renamed(self, names: Mapping[str, str]) -> Driver:
+    def with_renamed_joints(self, names: Mapping[str, str]) -> Driver:
         """Return the driver with joints renamed."""
         new_name = renamed_coordinates(self.names, names)
         if self.expression is not None:
-            return replace(self, expression=self.expression.renamed(new_name))
-        return replace(self, by=new_name[self.by])
+            return replace(
+                self, expression=self.expression.with_renamed_inputs(new_name)
+            )
+        return replace(self, curve_input=new_name[self.curve_input])
 
 
 def split_coordinate(name: str) -> tuple[str, str]:
@@ -111,18 +118,18 @@ def split_coordinate(name: str) -> tuple[str, str]:
 
 
 def renamed_coordinates(
-    input_name: Sequence[str], names: Mapping[str, str]
+    input_names: Sequence[str], names: Mapping[str, str]
 ) -> dict[str, str]:
     """Return coordinate and control names after joints are renamed.
 
     >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
     {'elbow.angle': 'knee.angle', 'grip': 'grip'}
     """
-    renamed = {}
-    for name in input_name:
+    new_names = {}
+    for name in input_names:
         joint, part = split_coordinate(name)
-        renamed[name] = f"{names.get(joint, joint)}.{part}" if joint else name
-    return renamed
+        new_names[name] = f"{names.get(joint, joint)}.{part}" if joint else name
+    return new_names
 
 
 def curve_values(
@@ -144,8 +151,8 @@ def curve_values(
     from animtool.maths.curves import cubic_curves, evaluate
 
     # Constant beyond the ends; NaN stays NaN.
-    clamped = np.clip(x, table[0, 0], table[-1, 0])
-    is_nan = np.isnan(clamped)
+    clamped_x = np.clip(x, table[0, 0], table[-1, 0])
+    is_nan = np.isnan(clamped_x)
     thirds = np.diff(table[:, 0]) / 3
     slopes = smooth_slopes(points)
     in_handles = -slopes * np.append(0.0, thirds)
@@ -153,7 +160,7 @@ def curve_values(
     cubic = cubic_curves(
         table[:, 0], table[:, 1:], in_handles[:, None], out_handles[:, None]
     )
-    values = evaluate(cubic, np.where(is_nan, table[0, 0], clamped))[0]
+    values = evaluate(cubic, np.where(is_nan, table[0, 0], clamped_x))[0]
     return np.where(is_nan, np.nan, values)
 
 

@@ -49,7 +49,7 @@ class DriverValues:
 
 def evaluate_drivers(
     plan: DriverPlan,
-    read: ReadCoordinate,
+    read_coordinate: ReadCoordinate,
     controls: Mapping[str, FloatArray],
     skipped_targets: Collection[str] = (),
 ) -> DriverValues:
@@ -57,7 +57,7 @@ def evaluate_drivers(
 
     Args:
         plan: Driver plan of the rig.
-        read: Maps the name of an undriven joint's coordinate to its values.
+        read_coordinate: Maps the name of an undriven joint's coordinate to its values.
         controls: Values of all controls ``(F,)`` or ``(1,)``; those of driven controls
             are ignored.
         skipped_targets: Targets whose drivers are skipped; their joints are read as if
@@ -74,7 +74,9 @@ def evaluate_drivers(
         if kind == "control":
             spec = by_control[name]
             if spec.driven is not None:
-                value = spec.driven.evaluate(_NamedValues(plan, read, values, result))
+                value = spec.driven.evaluate(
+                    _NamedValues(plan, read_coordinate, values, result)
+                )
             else:
                 value = np.array([spec.default]) + _control_contribution(
                     rig, target, values
@@ -82,17 +84,19 @@ def evaluate_drivers(
             values[name] = result.controls[name] = value
             continue
         j = rig.index(name)
-        driven = plan.driver(j)
-        inputs = _NamedValues(plan, read, values, result)
+        driven = plan.driver_of(j)
+        inputs = _NamedValues(plan, read_coordinate, values, result)
         if isinstance(driven, Mimic):
-            leader_value = rig.joints[rig.index(driven.joint)]
-            part = SLIDE if leader_value.type is JointType.PRISMATIC else ANGLE
-            value = driven.gain * inputs[f"{leader_value.name}.{part}"] + driven.offset
+            leader = rig.joints[rig.index(driven.joint)]
+            part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
+            value = driven.gain * inputs[f"{leader.name}.{part}"] + driven.offset
         else:
             value = driven.evaluate(inputs)
         limits = rig.joints[j].limits
-        clamped = limits.clamped(value) if isinstance(limits, RangeLimit) else value
-        result.joints[j] = np.where(np.isfinite(value), clamped, value)
+        clamped_value = (
+            limits.clamped(value) if isinstance(limits, RangeLimit) else value
+        )
+        result.joints[j] = np.where(np.isfinite(value), clamped_value, value)
         result.excess[j] = (
             value - result.joints[j] if np.isfinite(value).all() else value
         )
@@ -103,7 +107,7 @@ def evaluate_drivers(
         driver = by_shape[name].driven
         if driver is not None:
             result.shapes[name] = driver.evaluate(
-                _NamedValues(plan, read, values, result)
+                _NamedValues(plan, read_coordinate, values, result)
             )
         else:
             result.shapes[name] = _control_contribution(rig, f"shape/{name}", values)
@@ -116,12 +120,12 @@ class _NamedValues(dict[str, FloatArray]):
     def __init__(
         self,
         plan: DriverPlan,
-        read: ReadCoordinate,
+        read_coordinate: ReadCoordinate,
         controls: Mapping[str, FloatArray],
-        done: DriverValues,
+        computed_values: DriverValues,
     ) -> None:
         super().__init__(controls)
-        self._plan, self._read, self._done = plan, read, done
+        self._plan, self._read, self._done = plan, read_coordinate, computed_values
 
     def __missing__(self, name: str) -> FloatArray:
         joint = self._plan.rig.index(split_coordinate(name)[0])
@@ -142,7 +146,7 @@ def _control_contribution(
     return contribution
 
 
-def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
+def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
     """Return a part of a ball's motion ``(F, 4)``: ``(F,)`` [rad].
 
     The twist is within half a revolution of the middle of its limits, or of 0 without
@@ -151,7 +155,7 @@ def ball_part(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
 
     >>> ball = Joint("shoulder", -1, JointType.BALL, limits=BallLimit())
     >>> turn = so3.from_axis_angle((0, 1, 0), np.array([0.5]))
-    >>> ball_part(ball, "twist", turn).round(12).tolist()
+    >>> ball_part_values(ball, "twist", turn).round(12).tolist()
     [0.5]
     """
     limits = joint.limits
@@ -178,20 +182,19 @@ def driven_coordinates(
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with driven joints set by their drivers."""
     rig, slices = plan.rig, coordinate_slices(plan.rig)
-    driven = coordinates.copy()
+    driven_result = coordinates.copy()
 
     def read(name: str) -> FloatArray:
         joint, part = split_coordinate(name)
         j = rig.index(joint)
         columns = coordinates[:, slices[j]]
         if rig.joints[j].type is JointType.BALL:
-            return ball_part(rig.joints[j], part, columns)
+            return ball_part_values(rig.joints[j], part, columns)
         return columns[:, 0]
 
     values = controls or {
-        control_values.name: np.array([control_values.default])
-        for control_values in rig.controls
+        control.name: np.array([control.default]) for control in rig.controls
     }
     for j, value in evaluate_drivers(plan, read, values).joints.items():
-        driven[:, slices[j].start] = value
-    return driven
+        driven_result[:, slices[j].start] = value
+    return driven_result

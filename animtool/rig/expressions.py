@@ -30,6 +30,7 @@ MAX_NESTED_BRACKETS = 90
 
 
 def _smoothstep(low: Any, high: Any, x: Any) -> Any:
+    """Interpolate from 0 at low to 1 at high with zero slope at both ends."""
     range_width = np.where(np.equal(low, high), 1.0, np.subtract(high, low))
     u = np.clip((x - low) / range_width, 0.0, 1.0)
     return np.where(
@@ -38,10 +39,12 @@ def _smoothstep(low: Any, high: Any, x: Any) -> Any:
 
 
 def _lerp(a: Any, b: Any, t: Any) -> Any:
+    """Interpolate linearly from a to b."""
     return a + (b - a) * t
 
 
 def _clamp(x: Any, low: Any, high: Any) -> Any:
+    """Clamp x to a range."""
     return np.minimum(np.maximum(x, low), high)
 
 
@@ -102,21 +105,21 @@ class Expression:
         with np.errstate(all="ignore"):
             return np.asarray(_evaluate_node(self._tree, values), np.float64)
 
-    def program(self) -> list[tuple[str, float | str]]:
+    def postfix_program(self) -> list[tuple[str, float | str]]:
         """Return the expression in reverse Polish notation, for a stack machine.
 
         ``("number", x)``, ``("name", NAME)``, or ``("call", FUNCTION)``, with operators
         named ``+ - * / neg``.
 
-        >>> parse_expression("2 * x").program()
+        >>> parse_expression("2 * x").postfix_program()
         [('number', 2.0), ('name', 'x'), ('call', '*')]
         """
         return list(_postfix_program(self._tree))
 
-    def scaled(self, factors: Mapping[str, float], factor: float) -> str:
+    def scaled_text(self, factors: Mapping[str, float], factor: float) -> str:
         """Return the text with names and result multiplied by factors.
 
-        >>> parse_expression("sin(x) + 1").scaled({"x": 2.0}, 0.5)
+        >>> parse_expression("sin(x) + 1").scaled_text({"x": 2.0}, 0.5)
         '(sin(x * 2.0) + 1) * 0.5'
         """
         tree = _NameScaler(factors).visit(copy.deepcopy(self._tree))
@@ -124,10 +127,10 @@ class Expression:
             tree = ast.BinOp(tree, ast.Mult(), ast.Constant(factor))
         return ast.unparse(ast.fix_missing_locations(tree))
 
-    def renamed(self, names: Mapping[str, str]) -> Expression:
+    def with_renamed_inputs(self, names: Mapping[str, str]) -> Expression:
         """Return the expression with its inputs renamed.
 
-        >>> parse_expression("a + b").renamed({"a": "c"}).text
+        >>> parse_expression("a + b").with_renamed_inputs({"a": "c"}).text
         'c + b'
         """
         if not any(names.get(name, name) != name for name in self.names):
@@ -165,15 +168,16 @@ def _syntax_fault(text: str, error: Exception) -> str:
     """Return where the syntax of an expression breaks."""
     if isinstance(error, RecursionError | MemoryError):
         return "the expression is nested too deep"
-    at = (getattr(error, "offset", None) or 1) - 1
-    if at >= len(text) or text.rstrip().endswith(tuple("+-*/,(")):
+    offset = (getattr(error, "offset", None) or 1) - 1
+    if offset >= len(text) or text.rstrip().endswith(tuple("+-*/,(")):
         return "the expression ends too early"
-    before, rest = text[:at].rstrip(), text[at:]
-    if re.search(r"[\w.)]$", before) and re.match(r"[A-Za-z_(]", rest):
-        return f"no operator before {excerpt(rest)}; write {before} * {rest}"
-    if with_unit := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", rest):
+    text_before, after_text = text[:offset].rstrip(), text[offset:]
+    if re.search(r"[\w.)]$", text_before) and re.match(r"[A-Za-z_(]", after_text):
+        return f"no operator before {excerpt(after_text)}; write {text_before} * "
+        f"{after_text}"
+    if with_unit := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", after_text):
         return f"{excerpt(with_unit[0])} has a unit: write numbers in the rig's units"
-    return f"the expression cannot be read from {excerpt(rest)} on"
+    return f"the expression cannot be read from {excerpt(after_text)} on"
 
 
 def _coordinate_name(node: ast.expr) -> str | None:
@@ -247,6 +251,7 @@ def _read_name(node: ast.AST) -> str | None:
 def _check_node(
     node: ast.expr, text: str, names: set[str], depth: int, *, coordinates: bool
 ) -> None:
+    """Raise if a node or its children are not allowed; collect the names read."""
     if depth > MAX_DEPTH:
         raise ValueError(f"is nested deeper than {MAX_DEPTH}")
     coordinate = _coordinate_name(node)
@@ -301,6 +306,7 @@ def _allowed_children(node: ast.expr, text: str, names: set[str]) -> list[ast.ex
 
 
 def _check_number(number: object) -> None:
+    """Raise if a number is not finite or not real."""
     if isinstance(number, bool) or not isinstance(number, int | float):
         raise ValueError(f"{str(number)[:40]!r} is not allowed")  # noqa: TRY004
     if not abs(number) <= sys.float_info.max:
@@ -308,6 +314,7 @@ def _check_number(number: object) -> None:
 
 
 def _postfix_program(node: ast.expr) -> Iterator[tuple[str, float | str]]:
+    """Yield a node's operations in reverse Polish notation."""
     name = _read_name(node)
     if name is not None:
         yield "name", name
@@ -334,6 +341,7 @@ def _postfix_program(node: ast.expr) -> Iterator[tuple[str, float | str]]:
 
 
 def _evaluate_node(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
+    """Return the value of a node."""
     coordinate = _coordinate_name(node)
     if coordinate is not None:
         return values[coordinate]

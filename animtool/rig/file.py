@@ -29,7 +29,7 @@ from animtool.rig.joint_schema import PoseModel
 from animtool.rig.part_entries import PartReader
 from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
-from animtool.rig.sides import ORIGIN, PoseArrays, mirrored_pose, world_below
+from animtool.rig.sides import ORIGIN, PoseArrays, mirror_pose, world_transform_below
 from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
 from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
 from animtool.rig.suspicious_parts import warn_of_parts
@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 def read_bind(
     document: Document,
     models: Mapping[str, PoseModel],
-    read: FileJoints,
+    file_joints: FileJoints,
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
@@ -51,17 +51,17 @@ def read_bind(
     A mirrored joint has the reflection of the other's bind pose, unless the file states
     one.
     """
-    joints = {joint.name: joint for joint in read.joints}
+    joints = {joint.name: joint for joint in file_joints.joints}
     bind = dict(inherited)
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
-            if not read.has_unnamed:
+            if not file_joints.has_unnamed:
                 hint = nearest(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
         bind[name] = _read_pose(document, name, model, joints[name], units)
-    bind |= _mirrored_poses(read, bind, set(models))
+    bind |= _mirrored_poses(file_joints, bind, set(models))
     return {
         name: pose
         for name, pose in bind.items()
@@ -73,6 +73,7 @@ def read_bind(
 def _read_pose(
     document: Document, name: str, model: PoseModel, rest: Joint, units: FileUnits
 ) -> Pose:
+    """Return a bind pose; missing values are those of the rest pose."""
     translation, rotation = rest.translation, rest.rotation
     if model.translate is not None:
         x, y, z = (value * units.length for value in model.translate)
@@ -84,15 +85,16 @@ def _read_pose(
 
 
 def _rest_pose(joint: Joint) -> Pose:
+    """Return the rest pose of a joint."""
     return Pose(joint.translation, joint.rotation)
 
 
 def _mirrored_poses(
-    joints: FileJoints, bind: Mapping[str, Pose], stated_names: set[str]
+    joints: FileJoints, bind: Mapping[str, Pose], explicit_names: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
-    if not joints.mirrored_joints - stated_names or not bind:
+    if not joints.mirrored_joints - explicit_names or not bind:
         return poses
     world: list[PoseArrays] = []
     indices = {joint.name: i for i, joint in enumerate(joints.joints)}
@@ -100,15 +102,15 @@ def _mirrored_poses(
         parent = world[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
             joint.name in joints.mirrored_joints
-            and joint.name not in stated_names
-            and joint.mirror in stated_names
+            and joint.name not in explicit_names
+            and joint.mirror in explicit_names
         ):
             source = bind[joint.mirror]
-            poses[joint.name] = mirrored_pose(
+            poses[joint.name] = mirror_pose(
                 source, world[indices[joint.mirror]], parent
             )
         pose = poses.get(joint.name) or bind.get(joint.name) or _rest_pose(joint)
-        world.append(world_below(parent, pose))
+        world.append(world_transform_below(parent, pose))
     return poses
 
 
@@ -130,41 +132,43 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         LengthUnit(model.units.length).meters,
         math.radians(1.0) if model.units.angle == "deg" else 1.0,
     )
-    base = None
+    base_rig = None
     if model.source is None:
         joints = read_joints(document, model.joints, units)
     else:
-        base = _load_base(document, model.source, roots, parents)
+        base_rig = _load_base(document, model.source, roots, parents)
         joints = (
             _joints_without_base(document, model, units)
-            if base is None
-            else _overlay_joints(document, model, base, units)
+            if base_rig is None
+            else _overlay_joints(document, model, base_rig, units)
         )
-    inherited = Rig("", ()) if base is None else base
+    inherited = Rig("", ()) if base_rig is None else base_rig
     if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
         reader = ArrayReader(document, roots, archives)
         parts = PartReader(document, model, units, joints, reader)
-        meshes = parts.meshes() or inherited.meshes
-        shapes = parts.shapes(
+        meshes = parts.read_meshes() or inherited.meshes
+        shapes = parts.read_shapes(
             [mesh.name for mesh in meshes], [shape.name for shape in inherited.shapes]
         )
         bind = read_bind(document, model.bind, joints, units, inherited.bind)
         shapes = _merge_shapes(inherited.shapes, shapes)
-        controls = parts.controls([shape.name for shape in shapes], inherited.controls)
-        chains = parts.ik(inherited.chains)
-        colliders = parts.colliders(inherited.colliders)
+        controls = parts.read_controls(
+            [shape.name for shape in shapes], inherited.controls
+        )
+        chains = parts.read_chains(inherited.chains)
+        colliders = parts.read_colliders(inherited.colliders)
         masses = parts.masses(inherited.masses)
-        attachments = parts.attach(meshes, inherited.attach)
+        attachments = parts.read_attachments(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_w_last(document, model.joints)
     rig = Rig(
         model.name,
         joints.joints,
-        units.length if base is None else base.meters_per_unit,
-        UpAxis(model.up) if base is None else base.up,
+        units.length if base_rig is None else base_rig.meters_per_unit,
+        UpAxis(model.up) if base_rig is None else base_rig.up,
         bind,
         meshes,
         shapes,
@@ -175,21 +179,21 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         units.angle,
         masses,
         (*inherited.notices, *document.notices),
-        stands=inherited.stands,
-        rides=inherited.rides,
+        placement=inherited.placement,
+        has_animated_parents=inherited.has_animated_parents,
     )
     if rig.is_driven:
         has_unnamed = {
-            "joints": joints.has_unnamed or bool(joints.orphans),
+            "joints": joints.has_unnamed or bool(joints.orphaned_joints),
             "controls": bool(document.has_unnamed("controls")),
         }
-        DriverCheck(document, model, rig, has_unnamed, joints.untyped_joints).run()
+        DriverCheck(document, model, rig, has_unnamed, joints.untyped_joints).check()
     document.check()
-    known_names = len(document.notices)
+    notice_count = len(document.notices)
     warn_of_shape(document, rig)
     warn_of_drives(document, rig)
     warn_of_parts(document, model, rig)
-    return replace(rig, notices=(*rig.notices, *document.notices[known_names:]))
+    return replace(rig, notices=(*rig.notices, *document.notices[notice_count:]))
 
 
 def _merge_shapes(
@@ -250,7 +254,9 @@ def _joints_without_base(
     """Return a sidecar's joints without its base, marked incomplete."""
     document.partial_lists |= {"joints", "meshes", "shapes", "controls"}
     joints = _sidecar_roots(document, model, units)
-    return replace(joints, orphans=frozenset(joint.name for joint in joints.joints))
+    return replace(
+        joints, orphaned_joints=frozenset(joint.name for joint in joints.joints)
+    )
 
 
 def _overlay_joints(
@@ -285,7 +291,7 @@ def _overlay_joints(
             limits=sidecar_joints[joint.name].limits,
             mimic=_rename_mimic(sidecar_joints[joint.name].mimic, names),
             mirror=mirrors[joint.name],
-            driven=_renamed_driver(sidecar_joints[joint.name].driven, names)
+            driven=_rename_driver_joints(sidecar_joints[joint.name].driven, names)
             or joint.driven,
         )
         if joint.name in sidecar_joints
@@ -296,11 +302,15 @@ def _overlay_joints(
     return FileJoints(joints, untyped_joints=untyped, has_unnamed=sidecar.has_unnamed)
 
 
-def _renamed_driver(driver: Driver | None, names: dict[str, str]) -> Driver | None:
-    return None if driver is None else driver.renamed(names)
+def _rename_driver_joints(
+    driver: Driver | None, names: dict[str, str]
+) -> Driver | None:
+    """Return a driver with its joints renamed."""
+    return None if driver is None else driver.with_renamed_joints(names)
 
 
 def _rename_mimic(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
+    """Return a mimic with its leader renamed."""
     return (
         None
         if mimic is None

@@ -53,23 +53,23 @@ class RigFit:
     size: float  # ratio of the take's bone lengths to the rig's [1]
     # Angle between the up directions of both rest poses [rad]; 0 if they are different
     # poses.
-    tilt: float
+    up_axis_angle: float
 
     @cached_property
-    def parts(self) -> dict[str, float]:
+    def components(self) -> dict[str, float]:
         """Components of the score, each from 0 to 1; the smallest is the score."""
         return {
             "joints": max(self.take_fraction, self.rig_fraction),
             "rotations": max(0.0, 1.0 - self.rotation / ROTATION_SPAN),
             "lengths": 1.0 - self.length,
             "size": min(self.size, 1.0 / self.size) if self.size > 0 else 0.0,
-            "up axis": max(0.0, float(np.cos(self.tilt))),
+            "up axis": max(0.0, float(np.cos(self.up_axis_angle))),
         }
 
     @property
     def score(self) -> float:
         """From 0, nothing fits, to 1, both have the same rest skeleton."""
-        return float(min(self.parts.values()))
+        return float(min(self.components.values()))
 
     @property
     def rotation(self) -> float:
@@ -91,7 +91,9 @@ class RigFit:
         return [int(self.joints[i]) for i in order if excess[i] > 1.0]
 
 
-def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) -> RigFit:
+def measure_fit(
+    take: Rig, rig: Rig, source: IntArray, *, compare_poses: bool = True
+) -> RigFit:
     """Measure how well a take's rest skeleton fits a rig.
 
     >>> from animtool.rig.skeleton import Joint
@@ -104,12 +106,12 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
         _take_fraction(take, source[matched_joints]),
         len(matched_joints) / max(1, len(source)),
     )
-    inner = matched_joints[
+    joints_with_parents = matched_joints[
         (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
     ]
     rig_bones, translations_of_both = (
-        rig.rest_translations[inner],
-        take.rest_translations[source[inner]],
+        rig.rest_translations[joints_with_parents],
+        take.rest_translations[source[joints_with_parents]],
     )
     sizes = np.array(
         [
@@ -123,24 +125,33 @@ def measure_fit(take: Rig, rig: Rig, source: IntArray, *, posed: bool = True) ->
         empty = np.zeros(0)
         no_joints = np.zeros(0, np.int64)
         return RigFit(*fractions, no_joints, empty, empty, empty, 1.0, 0.0)
-    relative = sizes / totals[:, None]
+    relative_lengths = sizes / totals[:, None]
     size = float(totals[0] / totals[1])
-    longer = relative.max(axis=0)
-    lengths = np.zeros(len(inner))
-    np.divide(np.abs(relative[0] - relative[1]), longer, lengths, where=longer > 0)
-    is_pointing = (relative > MIN_BONE_LENGTH / len(inner)).all(axis=0)
+    larger_length = relative_lengths.max(axis=0)
+    lengths = np.zeros(len(joints_with_parents))
+    np.divide(
+        np.abs(relative_lengths[0] - relative_lengths[1]),
+        larger_length,
+        lengths,
+        where=larger_length > 0,
+    )
+    is_pointing = (relative_lengths > MIN_BONE_LENGTH / len(joints_with_parents)).all(
+        axis=0
+    )
     angles = np.where(
         is_pointing, _angles_between(translations_of_both, rig_bones), 0.0
     )
-    bones = relative.mean(axis=0)
+    bones = relative_lengths.mean(axis=0)
     tilt = 0.0
-    if posed:
-        posture = _AlignedPoses(take, rig, source[inner], inner)
-        pose_angles = np.where(is_pointing, _angles_between(*posture.bones), 0.0)
+    if compare_poses:
+        aligned_poses = _AlignedPoses(
+            take, rig, source[joints_with_parents], joints_with_parents
+        )
+        pose_angles = np.where(is_pointing, _angles_between(*aligned_poses.bones), 0.0)
         if np.sqrt(bones @ pose_angles**2) < SAME_POSE_ANGLE:
-            angles = np.maximum(angles, posture.turned)
-            tilt = posture.tilt
-    return RigFit(*fractions, inner, angles, lengths, bones, size, tilt)
+            angles = np.maximum(angles, aligned_poses.rotation_angles)
+            tilt = aligned_poses.up_axis_angle
+    return RigFit(*fractions, joints_with_parents, angles, lengths, bones, size, tilt)
 
 
 class _AlignedPoses:
@@ -148,8 +159,8 @@ class _AlignedPoses:
 
     Attributes:
         bones: Bones of both, from the parent to the joint ``(B, 3)`` [m].
-        turned: Angle between the rotations of each joint [rad] ``(B,)``.
-        tilt: Angle between the up axes after alignment [rad].
+        rotation_angles: Angle between the rotations of each joint [rad] ``(B,)``.
+        up_axis_angle: Angle between the up axes after alignment [rad].
     """
 
     def __init__(
@@ -172,12 +183,14 @@ class _AlignedPoses:
                 np.concatenate([starts[1], bone_ends[1]]),
             )
         self.bones = so3.rotate(alignment, bone_ends[0] - starts[0]), bones
-        self.turned = so3.angle_between(
+        self.rotation_angles = so3.angle_between(
             so3.multiply(alignment, take_world.rotations[0, take_joints]),
             rig_world.rotations[0, rig_joints],
         )
         up = np.eye(3)["XYZ".index(rig.up.value)]
-        self.tilt = float(np.arccos(np.clip(so3.rotate(alignment, up) @ up, -1.0, 1.0)))
+        self.up_axis_angle = float(
+            np.arccos(np.clip(so3.rotate(alignment, up) @ up, -1.0, 1.0))
+        )
 
 
 def _is_straight(bones: FloatArray) -> bool:
@@ -186,10 +199,10 @@ def _is_straight(bones: FloatArray) -> bool:
     return bool(len(spreads) < 2 or spreads[1] <= COLLINEAR_TOLERANCE * spreads[0])
 
 
-def _take_fraction(take: Rig, used: IntArray) -> float:
+def _take_fraction(take: Rig, used_joints: IntArray) -> float:
     """Return the used fraction of a take's joints; end joints below one are ignored."""
     is_used = np.zeros(len(take.joints), np.bool_)
-    is_used[used] = True
+    is_used[used_joints] = True
     parents = take.parents
     is_end = np.ones(len(parents), np.bool_)
     is_end[parents[parents >= 0]] = False
@@ -212,7 +225,7 @@ def check_fit(
     take: Rig,
     rig: Rig,
     source: IntArray,
-    where: str,
+    location: str,
     *,
     forced: bool,
     unmatched: list[Fault] | None = None,
@@ -222,7 +235,7 @@ def check_fit(
     ``source`` is the take's joint for each of the rig ``(J,)``, -1 for none. If forced,
     a warning replaces the error, which otherwise includes ``unmatched`` joints.
     """
-    fit = measure_fit(take, rig, source, posed=take.has_rest)
+    fit = measure_fit(take, rig, source, compare_poses=take.has_rest)
     if fit.score >= PERFECT_FIT:
         return fit, []
     names = [rig.names[j] for j in fit.differing_joints]
@@ -230,7 +243,7 @@ def check_fit(
         message = f"the take differs from the rig: score {fit.score:.2f}; "
         message += _score_text(fit)
         return fit, [
-            _joints_fault("RIG041", message, names, where, None, Severity.WARNING)
+            _joints_fault("RIG041", message, names, location, None, Severity.WARNING)
         ]
     message = (
         f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
@@ -239,10 +252,15 @@ def check_fit(
     message += _score_text(fit)
     faults = [
         _joints_fault(
-            "RIG040", message, names, where, _worst_part_hint(fit), Severity.ERROR
+            "RIG040",
+            message,
+            names,
+            location,
+            _worst_component_hint(fit),
+            Severity.ERROR,
         )
     ]
-    if fit.parts["joints"] < MIN_FIT:
+    if fit.components["joints"] < MIN_FIT:
         faults += unmatched or []
     raise FormatError(faults)
 
@@ -251,14 +269,15 @@ def _joints_fault(
     code: str,
     message: str,
     names: list[str],
-    where: str,
+    location: str,
     hint: str | None,
     severity: Severity,
 ) -> Fault:
+    """Return a fault that lists joints."""
     if not names:
-        return Fault(code, message, where, (), hint, severity)
+        return Fault(code, message, location, (), hint, severity)
     message += "; joints with different rest poses: "
-    return names_fault(code, message, names, where, hint, severity)
+    return names_fault(code, message, names, location, hint, severity)
 
 
 def _score_text(fit: RigFit) -> str:
@@ -269,20 +288,20 @@ def _score_text(fit: RigFit) -> str:
         "rotations": f"{math.degrees(fit.rotation):.1f} degrees apart",
         "lengths": f"{fit.length:.0%} apart",
         "size": f"{plain_number(fit.size)} times the rig's",
-        "up axis": f"{math.degrees(fit.tilt):.0f} degrees apart",
+        "up axis": f"{math.degrees(fit.up_axis_angle):.0f} degrees apart",
     }
     return ", ".join(
         f"{name} {value:.2f} ({names[name]})"
-        for name, value in fit.parts.items()
+        for name, value in fit.components.items()
         if value < PERFECT_FIT
     )
 
 
-def _worst_part_hint(fit: RigFit) -> str:
+def _worst_component_hint(fit: RigFit) -> str:
     """Return a hint for the worst part of a score."""
-    parts = fit.parts
-    worst_part = min(parts, key=lambda name: parts[name])
-    advice = {
+    components = fit.components
+    worst_component = min(components, key=lambda name: components[name])
+    hints = {
         "joints": "transfer the motion with animtool retarget, choose another rig, or "
         f"match the names ({argument('strip_namespace')} N drops prefixes)",
         "rotations": "transfer the motion to the rest pose with animtool retarget",
@@ -294,7 +313,7 @@ def _worst_part_hint(fit: RigFit) -> str:
         "up axis": f"check the up axes of both ({argument('source.up')} sets that of "
         "a BVH)",
     }
-    return f"{advice[worst_part]}; {argument('force_fit', True)} writes it as it is"
+    return f"{hints[worst_component]}; {argument('force_fit', True)} writes it as it is"
 
 
 def _is_unit_ratio(size: float) -> bool:

@@ -31,9 +31,11 @@ def head_joints(rig: Rig) -> dict[str, int]:
     """
     matches: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
-        plain_name = re.sub(r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]).lower()
+        normalized_name = re.sub(
+            r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]
+        ).lower()
         for part, names in _JOINT_NAMES.items():
-            if plain_name in names:
+            if normalized_name in names:
                 matches.setdefault(part, j)
     return matches
 
@@ -73,14 +75,14 @@ def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
         rig, rig.rest_translations[None], rig.rest_rotations[None]
     )
     parent = rig.joints[joint].parent
-    relative = multiply(local, conjugate(rig.rest_rotations[joint]))
+    rotation_from_rest = multiply(local, conjugate(rig.rest_rotations[joint]))
     if parent >= 0:
         parent_rotation = rest_transforms.rotations[0, parent]
-        relative = multiply(
-            multiply(parent_rotation, relative), conjugate(parent_rotation)
+        rotation_from_rest = multiply(
+            multiply(parent_rotation, rotation_from_rest), conjugate(parent_rotation)
         )
     if rig.up is UpAxis.Z:
-        relative = multiply(
-            multiply(conjugate(_Z_UP_ROTATION), relative), _Z_UP_ROTATION
+        rotation_from_rest = multiply(
+            multiply(conjugate(_Z_UP_ROTATION), rotation_from_rest), _Z_UP_ROTATION
         )
-    return relative
+    return rotation_from_rest

@@ -22,7 +22,7 @@ from animtool.rig.joint_schema import (
 )
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Vector
-from animtool.rig.sides import ORIGIN, PoseArrays, mirrored_joint, world_below
+from animtool.rig.sides import ORIGIN, PoseArrays, mirror_joint, world_transform_below
 from animtool.rig.skeleton import Joint, JointType, Mimic, Pose
 from animtool.rig.suspicions import warn_of_quaternion_length
 
@@ -42,7 +42,7 @@ class FileUnits:
     length: float
     angle: float
 
-    def of(self, joint_type: JointType) -> float:
+    def unit_of(self, joint_type: JointType) -> float:
         """Return the unit of a pin's or prismatic joint's coordinate."""
         return self.length if joint_type is JointType.PRISMATIC else self.angle
 
@@ -52,7 +52,8 @@ class FileJoints:
     """The joints of a file, and what its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
-    orphans: frozenset[str] = frozenset()  # names of joints whose parent is unknown
+    # names of joints whose parent is unknown
+    orphaned_joints: frozenset[str] = frozenset()
     # Names of joints created by another joint's ``mirror``.
     mirrored_joints: frozenset[str] = frozenset()
     untyped_joints: frozenset[str] = (
@@ -68,26 +69,28 @@ class _JointEntry:
     index: int
     source: str
     parent: str | None
-    mirrored: bool = False
-    orphaned: bool = False
+    is_mirrored: bool = False
+    is_orphaned: bool = False
 
 
 @dataclass(slots=True)
 class _JointTree:
     """The joints built so far, parents first, with world transforms on demand."""
 
-    built: list[Joint] = field(default_factory=list)
+    joints: list[Joint] = field(default_factory=list)
     indices: dict[str, int] = field(default_factory=dict)
     world: list[PoseArrays] = field(default_factory=list)
 
-    def world_of(self, joint: int) -> PoseArrays:
+    def world_at_rest(self, joint: int) -> PoseArrays:
         """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
-        for transform in self.built[len(self.world) : joint + 1]:
+        for transform in self.joints[len(self.world) : joint + 1]:
             parent = self.world[transform.parent] if transform.parent >= 0 else ORIGIN
             self.world.append(
-                world_below(parent, Pose(transform.translation, transform.rotation))
+                world_transform_below(
+                    parent, Pose(transform.translation, transform.rotation)
+                )
             )
         return self.world[joint]
 
@@ -99,26 +102,31 @@ def read_joints(
     has_unnamed = document.has_unnamed("joints", "name", "mirror")
     entries = _joint_entries(document, models, has_unnamed=has_unnamed)
     tree = _JointTree()
-    for name in _parents_first(document, entries):
+    for name in _in_dependency_order(document, entries):
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
-        if entry.mirrored:
-            source, parent_world = tree.indices[entry.source], tree.world_of(parent)
-            joint = mirrored_joint(
-                tree.built[source], tree.world_of(source), parent, parent_world
+        if entry.is_mirrored:
+            source, parent_world = (
+                tree.indices[entry.source],
+                tree.world_at_rest(parent),
             )
-            if parent >= 0 and tree.built[source].parent == parent:
-                _warn_of_off_middle(document, entry, joint, parent_world, tree.built)
+            joint = mirror_joint(
+                tree.joints[source], tree.world_at_rest(source), parent, parent_world
+            )
+            if parent >= 0 and tree.joints[source].parent == parent:
+                _warn_of_off_centre_parent(
+                    document, entry, joint, parent_world, tree.joints
+                )
         else:
             joint = _read_joint(
                 document, entry.index, models[entry.index], units, parent
             )
-        tree.indices[name] = len(tree.built)
-        tree.built.append(joint)
+        tree.indices[name] = len(tree.joints)
+        tree.joints.append(joint)
     joints = FileJoints(
-        tuple(tree.built),
-        frozenset(name for name, entry in entries.items() if entry.orphaned),
-        frozenset(name for name, entry in entries.items() if entry.mirrored),
+        tuple(tree.joints),
+        frozenset(name for name, entry in entries.items() if entry.is_orphaned),
+        frozenset(name for name, entry in entries.items() if entry.is_mirrored),
         frozenset(
             name
             for name, entry in entries.items()
@@ -133,6 +141,7 @@ def read_joints(
 def _joint_entries(
     document: Document, models: list[JointModel], *, has_unnamed: bool
 ) -> dict[str, _JointEntry]:
+    """Return the joints to build by name; record duplicates and unknown parents."""
     entries: dict[str, _JointEntry] = {}
     mirrors = {m.name: m.mirror for m in models if m.mirror is not None}
     mirrors |= {mirror: name for name, mirror in mirrors.items()}
@@ -160,15 +169,15 @@ def _joint_entries(
             continue
         parent = model.parent
         parent = mirrors.get(parent, parent) if parent is not None else None
-        entries[model.mirror] = _JointEntry(i, model.name, parent, mirrored=True)
+        entries[model.mirror] = _JointEntry(i, model.name, parent, is_mirrored=True)
     for entry in list(entries.values()):
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
-            if not entry.mirrored and not has_unnamed:
+            if not entry.is_mirrored and not has_unnamed:
                 hint = nearest(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
-            entry.parent, entry.orphaned = None, True
+            entry.parent, entry.is_orphaned = None, True
     return entries
 
 
@@ -186,13 +195,13 @@ def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> N
     document.warn("RIG109", location, message, hint)
 
 
-def _parents_first(
+def _in_dependency_order(
     document: Document, entries: dict[str, _JointEntry]
 ) -> Iterator[str]:
     """Yield names in file order, but each after its parent and mirror source."""
     yielded_names: set[str] = set()
     for start in entries:
-        trail: list[str] = []
+        visited_names: list[str] = []
         name: str | None = start
         # An ordered set.
         pending_names = {start: None}
@@ -200,7 +209,7 @@ def _parents_first(
             name = next(reversed(pending_names))
             entry = entries[name]
             required_parents = [entry.parent] if entry.parent is not None else []
-            required_parents += [entry.source] if entry.mirrored else []
+            required_parents += [entry.source] if entry.is_mirrored else []
             missing_parent = next(
                 (
                     required_name
@@ -217,23 +226,23 @@ def _parents_first(
                 continue
             if missing_parent in pending_names:
                 unfinished_names = list(pending_names)
-                trail = [
+                visited_names = [
                     *unfinished_names[unfinished_names.index(missing_parent) :],
                     missing_parent,
                 ]
-                cycle = cycle_text(trail[::-1])
+                cycle = cycle_text(visited_names[::-1])
                 message = f"the joints are their own ancestors: {cycle}"
                 hint = "remove the parent of the one that is the root"
                 document.add("RIG003", ("joints", entry.index), message, hint)
-                entry.parent, entry.orphaned = None, True
-                if entry.mirrored and missing_parent == entry.source:
+                entry.parent, entry.is_orphaned = None, True
+                if entry.is_mirrored and missing_parent == entry.source:
                     del pending_names[name]
                     yielded_names.add(name)
                 continue
             pending_names[missing_parent] = None
 
 
-def _warn_of_off_middle(
+def _warn_of_off_centre_parent(
     document: Document,
     entry: _JointEntry,
     joint: Joint,
@@ -256,11 +265,12 @@ def _warn_of_off_middle(
 def _read_joint(
     document: Document, i: int, model: JointModel, units: FileUnits, parent: int
 ) -> Joint:
+    """Return the joint of an entry; record faults of its numbers."""
     location: Location = ("joints", i)
     rotation = unit_quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
     tips = tuple(_scale_vector(tip, units.length) for tip in model.tips)
-    _refuse_repeated_channels(document, (*location, "channels"), model.channels or [])
+    _check_repeated_channels(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
@@ -274,7 +284,7 @@ def _read_joint(
     if isinstance(model, PinJointModel | PrismaticJointModel):
         axis = unit_vector(document, (*location, "axis"), model.axis)
         limits = _range_limit(
-            document, (*location, "limits"), model.limits, units.of(joint.type)
+            document, (*location, "limits"), model.limits, units.unit_of(joint.type)
         )
         joint = replace(joint, axis=axis, limits=limits)
     elif isinstance(model, BallJointModel) and model.limits is not None:
@@ -283,26 +293,29 @@ def _read_joint(
     return joint
 
 
-def _refuse_repeated_channels(
-    document: Document, at: Location, channels: Sequence[str]
+def _check_repeated_channels(
+    document: Document, location: Location, channels: Sequence[str]
 ) -> None:
+    """Record BVH channels that are listed twice."""
     for k, name in enumerate(channels):
         if name in channels[:k]:
             message = f"duplicate channel {name!r}"
-            document.add("RIG028", (*at, k), message, "write each once")
+            document.add("RIG028", (*location, k), message, "write each once")
 
 
 def _scale_vector(values: list[float], unit: float) -> Vector:
+    """Return three numbers in metres."""
     x, y, z = (value * unit for value in values)
     return (x, y, z)
 
 
 def _range_limit(
-    document: Document, location: Location, pair: list[float] | None, unit: float
+    document: Document, location: Location, range_pair: list[float] | None, unit: float
 ) -> RangeLimit | None:
-    if pair is None:
+    """Return a range in metres or radians; None with a fault if reversed."""
+    if range_pair is None:
         return None
-    lower, upper = pair
+    lower, upper = range_pair
     if lower > upper:
         message = f"the range from {lower:g} to {upper:g} is reversed"
         document.add("RIG007", location, message, f"write [{upper:g}, {lower:g}]")
@@ -310,23 +323,24 @@ def _range_limit(
 
 
 def _ball_limit(
-    document: Document, at: Location, model: BallLimitsModel, units: FileUnits
+    document: Document, location: Location, model: BallLimitsModel, units: FileUnits
 ) -> BallLimit:
+    """Return the limits of a ball joint; record faults of its angles."""
     swing = None
     if model.swing is not None:
         angles = model.swing if isinstance(model.swing, list) else [model.swing] * 2
         if not all(0 <= angle * units.angle <= math.pi for angle in angles):
             max_swing = "π rad" if units.angle == 1 else "180°"
             message = f"swing {model.swing} is not between 0 and {max_swing}"
-            document.add("RIG007", (*at, "swing"), message)
+            document.add("RIG007", (*location, "swing"), message)
         swing = (angles[0] * units.angle, angles[1] * units.angle)
     twist = None
     if model.twist == "locked":
         twist = (0.0, 0.0)
     elif isinstance(model.twist, list):
-        limit = _range_limit(document, (*at, "twist"), model.twist, units.angle)
+        limit = _range_limit(document, (*location, "twist"), model.twist, units.angle)
         twist = None if limit is None else (limit.low, limit.high)
-    axis = unit_vector(document, (*at, "twist_axis"), model.twist_axis)
+    axis = unit_vector(document, (*location, "twist_axis"), model.twist_axis)
     return BallLimit(swing, twist, axis)
 
 
@@ -334,19 +348,21 @@ def _with_drivers(
     document: Document,
     models: list[JointModel],
     entries: dict[str, _JointEntry],
-    read: FileJoints,
+    file_joints: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with their drivers; inputs are checked later."""
-    joints = {joint.name: joint for joint in read.joints}
+    joints = {joint.name: joint for joint in file_joints.joints}
     file_units = (units.length, units.angle)
-    partners = {joint.name: joint.mirror for joint in read.joints if joint.mirror}
+    partners = {
+        joint.name: joint.mirror for joint in file_joints.joints if joint.mirror
+    }
     for i, model in enumerate(models):
         if not isinstance(model, PinJointModel | PrismaticJointModel):
             continue
         if model.driven is None or entries[model.name].index != i:
             continue
-        unit = units.of(JointType(model.type))
+        unit = units.unit_of(JointType(model.type))
         driver = read_driver(
             document, ("joints", i, "driven"), model.driven, file_units, unit
         )
@@ -354,23 +370,23 @@ def _with_drivers(
             if driver is None or name not in joints or entries[name].index != i:
                 continue
             joint_driver = (
-                driver.mirrored(partners) if entries[name].mirrored else driver
+                driver.mirrored(partners) if entries[name].is_mirrored else driver
             )
             joints[name] = replace(joints[name], driven=joint_driver)
-    return replace(read, joints=tuple(joints.values()))
+    return replace(file_joints, joints=tuple(joints.values()))
 
 
 def _with_mimics(
     document: Document,
     models: list[JointModel],
     entries: dict[str, _JointEntry],
-    read: FileJoints,
+    file_joints: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with their mimics, whose leaders must exist."""
-    joints = list(read.joints)
+    joints = list(file_joints.joints)
     by_name = {joint.name: i for i, joint in enumerate(joints)}
-    scalar = (JointType.PIN, JointType.PRISMATIC)
+    scalar_types = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entries.items():
         model = models[entry.index]
         if not isinstance(model, PinJointModel | PrismaticJointModel) or not (
@@ -381,35 +397,35 @@ def _with_mimics(
         leader = by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
-            if not read.has_unnamed:
+            if not file_joints.has_unnamed:
                 document.add(
                     "RIG008", location, message, nearest(mimic.joint, list(by_name))
                 )
             continue
-        if mimic.joint in read.untyped_joints:
+        if mimic.joint in file_joints.untyped_joints:
             continue
-        if joints[leader].type not in scalar:
+        if joints[leader].type not in scalar_types:
             message = f"{mimic.joint!r} is a {joints[leader].type} joint"
             document.add(
                 "RIG009", location, message, "a mimic follows a pin or prismatic"
             )
             continue
         target = mimic.joint
-        if entry.mirrored:
+        if entry.is_mirrored:
             target = joints[leader].mirror or target
         unit, leader_unit = (
-            units.of(JointType(model.type)),
-            units.of(joints[leader].type),
+            units.unit_of(JointType(model.type)),
+            units.unit_of(joints[leader].type),
         )
         mimic_of_joint = Mimic(
             target, mimic.gain * unit / leader_unit, mimic.offset * unit
         )
         joints[by_name[name]] = replace(joints[by_name[name]], mimic=mimic_of_joint)
-    _refuse_mimic_chains(document, entries, joints)
-    return replace(read, joints=tuple(joints))
+    _check_mimic_chains(document, entries, joints)
+    return replace(file_joints, joints=tuple(joints))
 
 
-def _refuse_mimic_chains(
+def _check_mimic_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
     """Refuse a mimic of a mimic, and so every cycle."""
@@ -417,7 +433,7 @@ def _refuse_mimic_chains(
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:
             entry = entries[joint.name]
-            if not entry.mirrored:
+            if not entry.is_mirrored:
                 message = f"{joint.mimic.joint!r} is a mimic itself"
                 if joint.mimic.joint == joint.name:
                     message = f"{joint.name!r} follows itself"

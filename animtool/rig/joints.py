@@ -68,7 +68,7 @@ def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     return LocalTransforms(*local)
 
 
-def coordinates_from_local(rig: Rig, local: LocalTransforms) -> FloatArray:
+def project_to_coordinates(rig: Rig, local: LocalTransforms) -> FloatArray:
     """Project local transforms to joint coordinates ``(F, Q)``.
 
     Motion that a joint's type does not allow is dropped: a pin keeps the rotation about
@@ -129,7 +129,7 @@ KEYED_PARTS: dict[str, tuple[JointType, ...]] = {
 }
 
 
-# Parts of a joint in other tools, without the name of an axis.
+# Other tools' names of joint parts, without an axis.
 _PART_SYNONYMS = {
     "position": "translation",
     "translate": "translation",
@@ -144,7 +144,7 @@ _PART_SYNONYMS = {
     "quaternion": "rotation",
     "quat": "rotation",
 }
-# Of a joint with one degree of freedom.
+# Parts of joints with one degree of freedom.
 _SINGLE_PARTS = {
     (JointType.PIN, "rotation"): "angle",
     (JointType.PRISMATIC, "translation"): "slide",
@@ -166,31 +166,37 @@ def part_hint(
     >>> part_hint("knee.rotateX", DRIVEN_PARTS, JointType.PIN)
     'the part is .angle'
     """
-    fitting_parts = [
+    allowed_parts = [
         part for part, kinds in parts.items() if kind is None or kind in kinds
     ]
-    words = text[-MAX_LENGTH:].split(".")
-    tails = [".".join(words[i:]) for i in range(1, len(words))]
-    for tail in tails:
-        plain_name = re.sub("[._]", "", tail.lower())
-        bare_name = (
-            plain_name[:-1] if plain_name[-1:] in ("x", "y", "z") else plain_name
+    text_parts = text[-MAX_LENGTH:].split(".")
+    suffixes = [".".join(text_parts[i:]) for i in range(1, len(text_parts))]
+    for suffix in suffixes:
+        normalized_name = re.sub("[._]", "", suffix.lower())
+        name_without_axis = (
+            normalized_name[:-1]
+            if normalized_name[-1:] in ("x", "y", "z")
+            else normalized_name
         )
-        meant = _PART_SYNONYMS.get(bare_name, bare_name)
-        axis = plain_name[-1] if bare_name != plain_name else "x"
-        single = _SINGLE_PARTS.get((kind, meant)) if kind is not None else None
-        for part in (single, meant, f"{meant}.{axis}"):
-            if part in fitting_parts:
+        meant_part = _PART_SYNONYMS.get(name_without_axis, name_without_axis)
+        axis = normalized_name[-1] if name_without_axis != normalized_name else "x"
+        single_part = (
+            _SINGLE_PARTS.get((kind, meant_part)) if kind is not None else None
+        )
+        for part in (single_part, meant_part, f"{meant_part}.{axis}"):
+            if part in allowed_parts:
                 return f"the part is .{part}"
-    near = next(
-        filter(None, (most_similar(tail, fitting_parts) for tail in tails)), None
+    similar_part = next(
+        filter(None, (most_similar(suffix, allowed_parts) for suffix in suffixes)), None
     )
-    if near is not None:
-        return f"did you mean '.{near}'?"
+    if similar_part is not None:
+        return f"did you mean '.{similar_part}'?"
     if kind is None:
-        return f"write a joint's name and one of .{', .'.join(fitting_parts)}"
-    has = f".{', .'.join(fitting_parts)}" if fitting_parts else "nothing that moves"
-    return f"a {kind} joint has {has}"
+        return f"write a joint's name and one of .{', .'.join(allowed_parts)}"
+    allowed_text = (
+        f".{', .'.join(allowed_parts)}" if allowed_parts else "nothing that moves"
+    )
+    return f"a {kind} joint has {allowed_text}"
 
 
 def split_part(text: str, parts: Iterable[str]) -> tuple[str, str]:

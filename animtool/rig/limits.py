@@ -67,8 +67,8 @@ class BallLimit:
         if self.swing is not None:
             swing_vector = so3.log(swing)
             swing_components = swing_vector @ self.axes[1:].T
-            cone = np.maximum(self.swing, MIN_CONE)
-            relative_swing = np.linalg.norm(swing_components / cone, axis=-1)
+            cone_widths = np.maximum(self.swing, MIN_CONE)
+            relative_swing = np.linalg.norm(swing_components / cone_widths, axis=-1)
             is_outside |= relative_swing > 1
         if not is_outside.any():
             return rotations

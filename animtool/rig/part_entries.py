@@ -18,9 +18,9 @@ from animtool.rig.controls import (
     evaluation_order,
 )
 from animtool.rig.driver_entries import (
-    ascending_faults,
+    check_no_interpolation,
     read_driver,
-    refuse_smooth,
+    record_descents,
 )
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
@@ -63,27 +63,28 @@ class PartReader:
     file_joints: FileJoints  # the rig's joints
     arrays: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh, if known.
-    vertices: dict[str, int] = field(default_factory=dict)
+    point_counts: dict[str, int] = field(default_factory=dict)
     joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
     # Names of the rig's controls.
-    names: dict[str, None] = field(default_factory=dict, init=False)
+    control_names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         """Index the joints."""
         self.joints = {joint.name: joint for joint in self.file_joints.joints}
 
-    def meshes(self) -> tuple[Mesh, ...]:
+    def read_meshes(self) -> tuple[Mesh, ...]:
         """Return the meshes; check their arrays."""
-        self._distinct_entries("meshes", "mesh")
+        self._check_distinct("meshes", "mesh")
         return tuple(
-            self._mesh(("meshes", i), mesh) for i, mesh in enumerate(self.model.meshes)
+            self._read_mesh(("meshes", i), mesh)
+            for i, mesh in enumerate(self.model.meshes)
         )
 
-    def shapes(
+    def read_shapes(
         self, meshes: Iterable[str], inherited: Iterable[str] = ()
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
-        self._distinct_entries("shapes", "shape")
+        self._check_distinct("shapes", "shape")
         names = dict.fromkeys(
             [*inherited, *(shape.name for shape in self.model.shapes)]
         )
@@ -92,25 +93,25 @@ class PartReader:
         for i, shape in enumerate(self.model.shapes):
             location = ("shapes", i)
             if shape.mesh is not None:
-                self._is_known((*location, "mesh"), shape.mesh, meshes, "mesh")
-            count = self.vertices.get(shape.mesh or "")
+                self._check_known((*location, "mesh"), shape.mesh, meshes, "mesh")
+            count = self.point_counts.get(shape.mesh or "")
             vertices = None
             if shape.vertices is not None:
-                vertices = self.arrays.array(
+                vertices = self.arrays.read_array(
                     (*location, "vertices"), shape.vertices, "vertices", (None,), count
                 )
-                count = self.arrays.rows(vertices)
+                count = self.arrays.row_count(vertices)
             row_count = (count, 3)
             for k, name in enumerate(shape.combine):
-                self._is_known((*location, "combine", k), name, names, "shape")
+                self._check_known((*location, "combine", k), name, names, "shape")
             inbetweens: list[Inbetween] = []
             weights = [step.at for step in shape.inbetweens]
-            unordered_shapes = dict(
+            predecessors = dict(
                 self.document.not_ascending((*location, "inbetweens"), weights, "at")
             )
             for k, step in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)
-                if step.at in {0, 1} or k in unordered_shapes:
+                if step.at in {0, 1} or k in predecessors:
                     message = f"inbetween weight {step.at:g} is out of order"
                     hint = (
                         "weights ascend strictly between 0 (no deltas) and 1 (the "
@@ -119,10 +120,10 @@ class PartReader:
                     self.document.add(
                         "RIG024", (*inbetween_location, "at"), message, hint
                     )
-                ref = self.arrays.array(
+                ref = self.arrays.read_array(
                     (*inbetween_location, "deltas"), step.deltas, "deltas", row_count
                 )
-                normals = self._optional_array(
+                normals = self._read_optional_array(
                     (*inbetween_location, "normals"), step.normals, "normals", row_count
                 )
                 inbetweens.append(Inbetween(step.at, ref, normals))
@@ -130,16 +131,16 @@ class PartReader:
                 Shape(
                     shape.name,
                     shape.mesh or "",
-                    self._optional_array(
+                    self._read_optional_array(
                         (*location, "deltas"), shape.deltas, "deltas", row_count
                     ),
-                    self._optional_array(
+                    self._read_optional_array(
                         (*location, "normals"), shape.normals, "normals", row_count
                     ),
                     tuple(inbetweens),
                     tuple(shape.combine),
                     vertices,
-                    self._driver((*location, "driven"), shape.driven),
+                    self._read_driver((*location, "driven"), shape.driven),
                 )
             )
         try:
@@ -150,11 +151,11 @@ class PartReader:
             self.document.add("RIG026", ("shapes", index, "combine"), message)
         return tuple(shapes)
 
-    def controls(
+    def read_controls(
         self, shapes: Iterable[str], inherited: Sequence[Control] = ()
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
-        self._distinct_entries("controls", "control")
+        self._check_distinct("controls", "control")
         entry_of_name = {
             control.name: i for i, control in enumerate(self.model.controls)
         }
@@ -162,7 +163,7 @@ class PartReader:
         inherited_controls = [
             control for control in inherited if control.name not in entry_of_name
         ]
-        self.names = dict.fromkeys(
+        self.control_names = dict.fromkeys(
             [*(control.name for control in inherited_controls), *entry_of_name]
         )
         for control in inherited_controls:
@@ -170,7 +171,7 @@ class PartReader:
         controls = (
             *inherited_controls,
             *(
-                self._control(("controls", i), control, known_shapes)
+                self._read_control(("controls", i), control, known_shapes)
                 for i, control in enumerate(self.model.controls)
             ),
         )
@@ -199,20 +200,20 @@ class PartReader:
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
-    def ik(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
+    def read_chains(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
-        self._distinct_entries("ik", "chain")
+        self._check_distinct("ik", "chain")
         listed_names = {chain.name for chain in self.model.ik}
         chains = [chain for chain in inherited if chain.name not in listed_names]
         for i, chain in enumerate(self.model.ik):
             location = ("ik", i)
-            are_known = [
-                self._is_known(
+            is_known_end = [
+                self._check_known(
                     (*location, key), getattr(chain, key), self.joints, "joint"
                 )
                 for key in ("root", "tip")
             ]
-            if all(are_known) and not self._is_descendant(chain.root, chain.tip):
+            if all(is_known_end) and not self._is_descendant(chain.root, chain.tip):
                 message = f"{chain.tip!r} is not below {chain.root!r}"
                 hint = "name a joint below the root"
                 if self._is_descendant(chain.tip, chain.root):
@@ -233,18 +234,18 @@ class PartReader:
             )
         return tuple(chains)
 
-    def attach(
+    def read_attachments(
         self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
     ) -> tuple[Attachment, ...]:
         """Return the attachments; check their arrays."""
-        self._distinct_entries("attach", "attachment")
+        self._check_distinct("attach", "attachment")
         counts = {mesh.name: self._point_count(mesh) for mesh in meshes}
         reader = AttachmentReader(
             self.document,
             self.arrays,
             counts,
-            lambda at, name: self._is_known(at, name, self.joints, "joint"),
-            lambda at, name: self._is_known(at, name, counts, "mesh"),
+            lambda at, name: self._check_known(at, name, self.joints, "joint"),
+            lambda at, name: self._check_known(at, name, counts, "mesh"),
         )
         listed_names = {entry.name for entry in self.model.attach}
         return (
@@ -255,18 +256,20 @@ class PartReader:
                 and not (entry.mesh and self.model.meshes)
             ),
             *(
-                reader.attachment(("attach", i), entry)
+                reader.read_attachment(("attach", i), entry)
                 for i, entry in enumerate(self.model.attach)
             ),
         )
 
     def _point_count(self, mesh: Mesh) -> int | None:
         """Return the point count of a mesh; None if it cannot be read."""
-        if mesh.name in self.vertices:
-            return self.vertices[mesh.name]
-        return self.arrays.rows(mesh.points)
+        if mesh.name in self.point_counts:
+            return self.point_counts[mesh.name]
+        return self.arrays.row_count(mesh.points)
 
-    def colliders(self, inherited: Sequence[Collider] = ()) -> tuple[Collider, ...]:
+    def read_colliders(
+        self, inherited: Sequence[Collider] = ()
+    ) -> tuple[Collider, ...]:
         """Return the colliders."""
         listed_joints = {entry.joint for entry in self.model.colliders}
         colliders = [
@@ -274,7 +277,7 @@ class PartReader:
         ]
         for i, entry in enumerate(self.model.colliders):
             location = ("colliders", i)
-            self._is_known((*location, "joint"), entry.joint, self.joints, "joint")
+            self._check_known((*location, "joint"), entry.joint, self.joints, "joint")
             axis = unit_vector(
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
@@ -292,157 +295,180 @@ class PartReader:
     def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
         """Return the masses."""
 
-        def known(at: Location, name: str) -> bool:
-            return self._is_known(at, name, self.joints, "joint")
+        def known(location: Location, name: str) -> bool:
+            return self._check_known(location, name, self.joints, "joint")
 
         entries, length = self.model.masses, self.units.length
         return read_masses(self.document, entries, inherited, length, known)
 
-    def _mesh(self, at: Location, mesh: MeshModel) -> Mesh:
-        points = self.arrays.array((*at, "points"), mesh.points, "points", (None, 3))
-        point_count = self.vertices.get(mesh.name)
-        point_count = self.arrays.rows(points) if point_count is None else point_count
+    def _read_mesh(self, location: Location, mesh: MeshModel) -> Mesh:
+        """Return a mesh; check its arrays."""
+        points = self.arrays.read_array(
+            (*location, "points"), mesh.points, "points", (None, 3)
+        )
+        point_count = self.point_counts.get(mesh.name)
+        point_count = (
+            self.arrays.row_count(points) if point_count is None else point_count
+        )
         if point_count is not None:
-            self.vertices[mesh.name] = point_count
-        faces = self.arrays.array(
-            (*at, "faces"), mesh.faces, "faces", (None, None), point_count
+            self.point_counts[mesh.name] = point_count
+        faces = self.arrays.read_array(
+            (*location, "faces"), mesh.faces, "faces", (None, None), point_count
         )
         return Mesh(
             mesh.name,
             points,
             faces,
-            self._optional_array(
-                (*at, "normals"), mesh.normals, "normals", (point_count, 3)
+            self._read_optional_array(
+                (*location, "normals"), mesh.normals, "normals", (point_count, 3)
             ),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
             None
             if mesh.skin is None
-            else self._skin((*at, "skin"), mesh.skin, point_count),
+            else self._read_skin((*location, "skin"), mesh.skin, point_count),
             None if mesh.subdivision is None else Subdivision(mesh.subdivision),
         )
 
-    def _skin(self, at: Location, skin: SkinModel, vertices: int | None) -> Skin:
+    def _read_skin(
+        self, location: Location, skin: SkinModel, vertices: int | None
+    ) -> Skin:
+        """Return the skin binding of a mesh; check its joints and arrays."""
         for k, name in enumerate(skin.joints):
-            self._is_known((*at, "joints", k), name, self.joints, "joint")
+            self._check_known((*location, "joints", k), name, self.joints, "joint")
         joints = None
-        if not self.document.is_placeholder((*at, "joints")):
+        if not self.document.is_placeholder((*location, "joints")):
             joints = len(skin.joints)
-        indices = self.arrays.array(
-            (*at, "indices"), skin.indices, "indices", (vertices, None), joints
+        indices = self.arrays.read_array(
+            (*location, "indices"), skin.indices, "indices", (vertices, None), joints
         )
-        shape = self.arrays.shape(indices) or ()
+        shape = self.arrays.array_shape(indices) or ()
         influences = shape[1] if len(shape) == 2 else None
-        weights = self.arrays.array(
-            (*at, "weights"), skin.weights, "weights", (vertices, influences)
+        weights = self.arrays.read_array(
+            (*location, "weights"), skin.weights, "weights", (vertices, influences)
         )
         return Skin(skin.method, tuple(skin.joints), indices, weights)
 
-    def _optional_array(
-        self, at: Location, text: str | None, key: str, shape: tuple[int | None, ...]
+    def _read_optional_array(
+        self,
+        location: Location,
+        text: str | None,
+        key: str,
+        shape: tuple[int | None, ...],
     ) -> ArraySource | None:
-        return None if text is None else self.arrays.array(at, text, key, shape)
+        """Return a reference to an array; None if the entry has none."""
+        return (
+            None if text is None else self.arrays.read_array(location, text, key, shape)
+        )
 
-    def _control(
-        self, at: Location, model: ControlModel, shapes: Collection[str]
+    def _read_control(
+        self, location: Location, model: ControlModel, shapes: Collection[str]
     ) -> Control:
+        """Return a control; check its name, range and drives."""
         name = model.name
         reason = _name_problem(name)
         if reason:
             message = f"{name!r} cannot name a control in an expression: {reason}"
             hint = "rename it: letters, digits and underscores"
-            self.document.add("RIG025", (*at, "name"), message, hint)
+            self.document.add("RIG025", (*location, "name"), message, hint)
         low, high = model.range or (None, None)
-        is_certain = not self.document.is_placeholder((*at, "range"))
+        is_certain = not self.document.is_placeholder((*location, "range"))
         if low is not None and high is not None and is_certain:
             if low > high:
                 message = f"the range from {low:g} to {high:g} is reversed"
                 hint = f"write [{high:g}, {low:g}]"
-                self.document.add("RIG017", (*at, "range"), message, hint)
+                self.document.add("RIG017", (*location, "range"), message, hint)
             elif not low <= model.default <= high:
                 message = f"default {model.default:g} is not in {low:g} to {high:g}"
-                self.document.add("RIG017", (*at, "default"), message)
+                self.document.add("RIG017", (*location, "default"), message)
         drives = (
-            self._drive((*at, "drives", k), drive, shapes)
+            self._read_drive((*location, "drives", k), drive, shapes)
             for k, drive in enumerate(model.drives)
         )
         valid_drives = tuple(filter(None, drives))
-        driver = self._driver((*at, "driven"), model.driven)
+        driver = self._read_driver((*location, "driven"), model.driven)
         return Control(name, low, high, model.default, valid_drives, driver)
 
-    def _driver(self, at: Location, model: DrivenModel | None) -> Driver | None:
+    def _read_driver(
+        self, location: Location, model: DrivenModel | None
+    ) -> Driver | None:
         """Return the driver of a shape or a control."""
         if model is None:
             return None
         units = (self.units.length, self.units.angle)
-        return read_driver(self.document, at, model, units, 1.0)
+        return read_driver(self.document, location, model, units, 1.0)
 
-    def _drive(
-        self, at: Location, model: DriveModel, shapes: Collection[str]
+    def _read_drive(
+        self, location: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
+        """Return a control's drive; None with a fault."""
         set_targets = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
         if len(set_targets) != 1:
             message = f"drives {' and '.join(set_targets) or 'nothing'}"
             self.document.add(
-                "RIG015", at, message, "write one of shape, joint, control"
+                "RIG015", location, message, "write one of shape, joint, control"
             )
             return None
         if (model.expr is None) == (model.curve is None):
             message = (
                 "has both expr and curve" if model.expr else "has no expr or curve"
             )
-            self.document.add("RIG015", at, message, "write one of them for the amount")
+            self.document.add(
+                "RIG015", location, message, "write one of them for the amount"
+            )
             return None
-        target, unit = self._target(
-            (*at, set_targets[0]), set_targets[0], model, shapes
+        target, unit = self._read_target(
+            (*location, set_targets[0]), set_targets[0], model, shapes
         )
         if model.expr is not None:
-            refuse_smooth(self.document, at, model.interp)
-            expression = self._expression((*at, "expr"), model.expr)
+            check_no_interpolation(self.document, location, model.interp)
+            expression = self._read_expression((*location, "expr"), model.expr)
             return Drive(target, expression, (), unit) if expression else None
         points = tuple((x, y) for x, y in model.curve or ())
         values = [x for x, _ in points]
         is_smooth = model.interp == "smooth"
-        if list(ascending_faults(self.document, (*at, "curve"), values)):
+        if list(record_descents(self.document, (*location, "curve"), values)):
             is_smooth = False
         return Drive(target, None, points, unit, is_smooth)
 
-    def _expression(self, at: Location, text: str) -> Expression | None:
+    def _read_expression(self, location: Location, text: str) -> Expression | None:
+        """Return an expression over controls; None with a fault."""
         try:
             expression = parse_expression(text)
         except ValueError as error:
             if not self._reads_misnamed_control(text):
-                self.document.add("RIG013", at, str(error))
+                self.document.add("RIG013", location, str(error))
             return None
-        if self.names.keys() >= set(
+        if self.control_names.keys() >= set(
             expression.names
         ) or not self._reads_misnamed_control(text):
             for name in expression.names:
-                self._is_known(at, name, self.names, "control")
+                self._check_known(location, name, self.control_names, "control")
         return expression
 
     def _reads_misnamed_control(self, text: str) -> bool:
         """Return whether an expression reads a misnamed control (RIG025)."""
         return any(
             re.search(rf"(?<!\w){re.escape(name)}(?!\w)", text)
-            for name in self.names
+            for name in self.control_names
             if name and _name_problem(name)
         )
 
-    def _target(
-        self, at: Location, kind: str, model: DriveModel, shapes: Collection[str]
+    def _read_target(
+        self, location: Location, kind: str, model: DriveModel, shapes: Collection[str]
     ) -> tuple[str, float]:
+        """Return a drive's target, and the unit of its values."""
         name = str(getattr(model, kind))
         if kind != "joint":
-            names = shapes if kind == "shape" else self.names
-            self._is_known(at, name, names, kind)
+            names = shapes if kind == "shape" else self.control_names
+            self._check_known(location, name, names, kind)
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
             message, hint = self._part_fault(name)
-            self.document.add("RIG015", at, message, hint)
-        elif self._is_known(at, joint, self.joints, "joint"):
+            self.document.add("RIG015", location, message, hint)
+        elif self._check_known(location, joint, self.joints, "joint"):
             types = DRIVEN_PARTS[part]
             has_known_type = joint not in self.file_joints.untyped_joints
             if has_known_type and self.joints[joint].type not in types:
@@ -451,9 +477,9 @@ class PartReader:
                 ]
                 message = f"a {self.joints[joint].type} joint has no {part}"
                 hint = f"it has {', '.join(fitting_parts) or 'nothing that moves'}"
-                self.document.add("RIG015", at, message, hint)
-        length = part == "slide" or part.startswith("translation")
-        unit = self.units.length if length else self.units.angle
+                self.document.add("RIG015", location, message, hint)
+        is_length = part == "slide" or part.startswith("translation")
+        unit = self.units.length if is_length else self.units.angle
         return f"joint/{name}", unit
 
     def _part_fault(self, name: str) -> tuple[str, str]:
@@ -465,11 +491,12 @@ class PartReader:
             message = f"unknown part {part!r} of joint {joint!r}"
         else:
             return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
-        typed = joint not in self.file_joints.untyped_joints
-        kind = self.joints[joint].type if typed else None
+        has_type = joint not in self.file_joints.untyped_joints
+        kind = self.joints[joint].type if has_type else None
         return message, part_hint(name, DRIVEN_PARTS, kind)
 
-    def _distinct_entries(self, key: str, kind: str) -> None:
+    def _check_distinct(self, key: str, kind: str) -> None:
+        """Record entries that have the name of an earlier one."""
         first_entry: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
             if entry.name in first_entry:
@@ -479,16 +506,17 @@ class PartReader:
                 self.document.add("RIG011", (key, i, "name"), message, hint)
             first_entry.setdefault(entry.name, i)
 
-    def _is_known(
-        self, at: Location, name: str, names: Collection[str], kind: str
+    def _check_known(
+        self, location: Location, name: str, names: Collection[str], kind: str
     ) -> bool:
+        """Return whether a name exists; record a fault otherwise."""
         if name in names:
             return True
         has_unnamed = self.document.has_unnamed(_LIST_KEYS[kind])
         if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(
-                code, at, f"unknown {kind} {name!r}", nearest(name, names)
+                code, location, f"unknown {kind} {name!r}", nearest(name, names)
             )
         return False
 
@@ -497,7 +525,7 @@ class PartReader:
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:
-            if joints[index].name in self.file_joints.orphans:
+            if joints[index].name in self.file_joints.orphaned_joints:
                 return True
             index = joints[index].parent
         return index >= 0

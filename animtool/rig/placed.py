@@ -25,7 +25,7 @@ from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
-def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
+def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
     """Return a rig moved to a placement's first frame.
 
     Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
@@ -37,16 +37,20 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         return rig
     roots = {joint.name for joint in rig.joints if joint.parent < 0}
     scale = placement.size
-    stands = rig.stands
-    if stands is not None:
+    placement_before = rig.placement
+    if placement_before is not None:
         # Old placement relative to the new one.
-        rigid = replace(placement, sizes=np.ones(1))
-        scaled_placement = replace(stands, translations=stands.translations * scale)
-        stands = rigid.after(scaled_placement).after(rigid.inverse())
+        unscaled_placement = replace(placement, sizes=np.ones(1))
+        scaled_placement = replace(
+            placement_before, translations=placement_before.translations * scale
+        )
+        placement_before = unscaled_placement.after(scaled_placement).after(
+            unscaled_placement.inverse()
+        )
     return replace(
         rig,
         joints=tuple(
-            _scale_joint(_placed_joint(joint, placement), rig, scale)
+            _scale_joint(_transform_joint(joint, placement), rig, scale)
             for joint in rig.joints
         ),
         shapes=tuple(
@@ -56,26 +60,27 @@ def placed_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> Rig:
         controls=tuple(_scale_control(control, scale) for control in rig.controls),
         up=rig.up if up is None else up,
         bind={
-            name: _placed_pose(pose, placement, root=name in roots)
+            name: _transform_pose(pose, placement, root=name in roots)
             for name, pose in rig.bind.items()
         },
         meshes=tuple(
-            _placed_mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
+            _transform_mesh(mesh, placement, rig.meters_per_unit) for mesh in rig.meshes
         ),
         chains=tuple(_rotate_chain(chain, placement, roots) for chain in rig.chains),
         attach=tuple(
-            _placed_strands(entry, placement, rig.meters_per_unit)
+            _transform_strands(entry, placement, rig.meters_per_unit)
             for entry in rig.attach
         ),
         colliders=tuple(_scale_collider(collider, scale) for collider in rig.colliders),
         masses=tuple(_scale_mass(collider, scale) for collider in rig.masses),
-        stands=stands,
+        placement=placement_before,
     )
 
 
-def _placed_joint(joint: Joint, placement: Placement) -> Joint:
+def _transform_joint(joint: Joint, placement: Placement) -> Joint:
+    """Return a root joint with its rest pose, limits and tips placed."""
     if joint.parent < 0:
-        x, y, z = placement.points(np.array(joint.translation)).tolist()
+        x, y, z = placement.transform_points(np.array(joint.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(joint.rotation)).tolist()
         joint = replace(joint, translation=(x, y, z), rotation=(a, b, c, w))
     scale = placement.size
@@ -95,12 +100,12 @@ def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
     """Return a joint with the lengths of its mimic and driver scaled."""
     if size == 1.0 or (joint.mimic is None and joint.driven is None):
         return joint
-    slides = joint.type is JointType.PRISMATIC
+    is_sliding = joint.type is JointType.PRISMATIC
     scaled_driver, mimic = _scale_driver(joint.driven, size), joint.mimic
-    if scaled_driver is not None and slides:
+    if scaled_driver is not None and is_sliding:
         scaled_driver = replace(scaled_driver, unit=scaled_driver.unit * size)
     if mimic is not None:
-        unit_scale = size if slides else 1.0
+        unit_scale = size if is_sliding else 1.0
         leader = rig.joints[rig.index(mimic.joint)]
         leader_scale = size if leader.type is JointType.PRISMATIC else 1.0
         gain, offset = mimic.gain * unit_scale / leader_scale, mimic.offset * unit_scale
@@ -112,7 +117,7 @@ def _scale_driver(driver: Driver | None, size: float) -> Driver | None:
     """Return a driver for scaled slides."""
     if driver is None or size == 1.0:
         return driver
-    return replace(driver, length=driver.length * size)
+    return replace(driver, length_unit=driver.length_unit * size)
 
 
 def _scale_control(control: Control, size: float) -> Control:
@@ -120,15 +125,16 @@ def _scale_control(control: Control, size: float) -> Control:
     if size == 1.0:
         return control
     drives = tuple(
-        replace(drive, unit=drive.unit * size) if drive.of_length else drive
+        replace(drive, unit=drive.unit * size) if drive.is_length else drive
         for drive in control.drives
     )
     return replace(control, drives=drives, driven=_scale_driver(control.driven, size))
 
 
-def _placed_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+def _transform_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
+    """Return a bind pose placed; the pose of a root also rotates."""
     if root:
-        x, y, z = placement.points(np.array(pose.translation)).tolist()
+        x, y, z = placement.transform_points(np.array(pose.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(pose.rotation)).tolist()
         return replace(pose, translation=(x, y, z), rotation=(a, b, c, w))
     if placement.size == 1.0:
@@ -146,20 +152,22 @@ def _rotate_chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkCh
     return replace(chain, pole_dir=(x, y, z))
 
 
-def _placed_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
+def _transform_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
     matrix = placement_matrix(placement, unit)
     return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
-def _placed_strands(entry: Attachment, placement: Placement, unit: float) -> Attachment:
+def _transform_strands(
+    entry: Attachment, placement: Placement, unit: float
+) -> Attachment:
     """Return an attachment with its world-space strands placed."""
     if entry.points is None:
         return entry
-    in_unit = replace(placement, translations=placement.translations / unit)
+    placement_in_unit = replace(placement, translations=placement.translations / unit)
     try:
-        points = in_unit.points(entry.points.load())
+        points = placement_in_unit.transform_points(entry.points.load())
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{entry.name!r}: {error}")) from error
     return replace(entry, points=LoadedArray(points))
@@ -178,14 +186,15 @@ def _scale_mass(mass: Mass, size: float) -> Mass:
 
 
 def _scale_collider(collider: Collider, size: float) -> Collider:
+    """Return a collider with its lengths scaled."""
     if size == 1.0:
         return collider
-    shape = collider.capsule
-    x, y, z = shape.offset
+    capsule = collider.capsule
+    x, y, z = capsule.offset
     scaled_capsule = replace(
-        shape,
-        radius=shape.radius * size,
-        length=shape.length * size,
+        capsule,
+        radius=capsule.radius * size,
+        length=capsule.length * size,
         offset=(x * size, y * size, z * size),
     )
     return replace(collider, capsule=scaled_capsule)
@@ -193,6 +202,6 @@ def _scale_collider(collider: Collider, size: float) -> Collider:
 
 def at_origin(rig: Rig) -> Rig:
     """Return a rig at the origin, scaled and upright."""
-    if rig.stands is None:
+    if rig.placement is None:
         return rig
-    return replace(placed_rig(rig, rig.stands.inverse()), stands=None)
+    return replace(transform_rig(rig, rig.placement.inverse()), placement=None)

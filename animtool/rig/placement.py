@@ -39,7 +39,7 @@ class Placement:
         return Placement(np.zeros((1, 3)), np.asarray(rotation)[None], np.ones(1))
 
     @property
-    def moves(self) -> bool:
+    def is_animated(self) -> bool:
         """Whether the placement is animated."""
         return len(self.sizes) > 1
 
@@ -64,9 +64,9 @@ class Placement:
             and scale_error <= IDENTITY_TOLERANCE
         )
 
-    def points(self, points: FloatArray) -> FloatArray:
+    def transform_points(self, points: FloatArray) -> FloatArray:
         """Return transformed points; ``(F, N, 3)`` if animated."""
-        sizes, rotations, translations = self._placement_parts()
+        sizes, rotations, translations = self._broadcastable_parts()
         # Skipping identities keeps values bit-exact, including the signs of zeros.
         scaled_points = points if (self.sizes == 1.0).all() else sizes * points
         rotated_points = so3.rotate(rotations, scaled_points)
@@ -76,10 +76,11 @@ class Placement:
 
     def transform_rotations(self, rotations: FloatArray) -> FloatArray:
         """Return transformed rotations; ``(F, N, 4)`` if animated."""
-        return so3.multiply(self._placement_parts()[1], rotations)
+        return so3.multiply(self._broadcastable_parts()[1], rotations)
 
-    def _placement_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        if not self.moves:
+    def _broadcastable_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return sizes, rotations and translations, shaped to broadcast over points."""
+        if not self.is_animated:
             return self.sizes[0], self.rotations[0], self.translations[0]
         return (
             self.sizes[:, None, None],
@@ -108,7 +109,7 @@ class Placement:
 
     def simplified(self) -> Placement:
         """Return a single frame if all frames are equal."""
-        if not self.moves:
+        if not self.is_animated:
             return self
         spans = [
             np.abs(self.translations - self.translations[:1]).max(),
@@ -116,11 +117,13 @@ class Placement:
             1.0 - np.abs((self.rotations * self.rotations[:1]).sum(axis=-1)).min(),
         ]
         limits = [IDENTITY_TOLERANCE, IDENTITY_TOLERANCE, IDENTITY_TOLERANCE**2]
-        is_constant = all(a <= limit for a, limit in zip(spans, limits, strict=True))
+        is_constant = all(
+            span <= limit for span, limit in zip(spans, limits, strict=True)
+        )
         return self.first() if is_constant else self
 
-    def described(self) -> str:
-        """Describe the first frame in words and numbers."""
+    def description(self) -> str:
+        """Return the first frame's placement in words and numbers."""
         x, y, z = (round(v, 4) + 0.0 for v in self.translations[0].tolist())
         cosine = min(1.0, abs(float(self.rotations[0, 3])))
         angle = round(math.degrees(2 * math.acos(cosine)), 2)
@@ -138,19 +141,25 @@ class Placement:
         axis_index = int(np.abs(local_up).argmax())
         nearest = np.zeros(3)
         nearest[axis_index] = np.copysign(1.0, local_up[axis_index])
-        righting = _rotation_between(nearest, axis)
-        frames = np.repeat(righting[None], len(self.sizes), axis=0)
-        scale_and_righting = Placement(np.zeros((len(frames), 3)), frames, self.sizes)
-        remaining_rotations = so3.multiply(self.rotations, so3.conjugate(righting))
-        stands = Placement(self.translations, remaining_rotations, np.ones(len(frames)))
-        return stands, scale_and_righting
+        righting_rotation = _rotation_between(nearest, axis)
+        righting_rotations = np.repeat(righting_rotation[None], len(self.sizes), axis=0)
+        scale_and_righting = Placement(
+            np.zeros((len(righting_rotations), 3)), righting_rotations, self.sizes
+        )
+        remaining_rotations = so3.multiply(
+            self.rotations, so3.conjugate(righting_rotation)
+        )
+        heading_placement = Placement(
+            self.translations, remaining_rotations, np.ones(len(righting_rotations))
+        )
+        return heading_placement, scale_and_righting
 
 
-def _rotation_between(one: FloatArray, other: FloatArray) -> FloatArray:
+def _rotation_between(start: FloatArray, end: FloatArray) -> FloatArray:
     """Return the shortest rotation between two axes; about X if opposite."""
-    if (one == -other).all():
+    if (start == -end).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
-    return so3.between(one, other)
+    return so3.between(start, end)
 
 
 def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:

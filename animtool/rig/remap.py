@@ -80,7 +80,7 @@ class ShapeLinks:
     """Links between source and target shapes."""
 
     links: tuple[ShapeLink, ...]
-    lost: tuple[str, ...]  # unlinked source shapes
+    unlinked_sources: tuple[str, ...]  # unlinked source shapes
     unlinked_targets: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
@@ -173,12 +173,12 @@ def link_shapes(
             ):
                 links.append(ShapeLink(i, shape_index))
                 linked_targets.add(shape_index)
-    moving = {link.source for link in links}
-    linked_now = {link.target for link in links}
+    linked_sources_after = {link.source for link in links}
+    linked_targets_after = {link.target for link in links}
     return ShapeLinks(
         tuple(links),
-        tuple(name for i, name in enumerate(source) if i not in moving),
-        tuple(name for i, name in enumerate(target) if i not in linked_now),
+        tuple(name for i, name in enumerate(source) if i not in linked_sources_after),
+        tuple(name for i, name in enumerate(target) if i not in linked_targets_after),
     )
 
 

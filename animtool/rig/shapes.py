@@ -88,7 +88,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     return [by_name[name] for name in order]
 
 
-def combined_weights(
+def add_combinations(
     shapes: Sequence[Shape], uncombined: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
     """Add products of combination shapes to weights [1], ``(F,)`` or ``(1,)``.
@@ -96,7 +96,7 @@ def combined_weights(
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("b"), Shape("both", combine=("a", "b"))]
     >>> own = {"a": np.array([0.5, 1.0]), "b": np.array([0.5]), "both": np.zeros(1)}
-    >>> combined_weights(shapes, own)["both"].tolist()
+    >>> add_combinations(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
     weights = {shape.name: uncombined[shape.name] for shape in shapes}
@@ -106,15 +106,15 @@ def combined_weights(
     return weights
 
 
-def uncombined_weights(
+def subtract_combinations(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Invert `combined_weights` [1], ``(F,)`` or ``(1,)``.
+    """Invert `add_combinations` [1], ``(F,)`` or ``(1,)``.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]
     >>> total = {"a": np.array([0.5]), "both": np.array([0.75])}
-    >>> uncombined_weights(shapes, total)["both"]
+    >>> subtract_combinations(shapes, total)["both"]
     array([0.25])
     """
     return {
@@ -126,7 +126,8 @@ def uncombined_weights(
 
 
 def _product(shape: Shape, weights: Mapping[str, FloatArray]) -> FloatArray:
-    product, *driver_weights = (weights[name] for name in shape.combine)
-    for driver_weight in driver_weights:
-        product = product * driver_weight
+    """Return the product of the weights that a shape combines."""
+    product, *other_weights = (weights[name] for name in shape.combine)
+    for weight in other_weights:
+        product = product * weight
     return product

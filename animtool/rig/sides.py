@@ -65,7 +65,7 @@ class SidePairs:
 def pair_sides(
     names: Sequence[str],
     parents: Sequence[int] | IntArray | None = None,
-    stated: Sequence[tuple[str, str]] = (),
+    stated_pairs: Sequence[tuple[str, str]] = (),
 ) -> SidePairs:
     """Pair left and right names of J joints.
 
@@ -82,7 +82,7 @@ def pair_sides(
     parents_of = [-1] * len(names) if parents is None else [int(p) for p in parents]
     partners = np.arange(len(names))
     unpaired_indices = set(range(len(names)))
-    for a, b in ((index[a], index[b]) for a, b in stated):
+    for a, b in ((index[a], index[b]) for a, b in stated_pairs):
         if a in unpaired_indices and b in unpaired_indices:
             partners[a], partners[b] = b, a
             unpaired_indices -= {a, b}
@@ -100,39 +100,42 @@ def pair_sides(
             partners[left], partners[right] = right, left
             unpaired_indices -= {left, right}
             partner_of.append(left)
-    strays = [i for i in sorted(unpaired_indices) if _looks_of_side(names[i])]
-    return SidePairs(partners, tuple(sorted(partner_of)), tuple(strays))
+    unpaired_with_side = [i for i in sorted(unpaired_indices) if _has_side(names[i])]
+    return SidePairs(partners, tuple(sorted(partner_of)), tuple(unpaired_with_side))
 
 
-def unpaired_sides(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
+def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
     """Return likely pairs among unpaired names.
 
     >>> names = ["armLeft", "arm_right"]
-    >>> unpaired_sides(names, pair_sides(names))
+    >>> find_likely_pairs(names, pair_sides(names))
     [('armLeft', 'arm_right')]
     """
     left_names = [names[i] for i in pairs.unpaired if _LOOKS_LEFT.search(names[i])]
-    right = [names[i] for i in pairs.unpaired if names[i] not in left_names]
+    right_names = [names[i] for i in pairs.unpaired if names[i] not in left_names]
     likely_pairs = []
     for name in left_names:
         key = _without_side(name)
-        candidates = [other for other in right if _without_side(other) == key]
+        candidates = [other for other in right_names if _without_side(other) == key]
         if len(candidates) == 1:
             likely_pairs.append((name, candidates[0]))
-            right.remove(candidates[0])
+            right_names.remove(candidates[0])
     return likely_pairs
 
 
 def _without_side(name: str) -> str:
+    """Return a name without its side, in lower case."""
     without_words = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
     return re.sub(r"[^a-z0-9]", "", without_words.casefold())
 
 
-def _looks_of_side(name: str) -> bool:
+def _has_side(name: str) -> bool:
+    """Return whether a name has a side."""
     return bool(_LOOKS_LEFT.search(name) or _LOOKS_RIGHT.search(name))
 
 
 def _joint_depths(parents: Sequence[int]) -> list[int]:
+    """Return the number of ancestors of each joint."""
     depths: list[int] = []
     for parent in parents:
         depths.append(depths[parent] + 1 if parent >= 0 else 0)
@@ -173,6 +176,7 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
 
 
 def _right_mark(side_mark: re.Match[str]) -> str:
+    """Return the right-hand mark for a left-hand one, in the same case."""
     word = side_mark[0]
     right = SIDE_WORDS[word.lower()]
     if word.isupper():
@@ -205,7 +209,7 @@ def reflect_rotation(rotation: FloatArray) -> FloatArray:
     return np.asarray(rotation * np.array([1.0, -1.0, -1.0, 1.0]))
 
 
-def world_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
+def world_transform_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
     """Return the world transform of a local transform below a parent."""
     position, rotation = parent_world
     return (
@@ -214,7 +218,7 @@ def world_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
     )
 
 
-def mirrored_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:
+def mirror_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:
     """Return the local pose of the partner joint, a reflection in world space."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
     facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
@@ -237,7 +241,7 @@ def mirrored_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Po
     return Pose(_float_tuple(local), (a, b, c, d))
 
 
-def mirrored_joint(
+def mirror_joint(
     joint: Joint, world: PoseArrays, parent: int, parent_world: PoseArrays
 ) -> Joint:
     """Return the joint named ``joint.mirror``: the reflection of a joint at rest.
@@ -245,11 +249,11 @@ def mirrored_joint(
     A pin's axis is reflected so that equal coordinates are mirror images: both
     elbows bend by positive angles, and limits carry over.
     """
-    pose = mirrored_pose(Pose(joint.translation, joint.rotation), world, parent_world)
+    pose = mirror_pose(Pose(joint.translation, joint.rotation), world, parent_world)
     limits = joint.limits
     if isinstance(limits, BallLimit):
         limits = replace(limits, twist_axis=_reflected_axis(limits.twist_axis))
-    slides = joint.type == "prismatic"
+    is_sliding = joint.type == "prismatic"
     return replace(
         joint,
         name=joint.mirror,
@@ -258,7 +262,7 @@ def mirrored_joint(
         translation=pose.translation,
         rotation=pose.rotation,
         axis=_float_tuple(reflect_vector(np.array(joint.axis)))
-        if slides
+        if is_sliding
         else _reflected_axis(joint.axis),
         tips=tuple(_float_tuple(reflect_vector(np.array(tip))) for tip in joint.tips),
         limits=limits,
@@ -272,5 +276,6 @@ def _reflected_axis(axis: Vector) -> Vector:
 
 
 def _float_tuple(values: FloatArray) -> Vector:
+    """Return three numbers as a tuple, without negative zeros."""
     x, y, z = (values + 0.0).tolist()
     return (x, y, z)

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 # quadratically.
 MAX_PATH_CHARACTERS = 500_000_000
 # Nothing that is animated is larger [m].
-MAX_SIZE = 30.0
+MAX_RIG_SIZE = 30.0
 
 # BVH channel names.
 ChannelName: TypeAlias = Literal[
@@ -163,10 +163,11 @@ class Rig:
         notices: Warnings about the file that it was read from; not compared.
         has_rest: Whether the file states a rest pose; only a SkelAnimation without its
             Skeleton does not; not compared.
-        stands: Placement on its stage: position and heading, included in the rest pose
-            of its roots; a scale is included in its lengths. None without a placement;
-            not compared.
-        rides: Whether prims above the SkelRoot are animated; not compared.
+        placement: Placement on its stage: position and heading, included in the rest
+            pose of its roots; a scale is included in its lengths. None without a
+            placement; not compared.
+        has_animated_parents: Whether prims above its SkelRoot are animated; not
+            compared.
 
     Raises:
         OptionError: Duplicate name (RIG001), or a parent does not precede its
@@ -188,8 +189,8 @@ class Rig:
     masses: tuple[Mass, ...] = ()
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
     has_rest: bool = field(default=True, repr=False, compare=False)
-    stands: Placement | None = field(default=None, repr=False, compare=False)
-    rides: bool = field(default=False, repr=False, compare=False)
+    placement: Placement | None = field(default=None, repr=False, compare=False)
+    has_animated_parents: bool = field(default=False, repr=False, compare=False)
     _index: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:

@@ -88,6 +88,7 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
 
 
 def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
+    """Return a mesh with its arrays in memory."""
     unit = rig.meters_per_unit
     faces = mesh.faces.load(archives).astype(np.int64)
     is_corner = faces >= 0
@@ -114,6 +115,7 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
 
 
 def _subdivision_scheme(mesh: Mesh) -> Subdivision:
+    """Return the subdivision scheme of a mesh; see `Mesh`."""
     if mesh.subdivision is not None:
         return mesh.subdivision
     has_no_normals = mesh.normals is None
@@ -121,6 +123,7 @@ def _subdivision_scheme(mesh: Mesh) -> Subdivision:
 
 
 def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
+    """Return a skin binding with its arrays in memory."""
     indices = skin.indices.load(archives).astype(np.int64)
     return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load(archives))
 
@@ -188,27 +191,29 @@ def with_array_file(
     folder.
     """
     store = _ArrayStore(path, copy_all)
-    meshes = tuple(store.mesh(mesh) for mesh in rig.meshes)
-    shapes = tuple(store.shape(shape) for shape in rig.shapes)
-    attach = tuple(store.attachment(entry) for entry in rig.attach)
+    meshes = tuple(store.store_mesh(mesh) for mesh in rig.meshes)
+    shapes = tuple(store.store_shape(shape) for shape in rig.shapes)
+    attach = tuple(store.store_attachment(entry) for entry in rig.attach)
     return replace(rig, meshes=meshes, shapes=shapes, attach=attach), store.arrays
 
 
 @dataclass(slots=True)
 class _ArrayStore:
+    """Collects arrays for an npz file, and replaces them by references."""
+
     path: Path
     copy_all: bool
     arrays: StoredArrays = field(default_factory=dict)
 
     @overload
-    def ref(
+    def store_array(
         self, source: ArraySource, name: str, *, integers: bool = False
     ) -> ArraySource: ...
     @overload
-    def ref(
+    def store_array(
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None: ...
-    def ref(
+    def store_array(
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
         """Return a reference to an array; store it if no file has it."""
@@ -222,58 +227,62 @@ class _ArrayStore:
         number = 2
         while key in self.arrays:
             key, number = f"{identifier}_{number}", number + 1
-        self.arrays[key] = _narrow(values, integers=integers)
+        self.arrays[key] = _to_32_bits(values, integers=integers)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
-    def mesh(self, mesh: Mesh) -> Mesh:
+    def store_mesh(self, mesh: Mesh) -> Mesh:
         """Return a mesh with references."""
         skin = mesh.skin
         return replace(
             mesh,
-            points=self.ref(mesh.points, f"{mesh.name}_points"),
-            faces=self.ref(mesh.faces, f"{mesh.name}_faces", integers=True),
-            normals=self.ref(mesh.normals, f"{mesh.name}_normals"),
-            skin=None if skin is None else self.skin(skin, mesh.name),
+            points=self.store_array(mesh.points, f"{mesh.name}_points"),
+            faces=self.store_array(mesh.faces, f"{mesh.name}_faces", integers=True),
+            normals=self.store_array(mesh.normals, f"{mesh.name}_normals"),
+            skin=None if skin is None else self.store_skin(skin, mesh.name),
         )
 
-    def skin(self, skin: Skin, mesh: str) -> Skin:
+    def store_skin(self, skin: Skin, mesh: str) -> Skin:
         """Return a skin with references."""
         return replace(
             skin,
-            indices=self.ref(skin.indices, f"{mesh}_joints", integers=True),
-            weights=self.ref(skin.weights, f"{mesh}_weights"),
+            indices=self.store_array(skin.indices, f"{mesh}_joints", integers=True),
+            weights=self.store_array(skin.weights, f"{mesh}_weights"),
         )
 
-    def shape(self, shape: Shape) -> Shape:
+    def store_shape(self, shape: Shape) -> Shape:
         """Return a shape with references."""
         name = shape.name
         return replace(
             shape,
-            deltas=self.ref(shape.deltas, name),
-            normals=self.ref(shape.normals, f"{name}_normals"),
-            vertices=self.ref(shape.vertices, f"{name}_vertices", integers=True),
-            inbetweens=tuple(self.step(step, name) for step in shape.inbetweens),
+            deltas=self.store_array(shape.deltas, name),
+            normals=self.store_array(shape.normals, f"{name}_normals"),
+            vertices=self.store_array(
+                shape.vertices, f"{name}_vertices", integers=True
+            ),
+            inbetweens=tuple(
+                self.store_inbetween(step, name) for step in shape.inbetweens
+            ),
         )
 
-    def step(self, step: Inbetween, shape: str) -> Inbetween:
+    def store_inbetween(self, step: Inbetween, shape: str) -> Inbetween:
         """Return an inbetween with references."""
         name = f"{shape}_{step.at:g}"
         return replace(
             step,
-            deltas=self.ref(step.deltas, name),
-            normals=self.ref(step.normals, f"{name}_normals"),
+            deltas=self.store_array(step.deltas, name),
+            normals=self.store_array(step.normals, f"{name}_normals"),
         )
 
-    def attachment(self, entry: Attachment) -> Attachment:
+    def store_attachment(self, entry: Attachment) -> Attachment:
         """Return an attachment with references."""
         return replace(
             entry,
-            pins=self.ref(entry.pins, f"{entry.name}_pins", integers=True),
-            points=self.ref(entry.points, f"{entry.name}_points"),
+            pins=self.store_array(entry.pins, f"{entry.name}_pins", integers=True),
+            points=self.store_array(entry.points, f"{entry.name}_points"),
         )
 
 
-def _narrow(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
+def _to_32_bits(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
     """Return the values in 32 bits if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):

@@ -19,7 +19,7 @@ from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.suspicious_shape import HINGE_NAMES
 
-# Names of the units of angles; for each, the other one and the factor from it.
+# Names of the angle units.
 ANGLE_NAMES = {"deg": "degrees", "rad": "radians"}
 # A driver with more inputs is not checked at their ends.
 MAX_INPUTS = 4
@@ -43,7 +43,7 @@ ANGLE_STEP, STEP_TOLERANCE = math.radians(15), 6e-4
 FINE_STEP, FINE_TOLERANCE = math.radians(5), 6e-5
 # Limits in radians exceed a full revolution only for joints that wind up [rad].
 FULL_REVOLUTION, MAX_DEGREES = 6.4, 360.0
-HALF_CIRCLE_Z = [0.0, 0.0, 0.0, 1.0]
+HALF_REVOLUTION_ABOUT_Z = [0.0, 0.0, 0.0, 1.0]
 # Rounding to two decimals changes the length of a quaternion by 0.01 at most [1].
 MAX_LENGTH_ERROR = 0.02
 # A smaller number beside an axis of length 1 is hardly an angle in degrees [deg].
@@ -52,7 +52,7 @@ MIN_AXIS_ANGLE = 2.0
 MIN_AXIS_RADIANS = 0.5
 # Arms of cartoons stretch to a few times their length; more is a percentage [1].
 MIN_PERCENT_STRETCH = 5.0
-# Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
+# Multiples of 90 degrees in radians with two decimals, such as 1.57.
 QUARTER_ROUNDING = 2e-3
 
 
@@ -64,11 +64,11 @@ class AngleLimit(NamedTuple):
     values: list[float]  # ends or half-angles [file's angle]
 
     @property
-    def largest(self) -> float:
+    def largest_value(self) -> float:
         """The largest of the values, without sign."""
         return max(map(abs, self.values))
 
-    def text(self, factor: float = 1.0) -> str:
+    def values_text(self, factor: float = 1.0) -> str:
         """Return the values as text, multiplied by a factor."""
         numbers = ", ".join(f"{value * factor:.4g}" for value in self.values)
         return numbers if len(self.values) == 1 else f"[{numbers}]"
@@ -82,17 +82,18 @@ def warn_of_angles(
     suspects = limits_in_other_unit(_joint_limits(joints), angle)
     if not suspects:
         return
-    largest_limit = max(suspects, key=lambda limit: limit.largest)
+    largest_limit = max(suspects, key=lambda limit: limit.largest_value)
     names = {limit.joint for limit in suspects}
     message = (
         f"the limits of {counted(len(names), 'joint')} look like "
         f"{ANGLE_NAMES[intended_unit]}, but "
-        f"units.angle is {angle}: {largest_limit.joint!r} has {largest_limit.text()}"
+        f"units.angle is {angle}: {largest_limit.joint!r} has "
+        f"{largest_limit.values_text()}"
     )
     hint = (
         f"write 'angle: {intended_unit}' under units, or this limit in "
         f"{ANGLE_NAMES[angle]}: "
-        f"{largest_limit.text(factor)}"
+        f"{largest_limit.values_text(factor)}"
     )
     document.warn("RIG107", largest_limit.location, message, hint)
 
@@ -123,7 +124,7 @@ def warn_of_w_last(document: Document, joints: Sequence[JointModel]) -> None:
     if any(abs(w) > abs(z) for w, _, _, z in rotations):
         return
     for i, joint in enumerate(joints):
-        if joint.rotate == HALF_CIRCLE_Z:
+        if joint.rotate == HALF_REVOLUTION_ABOUT_Z:
             warn_of_quaternion(document, "RIG108", ("joints", i, "rotate"))
             return
 
@@ -138,6 +139,7 @@ def warn_of_quaternion(document: Document, code: str, location: Location) -> Non
 
 
 def _joint_limits(joints: Sequence[JointModel]) -> Iterator[AngleLimit]:
+    """Yield the limits of joints: ranges, swings and twists."""
     for i, joint in enumerate(joints):
         location: Location = ("joints", i, "limits")
         if isinstance(joint, PinJointModel) and joint.limits is not None:
@@ -152,9 +154,10 @@ def _joint_limits(joints: Sequence[JointModel]) -> Iterator[AngleLimit]:
 
 
 def _limits_in_radians(limits: list[AngleLimit]) -> list[AngleLimit]:
+    """Return the limits that look like radians; none if degrees are plausible."""
     low, high = REVOLUTION_RANGE
     if any(
-        limit.largest > HALF_REVOLUTION and not low <= limit.largest <= high
+        limit.largest_value > HALF_REVOLUTION and not low <= limit.largest_value <= high
         for limit in limits
     ):
         return [
@@ -164,24 +167,28 @@ def _limits_in_radians(limits: list[AngleLimit]) -> list[AngleLimit]:
                 HINGE_NAMES.search(limit.joint)
                 and len(limit.values) == 2
                 and 0 < limit.values[1] - limit.values[0] < MIN_HINGE_RANGE
-                and limit.largest <= HALF_REVOLUTION
+                and limit.largest_value <= HALF_REVOLUTION
             )
         ]
     joints = {limit.joint for limit in limits}
-    largest = max((limit.largest for limit in limits), default=0.0)
+    largest = max((limit.largest_value for limit in limits), default=0.0)
     values = [value for limit in limits for value in limit.values]
     has_multiple = bool(are_multiples(values).any())
-    hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
-    plausible = len(joints) < MIN_JOINTS and not has_multiple and not hinge
-    return [] if plausible or largest < TIGHT_LIMIT else limits
+    has_hinge = any(HINGE_NAMES.search(limit.joint) for limit in limits)
+    is_plausible = len(joints) < MIN_JOINTS and not has_multiple and not has_hinge
+    return [] if is_plausible or largest < TIGHT_LIMIT else limits
 
 
 def _limits_in_degrees(limits: list[AngleLimit]) -> list[AngleLimit]:
+    """Return the limits that look like degrees."""
     return [
         limit
         for limit in limits
-        if FULL_REVOLUTION < limit.largest <= MAX_DEGREES
-        and (HINGE_NAMES.search(limit.joint) or all(map(_is_round, limit.values)))
+        if FULL_REVOLUTION < limit.largest_value <= MAX_DEGREES
+        and (
+            HINGE_NAMES.search(limit.joint)
+            or all(map(_is_multiple_of_half, limit.values))
+        )
     ]
 
 
@@ -190,15 +197,16 @@ def warn_of_quaternion_length(
 ) -> None:
     """Warn once of a quaternion whose length is not 1 (RIG110)."""
     length = math.hypot(*wxyz)
-    known = any(notice.code == "RIG110" for notice in document.notices)
-    if known or not 0 < length < math.inf or abs(length - 1) <= MAX_LENGTH_ERROR:
+    is_reported = any(notice.code == "RIG110" for notice in document.notices)
+    if is_reported or not 0 < length < math.inf or abs(length - 1) <= MAX_LENGTH_ERROR:
         return
-    shown, unit = (
+    written_text, unit_text = (
         ", ".join(f"{number:.4g}" for number in numbers)
         for numbers in (wxyz, [number / length for number in wxyz])
     )
-    message = f"quaternion [{shown}] has length {length:.3g}; it is read as [{unit}]"
-    hint = f"write [{unit}], w first"
+    message = f"quaternion [{written_text}] has length {length:.3g}; "
+    message += f"it is read as [{unit_text}]"
+    hint = f"write [{unit_text}], w first"
     if rotation := _axis_angle_text(wxyz):
         hint = rotation
     elif document.value.keys().isdisjoint({"rig", "scene"}):
@@ -247,25 +255,33 @@ def warn_of_stretch_percent(
 def warn_of_drives(document: Document, rig: Rig) -> None:
     """Warn of drives that give radians in a rig in degrees, or the reverse (RIG112)."""
     in_degrees = rig.radians_per_unit != 1.0
-    at_rest = {control.name: np.array([control.default]) for control in rig.controls}
+    default_values = {
+        control.name: np.array([control.default]) for control in rig.controls
+    }
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
             target = drive.target
-            largest = _largest_drive(control, drive, at_rest) if drive.of_angle else 0.0
+            largest = (
+                _max_drive_value(control, drive, default_values)
+                if drive.is_angle
+                else 0.0
+            )
             check = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
             if not check:
                 continue
-            declared = "deg" if in_degrees else "rad"
-            meant, factor = OTHER_ANGLE_UNITS[declared]
+            declared_unit = "deg" if in_degrees else "rad"
+            intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
             message = (
                 f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
-                f"looks like {ANGLE_NAMES[meant]}, but units.angle is {declared}"
+                f"looks like {ANGLE_NAMES[intended_unit]}, "
+                f"but units.angle is {declared_unit}"
             )
-            hint = f"for {ANGLE_NAMES[declared]} the result is {largest * factor:.4g}; "
+            hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
+            hint += f"{largest * factor:.4g}; "
             hint += f"multiply the expression by {factor:.6g}"
             names = [entry.get("name") for entry in document.value["controls"]]
-            at = ("controls", names.index(control.name), "drives", k)
-            document.warn("RIG112", at, message, hint)
+            location = ("controls", names.index(control.name), "drives", k)
+            document.warn("RIG112", location, message, hint)
             return
     _warn_of_drivers(document, rig)
 
@@ -279,24 +295,24 @@ def _warn_of_drivers(document: Document, rig: Rig) -> None:
     for joint in rig.joints:
         if joint.driven is None or joint.type is not JointType.PIN:
             continue
-        largest = _largest_driven(rig, joint.driven)
+        largest = _max_driver_value(rig, joint.driven)
         target = f"joint/{joint.name}.angle"
         is_other = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
         if not is_other or joint.name not in entries:
             continue
-        declared = "deg" if in_degrees else "rad"
-        meant, factor = OTHER_ANGLE_UNITS[declared]
+        declared_unit = "deg" if in_degrees else "rad"
+        intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
         message = (
             f"{joint.name!r} is driven to {largest:.4g}, which looks like "
-            f"{ANGLE_NAMES[meant]}, but units.angle is {declared}"
+            f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        at = ("joints", entries[joint.name], "driven")
-        document.warn("RIG112", at, message, hint)
+        location = ("joints", entries[joint.name], "driven")
+        document.warn("RIG112", location, message, hint)
         return
 
 
-def _largest_driven(rig: Rig, driver: Driver) -> float:
+def _max_driver_value(rig: Rig, driver: Driver) -> float:
     """Return a driver's largest value where its inputs end [file's angle].
 
     0 if an input has no ends, or there are many inputs.
@@ -322,30 +338,35 @@ def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
     return (limits.low, limits.high) if isinstance(limits, RangeLimit) else ()
 
 
-def _largest_drive(
-    control: Control, drive: Drive, at_rest: dict[str, FloatArray]
+def _max_drive_value(
+    control: Control, drive: Drive, default_values: dict[str, FloatArray]
 ) -> float:
     """Return a drive's largest value over its control's range [file's angle]."""
     if control.low is None or control.high is None:
         return 0.0
-    ends = {**at_rest, control.name: np.array([control.low, control.high])}
-    values = np.abs(drive.evaluate(control.name, ends) / drive.unit)
+    range_values = {
+        **default_values,
+        control.name: np.array([control.low, control.high]),
+    }
+    values = np.abs(drive.evaluate(control.name, range_values) / drive.unit)
     return float(values.max()) if np.isfinite(values).all() else 0.0
 
 
 def _is_radians(value: float) -> bool:
+    """Return whether a value is a multiple of 90 degrees in radians."""
     quarter = math.radians(90)
     count = round(value / quarter)
-    near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
-    return value <= HALF_REVOLUTION and (near or bool(are_multiples(value)))
+    is_near = count != 0 and abs(value - count * quarter) < QUARTER_ROUNDING
+    return value <= HALF_REVOLUTION and (is_near or bool(are_multiples(value)))
 
 
 def _is_degrees(value: float, target: str) -> bool:
+    """Return whether a value of a target looks like degrees."""
     # A crank winds up; the angles of a ball joint do not.
-    plausible = target.endswith(".angle") and not _is_round(value)
-    return FULL_REVOLUTION < value <= MAX_DEGREES and not plausible
+    is_plausible = target.endswith(".angle") and not _is_multiple_of_half(value)
+    return FULL_REVOLUTION < value <= MAX_DEGREES and not is_plausible
 
 
-def _is_round(value: float) -> bool:
-    """Return whether a number is one of halves, as degrees are written by hand."""
+def _is_multiple_of_half(value: float) -> bool:
+    """Return whether a number is a multiple of 0.5, as handwritten degrees are."""
     return float(2 * value).is_integer()

@@ -11,7 +11,7 @@ from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.documents.document import Document
 from animtool.maths import so3
-from animtool.rig.skeleton import MAX_SIZE, Rig
+from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
 # Joints that every body with limbs has.
 HINGE_NAMES = re.compile("knee|elbow", re.IGNORECASE)
@@ -36,7 +36,7 @@ MAX_WORLD_RATIO, MAX_BODY_RATIO = 0.3, 0.6
 MIN_OFFSETS, MIN_WORLD_BONE = 3, 1e-3
 
 
-def source_rest_pose(rig: Rig) -> tuple[FloatArray, FloatArray]:
+def rest_pose_without_kernels(rig: Rig) -> tuple[FloatArray, FloatArray]:
     """Return world positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
 
     One step for all joints of a depth: rigs are checked without the kernels.
@@ -46,11 +46,13 @@ def source_rest_pose(rig: Rig) -> tuple[FloatArray, FloatArray]:
         depths[i] = 0 if joint.parent < 0 else depths[joint.parent] + 1
     positions, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
     for depth in range(1, int(depths.max(initial=0)) + 1):
-        at_depth = np.flatnonzero(depths == depth)
-        above = rig.parents[at_depth]
-        turned = so3.rotate(rotations[above], positions[at_depth])
-        positions[at_depth] = positions[above] + turned
-        rotations[at_depth] = so3.multiply(rotations[above], rotations[at_depth])
+        joints_at_depth = np.flatnonzero(depths == depth)
+        parents = rig.parents[joints_at_depth]
+        rotated_offsets = so3.rotate(rotations[parents], positions[joints_at_depth])
+        positions[joints_at_depth] = positions[parents] + rotated_offsets
+        rotations[joints_at_depth] = so3.multiply(
+            rotations[parents], rotations[joints_at_depth]
+        )
     return positions, rotations
 
 
@@ -58,7 +60,7 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
     """Warn of an implausible size and of a body that stands along another axis."""
     if len(rig.joints) < 2:
         return
-    positions, _ = source_rest_pose(rig)
+    positions, _ = rest_pose_without_kernels(rig)
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     if _warn_of_world_offsets(document, rig, positions):
         return
@@ -73,7 +75,7 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     unit = rig.meters_per_unit
     is_body = any(map(HINGE_NAMES.search, rig.names))
     low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
-    if not size or low <= size <= MAX_SIZE:
+    if not size or low <= size <= MAX_RIG_SIZE:
         return
     at = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
@@ -182,16 +184,17 @@ def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     if offset is None:
         return
     feet, torso = _feet_and_torso(rig)
-    other = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
+    other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
     length = float(np.linalg.norm(offset))
     if not length or offset @ rig.up.vector > MAX_LYING_COSINE * length:
         return
-    if offset @ other.vector < MIN_STANDING_COSINE * length:
+    if offset @ other_axis.vector < MIN_STANDING_COSINE * length:
         return
     message = (
-        f"{rig.names[torso[0]]!r} is {length_text(float(offset @ other.vector))} above "
-        f"{rig.names[feet[0]]!r} along {other}, but the up axis is {rig.up}"
+        f"{rig.names[torso[0]]!r} is "
+        f"{length_text(float(offset @ other_axis.vector))} above "
+        f"{rig.names[foot_joints[0]]!r} along {other_axis}, but the up axis is {rig.up}"
     )
-    at = ("up",) if "up" in document.value else ("joints",)
-    hint = f"write 'up: {other}', or keep {rig.up} if the body lies at rest"
-    document.warn("RIG111", at, message, hint)
+    location = ("up",) if "up" in document.value else ("joints",)
+    hint = f"write 'up: {other_axis}', or keep {rig.up} if the body lies at rest"
+    document.warn("RIG111", location, message, hint)

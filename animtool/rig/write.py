@@ -53,7 +53,7 @@ def rig_text(rig: Rig) -> str:
     for joint in joints:
         if joint.mirror not in written_names:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
-            text_lines.append(f"- {units.joint(joint, parent, rig)}")
+            text_lines.append(f"- {units.joint_entry(joint, parent, rig)}")
             written_names.add(joint.name)
     bind = {**_poses_at_rest(rig), **_explicit_bind(rig)}
     if bind:
@@ -61,20 +61,20 @@ def rig_text(rig: Rig) -> str:
         for name, pose in bind.items():
             entry = _flow_mapping(
                 [
-                    ("translate", units.lengths(pose.translation)),
-                    ("rotate", _quaternion(pose.rotation)),
-                    ("stretch", _stretch(pose)),
+                    ("translate", units.vector_text(pose.translation)),
+                    ("rotate", _quaternion_text(pose.rotation)),
+                    ("stretch", _stretch_text(pose)),
                 ]
             )
             text_lines.append(f"  {yaml_scalar(name)}: {entry}")
     sections = {
-        "meshes": map(_mesh, rig.meshes),
-        "shapes": map(units.shape, rig.shapes),
-        "controls": map(units.control, rig.controls),
-        "ik": map(_chain, rig.chains),
-        "attach": map(_attachment, rig.attach),
-        "colliders": map(units.collider, rig.colliders),
-        "masses": map(units.mass, rig.masses),
+        "meshes": map(_mesh_entry, rig.meshes),
+        "shapes": map(units.shape_entry, rig.shapes),
+        "controls": map(units.control_entry, rig.controls),
+        "ik": map(_chain_entry, rig.chains),
+        "attach": map(_attachment_entry, rig.attach),
+        "colliders": map(units.collider_entry, rig.colliders),
+        "masses": map(units.mass_entry, rig.masses),
     }
     for name, section in sections.items():
         entries = [f"- {entry}" for entry in section]
@@ -83,7 +83,7 @@ def rig_text(rig: Rig) -> str:
 
 
 class _FileNumbers:
-    """Numbers in the unit of the rig."""
+    """Formats the entries of a rig file in the units of the rig."""
 
     def __init__(self, rig: Rig) -> None:
         self.name = unit_name(rig.meters_per_unit)
@@ -94,49 +94,56 @@ class _FileNumbers:
         self.radians = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
         self.angle_name = "rad" if self.radians == 1.0 else "deg"
 
-    def length(self, value: float) -> str:
+    def length_text(self, value: float) -> str:
+        """Return a length as text in the unit of the file."""
         return scaled_decimal(value, self.meters)
 
-    def lengths(self, values: Sequence[float]) -> str:
-        return flow_list([self.length(value) for value in values])
+    def vector_text(self, values: Sequence[float]) -> str:
+        """Return a vector of lengths as text in the unit of the file."""
+        return flow_list([self.length_text(value) for value in values])
 
-    def range(self, pair: tuple[float, float] | None, unit: float) -> str | None:
+    def range_text(
+        self, range_pair: tuple[float, float] | None, unit: float
+    ) -> str | None:
+        """Return a range as text in a unit; None without a range."""
         return (
             None
-            if pair is None
-            else flow_list([scaled_decimal(value, unit) for value in pair])
+            if range_pair is None
+            else flow_list([scaled_decimal(value, unit) for value in range_pair])
         )
 
-    def joint(self, joint: Joint, parent: str | None, rig: Rig) -> str:
-        scalar = joint.type in {JointType.PIN, JointType.PRISMATIC}
+    def joint_entry(self, joint: Joint, parent: str | None, rig: Rig) -> str:
+        """Return the entry of a joint."""
+        has_axis = joint.type in {JointType.PIN, JointType.PRISMATIC}
         is_rotated = joint.rotation != (0.0, 0.0, 0.0, 1.0)
         channels = joint.channels
-        tips = [self.lengths(tip) for tip in joint.tips]
+        tips = [self.vector_text(tip) for tip in joint.tips]
         return _flow_mapping(
             [
                 ("name", yaml_scalar(joint.name)),
                 ("parent", None if parent is None else yaml_scalar(parent)),
                 ("type", joint.type.value),
-                ("translate", self.lengths(joint.translation)),
-                ("rotate", _quaternion(joint.rotation) if is_rotated else None),
-                ("axis", _number_list(joint.axis) if scalar else None),
-                ("limits", self.limits(joint)),
-                ("mimic", self.mimic(joint, rig)),
-                ("driven", self.driver(joint.driven, joint.type)),
+                ("translate", self.vector_text(joint.translation)),
+                ("rotate", _quaternion_text(joint.rotation) if is_rotated else None),
+                ("axis", _number_list(joint.axis) if has_axis else None),
+                ("limits", self.limits_entry(joint)),
+                ("mimic", self.mimic_entry(joint, rig)),
+                ("driven", self.driver_entry(joint.driven, joint.type)),
                 ("mirror", yaml_scalar(joint.mirror) if joint.mirror else None),
                 ("tips", flow_list(tips) if tips else None),
                 ("channels", None if channels is None else flow_list(list(channels))),
             ]
         )
 
-    def collider(self, collider: Collider) -> str:
+    def collider_entry(self, collider: Collider) -> str:
+        """Return the entry of a collider."""
         capsule = [
-            ("radius", self.length(collider.capsule.radius)),
-            ("length", self.length(collider.capsule.length)),
+            ("radius", self.length_text(collider.capsule.radius)),
+            ("length", self.length_text(collider.capsule.length)),
             ("axis", _number_list(collider.capsule.axis)),
             (
                 "offset",
-                self.lengths(collider.capsule.offset)
+                self.vector_text(collider.capsule.offset)
                 if any(collider.capsule.offset)
                 else None,
             ),
@@ -148,41 +155,44 @@ class _FileNumbers:
             ]
         )
 
-    def mass(self, mass: Mass) -> str:
+    def mass_entry(self, mass: Mass) -> str:
+        """Return the entry of a mass."""
         has_axes = mass.axes != (0.0, 0.0, 0.0, 1.0)
         return _flow_mapping(
             [
                 ("joint", yaml_scalar(mass.joint)),
                 ("mass", decimal_text(mass.mass)),
-                ("centre", self.lengths(mass.centre) if any(mass.centre) else None),
+                ("centre", self.vector_text(mass.centre) if any(mass.centre) else None),
                 ("inertia", _number_list(mass.inertia)),
-                ("axes", _quaternion(mass.axes) if has_axes else None),
+                ("axes", _quaternion_text(mass.axes) if has_axes else None),
             ]
         )
 
-    def limits(self, joint: Joint) -> str | None:
+    def limits_entry(self, joint: Joint) -> str | None:
+        """Return the limits of a joint; None without limits."""
         limits = joint.limits
         if isinstance(limits, RangeLimit):
-            slides = joint.type is JointType.PRISMATIC
-            unit = self.meters if slides else self.radians
-            return self.range((limits.low, limits.high), unit)
+            is_sliding = joint.type is JointType.PRISMATIC
+            unit = self.meters if is_sliding else self.radians
+            return self.range_text((limits.low, limits.high), unit)
         if not isinstance(limits, BallLimit):
             return None
-        swing = self.range(limits.swing, self.radians)
+        swing = self.range_text(limits.swing, self.radians)
         if limits.swing is not None and limits.swing[0] == limits.swing[1]:
             swing = scaled_decimal(limits.swing[0], self.radians)
-        twist = self.range(limits.twist, self.radians)
+        twist = self.range_text(limits.twist, self.radians)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
         axis = _number_list(limits.twist_axis)
         return _flow_mapping([("swing", swing), ("twist", twist), ("twist_axis", axis)])
 
-    def mimic(self, joint: Joint, rig: Rig) -> str | None:
+    def mimic_entry(self, joint: Joint, rig: Rig) -> str | None:
+        """Return the mimic of a joint; None without one."""
         if joint.mimic is None:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
         units = [
-            self.meters if joint_of_pair.type is JointType.PRISMATIC else self.radians
-            for joint_of_pair in (joint, leader)
+            self.meters if mimic_or_leader.type is JointType.PRISMATIC else self.radians
+            for mimic_or_leader in (joint, leader)
         ]
         gain = joint.mimic.gain * units[1] / units[0]
         return _flow_mapping(
@@ -193,7 +203,8 @@ class _FileNumbers:
             ]
         )
 
-    def shape(self, shape: Shape) -> str:
+    def shape_entry(self, shape: Shape) -> str:
+        """Return the entry of a shape."""
         inbetweens = [
             _flow_mapping(
                 [
@@ -213,30 +224,31 @@ class _FileNumbers:
                 ("vertices", _array_path(shape.vertices)),
                 ("inbetweens", flow_list(inbetweens) if inbetweens else None),
                 ("combine", _name_list(shape.combine) if shape.combine else None),
-                ("driven", self.driver(shape.driven)),
+                ("driven", self.driver_entry(shape.driven)),
             ]
         )
 
-    def control(self, control: Control) -> str:
+    def control_entry(self, control: Control) -> str:
+        """Return the entry of a control."""
         limits = None
         if control.low is not None and control.high is not None:
             limits = _number_list((control.low, control.high))
-        drives = [self.drive(drive) for drive in control.drives]
+        drives = [self.drive_entry(drive) for drive in control.drives]
         return _flow_mapping(
             [
                 ("name", yaml_scalar(control.name)),
                 ("range", limits),
                 ("default", decimal_text(control.default) if control.default else None),
                 ("drives", flow_list(drives) if drives else None),
-                ("driven", self.driver(control.driven)),
+                ("driven", self.driver_entry(control.driven)),
             ]
         )
 
-    def drive(self, drive: Drive) -> str:
+    def drive_entry(self, drive: Drive) -> str:
         """Return a drive with its numbers in the units of the text."""
         kind, _, name = drive.target.partition("/")
         unit = (
-            self.meters if drive.of_length else self.radians if drive.of_angle else 1.0
+            self.meters if drive.is_length else self.radians if drive.is_angle else 1.0
         )
         # Equal units up to rounding.
         factor = drive.unit / unit
@@ -245,7 +257,7 @@ class _FileNumbers:
         expression, expression_text = drive.expression, None
         if expression is not None:
             expression_text = (
-                expression.text if factor == 1.0 else expression.scaled({}, factor)
+                expression.text if factor == 1.0 else expression.scaled_text({}, factor)
             )
         return _flow_mapping(
             [
@@ -261,7 +273,7 @@ class _FileNumbers:
             ]
         )
 
-    def driver(
+    def driver_entry(
         self, driver: Driver | None, joint_type: JointType | None = None
     ) -> str | None:
         """Return a driver with its numbers in the units of the text."""
@@ -270,20 +282,23 @@ class _FileNumbers:
         units = {None: 1.0, JointType.PRISMATIC: self.meters}
         factor = driver.unit / units.get(joint_type, self.radians)
         ratios = {
-            name: self.unit_of(name) / driver.unit_of(name) for name in driver.names
+            name: self.unit_of_coordinate(name) / driver.unit_of(name)
+            for name in driver.names
         }
         if driver.expression is not None:
             is_unscaled = factor == 1.0 and all(
                 ratio == 1.0 for ratio in ratios.values()
             )
             expr = driver.expression
-            expression_text = expr.text if is_unscaled else expr.scaled(ratios, factor)
+            expression_text = (
+                expr.text if is_unscaled else expr.scaled_text(ratios, factor)
+            )
             return _flow_mapping([("expr", _quoted_scalar(expression_text))])
-        ratio = ratios[driver.by]
+        ratio = ratios[driver.curve_input]
         scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             [
-                ("by", yaml_scalar(driver.by)),
+                ("by", yaml_scalar(driver.curve_input)),
                 (
                     "curve",
                     flow_list([str(_number_list(point)) for point in scaled_points]),
@@ -292,7 +307,8 @@ class _FileNumbers:
             ]
         )
 
-    def unit_of(self, name: str) -> float:
+    def unit_of_coordinate(self, name: str) -> float:
+        """Return the unit of a coordinate in the file [m], [rad], [1]."""
         joint, part = split_coordinate(name)
         if not joint:
             return 1.0
@@ -322,6 +338,7 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 
 def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
+    """Return the joints that are not written as another joint's `mirror`."""
     return [replace(joint, mirror="") for joint in joints]
 
 
@@ -331,13 +348,13 @@ def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
         rest_pose = (joint.translation, joint.rotation)
-        is_rounding = pose.stretch is not None and _stretch(pose) is None
+        is_rounding = pose.stretch is not None and _stretch_text(pose) is None
         if not (is_rounding and (pose.translation, pose.rotation) == rest_pose):
             explicit[name] = pose
     return explicit
 
 
-def _stretch(pose: Pose) -> str | None:
+def _stretch_text(pose: Pose) -> str | None:
     """Return the stretch of a bind pose; None if it is rounding."""
     if pose.stretch is None:
         return None
@@ -358,7 +375,8 @@ def _poses_at_rest(rig: Rig) -> dict[str, Pose]:
     }
 
 
-def _chain(chain: IkChain) -> str:
+def _chain_entry(chain: IkChain) -> str:
+    """Return the entry of an IK chain."""
     return _flow_mapping(
         [
             ("name", yaml_scalar(chain.name)),
@@ -371,7 +389,8 @@ def _chain(chain: IkChain) -> str:
     )
 
 
-def _attachment(entry: Attachment) -> str:
+def _attachment_entry(entry: Attachment) -> str:
+    """Return the entry of an attachment."""
     joints = ("joints", _name_list(entry.joints) if entry.joints else None)
     if entry.kind == AttachKind.STRANDS:
         joints = ("joint", yaml_scalar(entry.joints[0]))
@@ -387,7 +406,8 @@ def _attachment(entry: Attachment) -> str:
     )
 
 
-def _mesh(mesh: Mesh) -> str:
+def _mesh_entry(mesh: Mesh) -> str:
+    """Return the entry of a mesh."""
     skin = None
     if mesh.skin is not None:
         skin = _flow_mapping(
@@ -420,25 +440,30 @@ def _array_path(source: ArraySource | None) -> str | None:
 
 
 def _quoted_scalar(value: str) -> str:
+    """Return a text in double quotes, with escapes."""
     escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def _flow_mapping(pairs: KeyTexts) -> str:
+    """Return pairs as a YAML mapping in braces; None values are left out."""
     entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
     return f"{{{entries}}}"
 
 
 def _name_list(names: Sequence[str]) -> str:
+    """Return names as a YAML list in brackets."""
     return flow_list([yaml_scalar(name) for name in names])
 
 
 def _number_list(values: Sequence[float] | None) -> str | None:
+    """Return numbers as a YAML list in brackets; None for None."""
     return (
         None if values is None else flow_list([decimal_text(value) for value in values])
     )
 
 
-def _quaternion(rotation: tuple[float, float, float, float]) -> str:
+def _quaternion_text(rotation: tuple[float, float, float, float]) -> str:
+    """Return a quaternion as a YAML list, w first."""
     x, y, z, w = rotation
     return str(_number_list((w, x, y, z)))

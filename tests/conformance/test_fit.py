@@ -42,7 +42,7 @@ def fit(take: Rig, rig: Rig) -> RigFit:
 
 
 def row(take: str, rig: str, found: RigFit) -> str:
-    parts = " ".join(f"{value:.2f}" for value in found.parts.values())
+    parts = " ".join(f"{value:.2f}" for value in found.components.values())
     verdict = "fits" if found.score >= MIN_FIT else "refused"
     return f"  {take:28} {rig:28} {found.score:.2f} {verdict:8} {parts}"
 

@@ -217,14 +217,14 @@ def test_who_stands_all_the_time_stays() -> None:
     hips = np.tile([0.5, 1.0, 0.2], (frames, 1))
     ankle = np.tile([0.1, -0.85, 0.0], (frames, 1))
     ankle[:, 2] = np.linspace(-0.01, 0.01, frames)
-    one = foot(frames, ankle=ankle, length=0.95)
+    one = foot(frames, ankle=ankle, leg_length=0.95)
     made = plant_feet(hips, [one], 30.0, 1)
     assert_allclose(made.hips, np.tile([0.5, 0.93, 0.2], (frames, 1)), atol=1e-5)
     assert_allclose(made.ankles[0], np.tile([0.6, 0.08, 0.2], (frames, 1)), atol=1e-6)
     assert made.sole_heights == [0.08]
     assert made.max_lowering == 0
     assert made.is_locked[0].all()
-    short = plant_feet(hips, [foot(frames, ankle=ankle, length=0.8)], 30.0, 1)
+    short = plant_feet(hips, [foot(frames, ankle=ankle, leg_length=0.8)], 30.0, 1)
     assert short.max_lowering == pytest.approx(
         0.85 - np.sqrt((0.9995 * 0.8) ** 2 - 0.01), abs=2e-4
     )

@@ -12,13 +12,13 @@ from animtool.maths import so3
 from animtool.rig.controls import Control, Drive
 from animtool.rig.driver_plan import (
     coordinate_fault,
-    driving_order,
+    evaluation_order_of_drivers,
     plan_of,
     readable_parts,
 )
 from animtool.rig.drivers import Driver, curve_values, split_coordinate
 from animtool.rig.driving import (
-    ball_part,
+    ball_part_values,
     driven_coordinates,
     evaluate_drivers,
 )
@@ -31,7 +31,7 @@ X = (1.0, 0.0, 0.0)
 
 
 def expr(text: str, unit: float = 1.0, angle: float = 1.0) -> Driver:
-    return Driver(parse_expression(text, coordinates=True), unit=unit, angle=angle)
+    return Driver(parse_expression(text, coordinates=True), unit=unit, angle_unit=angle)
 
 
 def test_a_smooth_curve_has_a_continuous_slope_and_never_overshoots() -> None:
@@ -103,16 +103,16 @@ def test_the_parts_of_a_ball() -> None:
     ball = Joint("b", -1, JointType.BALL, limits=BallLimit(None, (0.0, 5.0), X))
     swing = so3.exp(np.array([[0.0, 0.3, -0.4]]))
     turn = so3.multiply(swing, so3.from_axis_angle(X, np.array([4.0])))
-    assert ball_part(ball, "twist", turn)[0] == pytest.approx(4.0)
-    assert ball_part(ball, "swing", turn)[0] == pytest.approx(0.5)
-    assert ball_part(ball, "swing_y", turn)[0] == pytest.approx(0.3)
-    assert ball_part(ball, "swing_z", turn)[0] == pytest.approx(-0.4)
+    assert ball_part_values(ball, "twist", turn)[0] == pytest.approx(4.0)
+    assert ball_part_values(ball, "swing", turn)[0] == pytest.approx(0.5)
+    assert ball_part_values(ball, "swing_y", turn)[0] == pytest.approx(0.3)
+    assert ball_part_values(ball, "swing_z", turn)[0] == pytest.approx(-0.4)
     # Within half a turn of 0 without limits; open at a swing of half a turn.
     free = Joint("b", -1, JointType.BALL, limits=BallLimit(twist_axis=X))
-    assert ball_part(free, "twist", turn)[0] == pytest.approx(4.0 - 2 * np.pi)
+    assert ball_part_values(free, "twist", turn)[0] == pytest.approx(4.0 - 2 * np.pi)
     half = np.array([[0.0, 1.0, 0.0, 0.0]])
-    assert ball_part(free, "twist", half)[0] == 0
-    assert ball_part(free, "swing", half)[0] == pytest.approx(np.pi)
+    assert ball_part_values(free, "twist", half)[0] == 0
+    assert ball_part_values(free, "swing", half)[0] == pytest.approx(np.pi)
 
 
 @pytest.mark.parametrize(
@@ -176,11 +176,11 @@ def test_drivers_run_in_the_order_that_they_read_each_other() -> None:
         Joint("m", -1, JointType.PIN, mimic=Mimic("c", 10.0)),
     )
     rig = Rig("row", joints)
-    assert driving_order(rig) == ["joint/b", "joint/c", "joint/m"]
+    assert evaluation_order_of_drivers(rig) == ["joint/b", "joint/c", "joint/m"]
     assert driven_coordinates(plan_of(rig), np.array([[0.0, 0, 3, 0]])).tolist() == [
         [7, 6, 3, 70]
     ]
-    assert plan_of(rig).sources(3) == [2]
+    assert plan_of(rig).sources_of(3) == [2]
     assert plan_of(rig).dependent_joints(["a"]) == ["c", "b", "m"]
 
 
@@ -243,7 +243,10 @@ def test_the_other_side_reads_the_other_side() -> None:
     up = expr("wrist_l.swing_y + 1").mirrored(names)
     assert up.evaluate({"wrist_r.swing_y": np.array([0.5])}).tolist() == [0.5]
     curve = Driver(None, "wrist_l.swing_z", ((0.0, 0.0), (1.0, 5.0))).mirrored(names)
-    assert (curve.by, curve.curve) == ("wrist_r.swing_z", ((-1.0, 5.0), (0.0, 0.0)))
+    assert (curve.curve_input, curve.curve) == (
+        "wrist_r.swing_z",
+        ((-1.0, 5.0), (0.0, 0.0)),
+    )
 
 
 def test_names_with_dots_and_without() -> None:

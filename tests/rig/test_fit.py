@@ -32,7 +32,7 @@ BODY = Rig(
 
 def fit(take: Rig, rig: Rig = BODY, *, posed: bool = True) -> RigFit:
     source = [take.names.index(n) if n in take.names else -1 for n in rig.names]
-    return measure_fit(take, rig, np.array(source), posed=posed)
+    return measure_fit(take, rig, np.array(source), compare_poses=posed)
 
 
 def kept(names: set[str]) -> Rig:
@@ -85,8 +85,8 @@ def test_few_joints_of_many_do_not_fit() -> None:
         for i, j in enumerate(BODY.joints)
     )
     found = fit(replace(BODY, joints=strange))
-    assert found.parts["joints"] < MIN_FIT
-    assert found.score == found.parts["joints"]
+    assert found.components["joints"] < MIN_FIT
+    assert found.score == found.components["joints"]
 
 
 def test_one_limb_at_another_angle_does_not_fit() -> None:
@@ -133,7 +133,7 @@ def test_another_size_does_not_fit(factor: float) -> None:
     found = fit(replace(BODY, joints=scaled))
     assert found.size == pytest.approx(factor)
     assert found.score < MIN_FIT
-    assert found.parts["lengths"] == pytest.approx(1.0)
+    assert found.components["lengths"] == pytest.approx(1.0)
     assert found.differing_joints == []
 
 
@@ -149,7 +149,7 @@ def test_other_proportions_score_by_their_difference() -> None:
 def test_a_character_on_its_back_does_not_fit() -> None:
     lying = replace(BODY.joints[0], rotation=(-(0.5**0.5), 0.0, 0.0, 0.5**0.5))
     found = fit(replace(BODY, joints=(lying, *BODY.joints[1:])))
-    assert found.tilt == pytest.approx(np.pi / 2)
+    assert found.up_axis_angle == pytest.approx(np.pi / 2)
     assert found.score == pytest.approx(0.0)
     # About the up axis it may be turned.
     z_up = replace(BODY, up=UpAxis.Z)

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit
-from animtool.rig.sides import mirrored_joint, reflect_rotation, reflect_vector
+from animtool.rig.sides import mirror_joint, reflect_rotation, reflect_vector
 from animtool.rig.skeleton import Joint, JointType
 
 ORIGIN = (np.zeros(3), so3.IDENTITY)
@@ -24,7 +24,7 @@ def test_a_reflected_rotation_turns_reflected_vectors(seed: int) -> None:
 
 def at_origin(joint: Joint) -> Joint:
     world = (np.array(joint.translation), np.array(joint.rotation))
-    return mirrored_joint(joint, world, -1, ORIGIN)
+    return mirror_joint(joint, world, -1, ORIGIN)
 
 
 def test_axes() -> None:
@@ -62,7 +62,7 @@ def test_parents_that_are_no_mirror_images() -> None:
         parent[0] + so3.rotate(parent[1], joint.translation),
         so3.multiply(parent[1], joint.rotation),
     )
-    found = mirrored_joint(joint, world, 0, parent)
+    found = mirror_joint(joint, world, 0, parent)
     position = parent[0] + so3.rotate(parent[1], found.translation)
     turn = so3.multiply(parent[1], found.rotation)
     assert_allclose(position, reflect_vector(world[0]), atol=1e-14)

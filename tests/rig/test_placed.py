@@ -13,7 +13,7 @@ from animtool import Clip
 from animtool.core.array_types import FloatArray
 from animtool.maths import so3
 from animtool.rig.file import load_rig
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.rig.write import rig_text
@@ -65,7 +65,7 @@ def test_what_is_of_lengths_is_as_large_as_its_rig(
     placement = Placement(np.array([[3.0, 1.0, -2.0]]), turn[None], np.array([size]))
     before, controls = moved(rig, tmp_path)
     assert np.abs(np.ptp(before, axis=0)).max(axis=1).min() > 0.01
-    rescaled = placed_rig(rig, replace(placement, rotations=so3.IDENTITY[None]))
+    rescaled = transform_rig(rig, replace(placement, rotations=so3.IDENTITY[None]))
     after, felt = moved(rescaled, tmp_path)
     np.testing.assert_allclose(after, placement.translations + size * before, atol=1e-9)
     np.testing.assert_allclose(felt, controls, atol=1e-12)

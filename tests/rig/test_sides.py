@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.rig.sides import pair_sides, unpaired_sides
+from animtool.rig.sides import find_likely_pairs, pair_sides
 
 PAIRS = [
     ("L_arm", "R_arm"),
@@ -90,7 +90,7 @@ def test_names_of_other_hierarchies_are_strays() -> None:
     pairs = pair_sides(names, [-1, 0, 0, 2, 1, 3])
     assert pairs.partners.tolist() == list(range(6))
     assert [names[i] for i in pairs.unpaired] == ["arm_l", "arm_r", "hand_l", "hand_r"]
-    assert unpaired_sides(names, pairs) == [("arm_l", "arm_r"), ("hand_l", "hand_r")]
+    assert find_likely_pairs(names, pairs) == [("arm_l", "arm_r"), ("hand_l", "hand_r")]
     stated = pair_sides(["a", "hand_r", "hand_l"], None, [("a", "hand_r")])
     assert stated.partners.tolist() == [1, 0, 2]
     assert stated.unpaired == (2,)

@@ -19,7 +19,7 @@ from animtool.maths import so3
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
-    coordinates_from_local,
+    project_to_coordinates,
 )
 from animtool.rig.skeleton import Rig
 
@@ -95,7 +95,7 @@ def moves(path: Path, rig: Rig) -> FloatArray:
     translations, rotations, _ = take.motion.dense()
     own = [take.rig.names.index(name) for name in rig.names]
     local = LocalTransforms(translations[:, own], rotations[:, own])
-    coordinates = coordinates_from_local(rig, local)
+    coordinates = project_to_coordinates(rig, local)
     for joint, place in zip(rig.joints, coordinate_slices(rig), strict=True):
         if joint.limits is not None:
             values = coordinates[:, place]

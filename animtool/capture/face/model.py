@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.maths.faces import rigid_motion
 from animtool.maths.so3 import conjugate, rotate
 from animtool.rig.parts import Shape
-from animtool.rig.shapes import combined_weights
+from animtool.rig.shapes import add_combinations
 from animtool.skin.shapes import PreparedShapes, blend_points
 
 # Shapes that move landmarks by less than this fraction of the face's size count as
@@ -166,7 +166,7 @@ class NonlinearShapes:
         by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
         for i, column in zip(self.solved, weights.T, strict=True):
             by_name[self.shapes[i].name] = column
-        all_weights = combined_weights(self.shapes, by_name)
+        all_weights = add_combinations(self.shapes, by_name)
         return blend_points(
             self.prepared,
             np.stack([all_weights[n] for n in self.prepared.names], axis=-1),

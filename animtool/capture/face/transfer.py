@@ -91,7 +91,7 @@ def _by_name(
         raise OptionError(Fault("FAC009", message, hint=hint))
     moves = np.abs(weights).max(axis=0, initial=0) > 0
     moving_shapes = {name for name, m in zip(source, moves.tolist(), strict=True) if m}
-    unlinked_names = [name for name in links.lost if name in moving_shapes]
+    unlinked_names = [name for name in links.unlinked_sources if name in moving_shapes]
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "

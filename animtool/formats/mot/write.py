@@ -20,8 +20,8 @@ from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
-    coordinates_from_local,
     local_from_coordinates,
+    project_to_coordinates,
 )
 from animtool.rig.skeleton import Rig
 
@@ -61,7 +61,7 @@ def build_mot_text(take: Take) -> TakeText:
         raise OptionError(Fault("MOF008", message))
     translations, rotations, scales = take.motion.dense()
     local = LocalTransforms(translations, rotations)
-    coordinates = coordinates_from_local(rig, local)
+    coordinates = project_to_coordinates(rig, local)
     values = convert_coordinates_to_columns(rig, columns, coordinates)
     static_joints = {
         j

@@ -176,7 +176,7 @@ def _rig_joint(
         robot_joint.axis,
         limits=robot_joint.limits,
         mimic=mimic,
-        driven=None if driver is None else driver.renamed(rig_names),
+        driven=None if driver is None else driver.with_renamed_joints(rig_names),
     )
 
 

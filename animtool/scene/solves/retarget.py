@@ -170,7 +170,12 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     moving prim.
     """
     rig, layer = stream.rig, job.bake.rig_layer
-    if rig.stands is None or rig.rides or layer is None or job.bake.placement:
+    if (
+        rig.placement is None
+        or rig.has_animated_parents
+        or layer is None
+        or job.bake.placement
+    ):
         return stream
     from animtool.usd.rigs.target import open_target
 
@@ -194,7 +199,7 @@ def _retarget(
         rig = at_origin(rig)
         source_options = replace(job.source_options, placement=job.bake.placement)
         stream = open_source(job.source, source_options, progress=progress)
-        rig = replace(rig, rides=stream.rig.rides)
+        rig = replace(rig, has_animated_parents=stream.rig.has_animated_parents)
         stream = _without_placement(stream, job)
         seconds["read"] = time.perf_counter() - start_time
         stream.blocks = timed(stream.blocks, seconds, "read")

@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
@@ -240,7 +240,7 @@ class FallSimulator:
             placement = Placement(
                 np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]]
             )
-            rig = placed_rig(self._rigs[agent], placement)
+            rig = transform_rig(self._rigs[agent], placement)
             count = len(rig.joints)
             rig = widen_limits(rig, _local_rotations(rig, rotations[:count]))
             pose = WorldTransforms(

@@ -21,7 +21,7 @@ from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
-    coordinates_from_local,
+    project_to_coordinates,
 )
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
@@ -78,7 +78,7 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         world.linear[first_index : first_index + 1],
     )
     ragdoll = build_ragdoll(rig, pose, options)
-    coordinates = coordinates_from_local(rig, LocalTransforms(translations, rotations))
+    coordinates = project_to_coordinates(rig, LocalTransforms(translations, rotations))
     targets = DriveTargets(
         ragdoll, times - times[first_index], coordinates, coordinate_slices(rig)
     )
@@ -254,7 +254,7 @@ def _notices(
     message = f"{counted(len(ragdoll.joints), 'body', 'bodies')} of "
     message += f"{plain_number(mass)} kg fell from frame {first_frame:g} on"
     worst_excess, worst_joint, worst_text = 0.0, "", ""
-    coordinates = coordinates_from_local(rig, LocalTransforms(*fall_transforms))
+    coordinates = project_to_coordinates(rig, LocalTransforms(*fall_transforms))
     joints_with_parent = ragdoll.joints[ragdoll.parent_bodies >= 0].tolist()
     for j, coordinate in enumerate(coordinate_slices(rig)):
         limits, values = rig.joints[j].limits, coordinates[:, coordinate]

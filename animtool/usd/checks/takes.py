@@ -380,4 +380,6 @@ def _bind_positions(
     # Identity matrices are reported by another check.
     if (matrices == np.eye(4)).all():
         return None
-    return placement.rest_placement.points(matrices[:, 3, :3] * rig.meters_per_unit)
+    return placement.rest_placement.transform_points(
+        matrices[:, 3, :3] * rig.meters_per_unit
+    )

@@ -16,7 +16,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import placed_motion
 from animtool.rig.fit import RigFit, check_fit
 from animtool.rig.parts import Shape
-from animtool.rig.placed import at_origin, placed_rig
+from animtool.rig.placed import at_origin, transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.shapes import arkit_name
 from animtool.rig.skeleton import Rig
@@ -119,7 +119,7 @@ def map_joints(
         rig = (
             skeleton.rig
             if converted_take is None
-            else placed_rig(skeleton.rig, converted_take.upright_scale)
+            else transform_rig(skeleton.rig, converted_take.upright_scale)
         )
         fit, fit_notices = check_fit(
             at_origin(take),

@@ -23,7 +23,7 @@ from animtool.rig.parts import (
     Skin,
     Subdivision,
 )
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement, placement_matrix
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.usd.caches.reader import PointReader, transform_points
@@ -444,7 +444,7 @@ def _stage_meshes(
     bind = number_rows(attr, 16).reshape(-1, 4, 4).swapaxes(-1, -2).copy()
     bind[:, :3, 3] *= rig.meters_per_unit
     if placement is not None and not placement.is_identity:
-        rig = placed_rig(rig, placement)
+        rig = transform_rig(rig, placement)
         bind = placement_matrix(placement) @ bind
         # The scale is already in the bone lengths; joints cannot store it.
         bind[:, :3, :3] /= placement.size

@@ -21,7 +21,7 @@ from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -119,7 +119,7 @@ def skeleton_placement(
     fixed_placement = stage_units.placement(layer_matrices)
     # A single frame cannot show whether the placement is animated.
     is_placement_animated = (
-        fixed_placement.moves
+        fixed_placement.is_animated
         if codes
         else is_animated and _has_moving_ancestor(skeleton)
     )
@@ -258,7 +258,7 @@ class _StageUnits:
 
 def _snap_placement(placement: Placement) -> Placement:
     """Return a placement snapped to the identity within rounding."""
-    if not placement.moves and placement.is_identity:
+    if not placement.is_animated and placement.is_identity:
         return Placement.from_rotation(so3.IDENTITY)
     is_unit = np.abs(placement.sizes - 1.0) <= SCALE_TOLERANCE / 10
     sizes = np.where(is_unit, 1.0, placement.sizes)
@@ -341,18 +341,18 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     With ``drop`` as ``choice`` the rig is only scaled and upright; None keeps its
     position and heading.
     """
-    sized_rig = placed_rig(rig, placement.upright_scale)
+    sized_rig = transform_rig(rig, placement.upright_scale)
     if choice == DROP:
         return sized_rig
     heading_placement = placement.heading_placement
-    rig_at_rest = placed_rig(rig, placement.rest_placement)
-    if sized_rig.stands is not None:
+    rig_at_rest = transform_rig(rig, placement.rest_placement)
+    if sized_rig.placement is not None:
         # Its values also include a placement.
-        heading_placement = heading_placement.after(sized_rig.stands)
+        heading_placement = heading_placement.after(sized_rig.placement)
     return replace(
         rig_at_rest,
-        stands=None if heading_placement.is_identity else heading_placement,
-        rides=placement.is_animated or rig.rides,
+        placement=None if heading_placement.is_identity else heading_placement,
+        has_animated_parents=placement.is_animated or rig.has_animated_parents,
     )
 
 

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.maths import so3
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import ArraySource, Shape
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import Strands, strands_of
@@ -46,14 +46,17 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
     it is placed, the identity is recorded for a take without placement.
     """
     rigs = (rig,) if rest_pose_rig is None else (rig, rest_pose_rig)
-    if all(candidate.stands is None and not candidate.rides for candidate in rigs):
+    if all(
+        candidate.placement is None and not candidate.has_animated_parents
+        for candidate in rigs
+    ):
         return {}
-    rest_placement = rig.stands or Placement.from_rotation(so3.IDENTITY)
+    rest_placement = rig.placement or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
         "translate": Gf.Vec3d(*rest_placement.translations[0].tolist()),
         "rotate": gf_quaternion(rest_placement.rotations[0]),
     }
-    return record | ({"rides": True} if rig.rides else {})
+    return record | ({"rides": True} if rig.has_animated_parents else {})
 
 
 def apply_recorded_rest(
@@ -81,9 +84,11 @@ def apply_recorded_rest(
             if rest_placement is None
             else motion_rest.after(rest_placement[0].inverse())
         )
-        rig = placed_rig(rig, relative_placement)
+        rig = transform_rig(rig, relative_placement)
     return replace(
-        rig, stands=None if motion_rest.is_identity else motion_rest, rides=is_animated
+        rig,
+        placement=None if motion_rest.is_identity else motion_rest,
+        has_animated_parents=is_animated,
     )
 
 

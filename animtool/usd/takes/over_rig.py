@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.motion.reorient import placement_notice, unplace_take
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
@@ -82,9 +82,13 @@ def convert_over_rig(
     is_transformed = rig_placement.is_animated or not rig_placement.fixed.is_identity
     if choice is None and _is_rest_placed(rig, local_rig, rig_placement):
         # The values include the rig's placement, although it is not recorded.
-        rig = replace(rig, stands=heading_placement, rides=rig_placement.is_animated)
+        rig = replace(
+            rig,
+            placement=heading_placement,
+            has_animated_parents=rig_placement.is_animated,
+        )
         stream = replace(stream, rig=rig)
-    has_no_rest = not rig.has_rest and rig.stands is None and choice != KEEP
+    has_no_rest = not rig.has_rest and rig.placement is None and choice != KEEP
     if has_no_rest and _has_world_lengths(
         rig, local_rig, rig_placement.upright_scale.size
     ):
@@ -99,7 +103,7 @@ def convert_over_rig(
         return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
     has_placement = rig_placement.is_animated or not heading_placement.is_identity
     keep_placement = choice == KEEP or (
-        choice is None and (stream.rig.rides or not has_placement)
+        choice is None and (stream.rig.has_animated_parents or not has_placement)
     )
     notices += placement_notice(
         rig, where, kept=keep_placement, over=rig_placement.heading_placement
@@ -141,7 +145,7 @@ def _is_rest_placed(
     BVH, whose joints have no rest rotation, only the roots are there.
     """
     if (
-        take.stands is not None
+        take.placement is not None
         or not take.has_rest
         or rig_placement.heading_placement.is_identity
     ):
@@ -161,7 +165,7 @@ def _is_rest_placed(
     extent = float(np.ptp(rest_positions, axis=0).max())
     placed_errors, unplaced_errors = (
         np.abs(
-            rest_world(placed_rig(local_rig, candidate)).positions[0, rig_joints]
+            rest_world(transform_rig(local_rig, candidate)).positions[0, rig_joints]
             - rest_positions
         ).max(axis=1)
         for candidate in (rig_placement.rest_placement, rig_placement.upright_scale)

@@ -219,15 +219,15 @@ def _drop_placement(
     """
     local_rig = stream.rig
     placed_rig = rest_rig(local_rig, placement)
-    source_rig = replace(placed_rig, rides=placement.is_animated)
+    source_rig = replace(placed_rig, has_animated_parents=placement.is_animated)
     stream.notices += placement_notice(
         source_rig, path, kept=False, stays=local_rig.rides
     )
     stream.rig = rest_rig(local_rig, placement, DROP)
-    heading_placement = stream.rig.stands
+    heading_placement = stream.rig.placement
     stream = unplace_take(stream)
-    stream.rig = replace(stream.rig, rides=False)
-    if source_rig.stands is not None or source_rig.rides:
+    stream.rig = replace(stream.rig, has_animated_parents=False)
+    if source_rig.placement is not None or source_rig.has_animated_parents:
         stream.dropped = _dropped_placement_reader(
             placement, heading_placement, prim, local_rig
         )

@@ -242,7 +242,7 @@ def _expression_edits(
     for path_pattern in EXPRESSION_PATHS:
         for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
             expression = parse_expression(text, coordinates=True)
-            new_expression = expression.renamed(
+            new_expression = expression.with_renamed_inputs(
                 renamed_coordinates(expression.names, new_names)
             )
             if new_expression != expression:

@@ -13,7 +13,7 @@ from animtool.core.rules import Kind
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicious_shape import source_rest_pose
+from animtool.rig.suspicious_shape import rest_pose_without_kernels
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 
@@ -59,7 +59,7 @@ class RigSubject(DocumentSubject):
     @cached_property
     def rest(self) -> tuple[FloatArray, FloatArray]:
         """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest."""
-        return source_rest_pose(self.rig)
+        return rest_pose_without_kernels(self.rig)
 
     @cached_property
     def size(self) -> float:

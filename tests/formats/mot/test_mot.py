@@ -26,7 +26,7 @@ from animtool.formats.mot.write import write_mot
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.rig.joints import coordinates_from_local, local_from_coordinates
+from animtool.rig.joints import local_from_coordinates, project_to_coordinates
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 from animtool.rig.write import rig_text
 
@@ -72,7 +72,7 @@ def coordinates(take: Take) -> np.ndarray:
     from animtool.rig.joints import LocalTransforms
 
     translations, rotations, _ = take.motion.dense()
-    return coordinates_from_local(take.rig, LocalTransforms(translations, rotations))
+    return project_to_coordinates(take.rig, LocalTransforms(translations, rotations))
 
 
 def test_columns_are_coordinates_of_the_rig(

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
-from animtool.rig.placed import placed_rig
+from animtool.rig.placed import transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
@@ -89,7 +89,7 @@ def test_who_is_thrown_flies_as_a_stone_does(biped: Rig) -> None:
 def test_who_is_larger_than_the_rig_falls_as_large(biped: Rig) -> None:
     """The second of two, by a fifth: bodies and joints, from the first step on."""
     size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], np.array([1.2]))
-    own, large = falling(biped, 1.2), placed_rig(biped, size)
+    own, large = falling(biped, 1.2), transform_rig(biped, size)
     stands = pose(large, [3.0, 50.0, -2.0])
     falls = own.add_falls(own.no_falls(), np.array([1]), [stands], [stands], STEP)
     assert_allclose(world(large, own, falls), stands.positions[0], atol=1e-9)

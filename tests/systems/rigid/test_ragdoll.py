@@ -21,7 +21,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext
 from animtool.motion.take import Take
-from animtool.rig.joints import LocalTransforms, coordinates_from_local
+from animtool.rig.joints import LocalTransforms, project_to_coordinates
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Capsule, Collider, Mass
@@ -146,7 +146,7 @@ def test_limits_are_kept(side: int) -> None:
     )
     post = obstacle(Box((0.2, 1.0, 1.0)), 0.0, 0.35, 0.0)
     found = fallen(take, colliders=(post, GROUND))
-    angles = coordinates_from_local(
+    angles = project_to_coordinates(
         found.rig, LocalTransforms(*found.motion.dense()[:2])
     )[:, 7:]
     assert np.abs(angles).max() > 0.1
@@ -345,7 +345,7 @@ def test_limp_pins_fall_as_a_double_pendulum_of_the_same_masses() -> None:
         take, motion=replace(take.motion, rotations=Channel.from_dense(turns))
     )
     found = fallen(take, colliders=(SHELF,), damping=0.0)
-    angles = coordinates_from_local(rig, LocalTransforms(*found.motion.dense()[:2]))
+    angles = project_to_coordinates(rig, LocalTransforms(*found.motion.dense()[:2]))
     bone = Shaft(0.03, LENGTH - 0.1)
     solid = solid_of(bone, core_of(bone))
     mass, inertia = 1000 * solid.volume, 1000 * solid.inertia[2, 2]

@@ -68,7 +68,7 @@ def test_a_place_that_a_file_records_can_be_dropped(
     one, other = (composed(tmp_path / f"{name}.usda") for name in ("one", "other"))
     np.testing.assert_allclose(one, other, atol=2e-6)
     # Nothing is left of it: it is recorded no more.
-    assert open_source(tmp_path / "one.usda").rig.stands is None
+    assert open_source(tmp_path / "one.usda").rig.placement is None
 
 
 @pytest.mark.parametrize("up", "YZ")
