@@ -69,7 +69,7 @@ class CleanedSignal:
     max_change: float = 0.0  # and its maximum
 
     @property
-    def part(self) -> str:
+    def name(self) -> str:
         """Joint and channel, as text."""
         return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
 
@@ -82,12 +82,14 @@ class CleanedSignal:
 
 @dataclass(slots=True)
 class _JointCleaner:
+    """Cleans the channels of a take, joint by joint."""
+
     names: tuple[str, ...]
     rate: float
     options: CleanOptions
     signals: list[CleanedSignal] = field(default_factory=list)
 
-    def channel(self, channel: Channel, min_size: float) -> Channel:
+    def clean_channel(self, channel: Channel, min_size: float) -> Channel:
         """Return a channel of translations or rotations cleaned, joint by joint."""
         rotation = channel.rest.shape[1] == 4
         values = channel.values.copy()
@@ -102,14 +104,15 @@ class _JointCleaner:
             # A quaternion contains half the angle.
             tolerance = noise / 2 if rotation else noise
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
-            cutoff = self._cutoff(signal, rotation=rotation) if is_noisy else None
+            cutoff = (
+                self._choose_cutoff(signal, rotation=rotation) if is_noisy else None
             frames = tuple(np.flatnonzero(is_spike).tolist())
             cleaned_signal = CleanedSignal(
                 self.names[joint], rotation, frames, noise, cutoff
             )
             if cutoff is not None:
-                run = lowpass_rotations if rotation else lowpass
-                filtered = run(signal, cutoff, self.rate)
+                lowpass_filter = lowpass_rotations if rotation else lowpass
+                filtered = lowpass_filter(signal, cutoff, self.rate)
                 if self.options.cutoff is not None:
                     cleaned_signal = _with_change(cleaned_signal, signal, filtered)
                 signal = filtered
@@ -117,8 +120,9 @@ class _JointCleaner:
             self.signals.append(cleaned_signal)
         return replace(channel, values=values).compact()
 
-    def _cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
-        if self.options.keep_noise or beyond_nyquist(self.options, self.rate):
+    def _choose_cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
+        """Return the cut-off frequency of a signal [Hz]; None leaves it unfiltered."""
+        if self.options.keep_noise or is_above_nyquist(self.options, self.rate):
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
@@ -144,7 +148,7 @@ def _with_change(
     )
 
 
-def beyond_nyquist(options: CleanOptions, rate: float) -> bool:
+def is_above_nyquist(options: CleanOptions, rate: float) -> bool:
     """Return whether a cut-off is at or above half the frame rate."""
     return options.cutoff is not None and options.cutoff >= rate / 2
 
@@ -157,8 +161,8 @@ def bridge_gaps(
         aligned = signal.copy()
         aligned[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = aligned
-    run = lowpass_rotations if rotation else lowpass
-    interpolated = run(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
+    lowpass_filter = lowpass_rotations if rotation else lowpass
+    interpolated = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, valid=is_known)
     return np.where(is_known[:, None], signal, interpolated)
 
 
@@ -173,9 +177,9 @@ def _spike_frames(
         for length, size in _run_deviations(signal, max_length, rotation=rotation):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
-                part = slice(first + 2, first + 2 + length)
-                if not spikes[part.start - 1 : part.stop + 1].any():
-                    spikes[part] = True
+                span = slice(first + 2, first + 2 + length)
+                if not spikes[span.start - 1 : span.stop + 1].any():
+                    spikes[span] = True
         if not spikes.any() or (is_spike | spikes).mean() > 0.5:
             break
         is_spike |= spikes
@@ -229,8 +233,10 @@ def _roughness(signal: FloatArray) -> FloatArray:
     second_differences = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
     width = min(2 * ROUGHNESS_FRAMES + 1, len(second_differences))
     windows = np.lib.stride_tricks.sliding_window_view(second_differences, width)
-    middle = np.arange(len(signal)) - 1 - width // 2
-    return np.asarray(np.median(windows, axis=-1)[np.clip(middle, 0, len(windows) - 1)])
+    window_indices = np.arange(len(signal)) - 1 - width // 2
+    return np.asarray(
+        np.median(windows, axis=-1)[np.clip(window_indices, 0, len(windows) - 1)]
+    )
 
 
 _DEFAULTS = CleanOptions()
@@ -257,7 +263,7 @@ def clean(
             translations and one for the rotations of each joint.
     """
     options = CleanOptions(spikes, keep_noise, cutoff)
-    for check in _checks(options).values():
+    for check in _option_checks(options).values():
         check()
     cleaned_result, signals = clean_take(take, options)
     return replace(
@@ -270,11 +276,13 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
     """Return a cleaned take, and the cleaning results of the joints that move."""
     motion = take.motion
     cleaner = _JointCleaner(tuple(take.rig.names), float(take.clock.rate), options)
-    shifts = cleaner.channel(motion.translations, MIN_SPIKE_SHIFT * rest_size(take.rig))
-    rotations = cleaner.channel(motion.rotations, MIN_SPIKE_ROTATION)
+    translations = cleaner.clean_channel(
+        motion.translations, MIN_SPIKE_SHIFT * rest_size(take.rig)
+    )
+    rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
     dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
     motion = replace(
-        motion, translations=shifts, rotations=replace(rotations, values=dense)
+        motion, translations=translations, rotations=replace(rotations, values=dense)
     )
     return replace(take, motion=motion), cleaner.signals
 
@@ -293,10 +301,10 @@ def cleaning_notices(
             "noise from motion; nothing is filtered"
         )
         return [Fault("CAP102", message, severity=Severity.WARNING)]
-    spiky = sorted({s.joint for s in signals if s.spikes})
+    joints_with_spikes = sorted({s.joint for s in signals if s.spikes})
     filtered_signals = [s for s in signals if s.cutoff is not None]
     faults, signal_parts, rate = [], [], float(take.clock.rate)
-    if beyond_nyquist(options, rate) and not options.keep_noise:
+    if is_above_nyquist(options, rate) and not options.keep_noise:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes nothing from a take at "
             f"{rate:g} fps, whose highest frequency is {rate / 2:g} Hz; nothing is "
@@ -315,9 +323,9 @@ def cleaning_notices(
         )
         hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
         faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
-    if spiky:
+    if joints_with_spikes:
         frames = sum(len(s.spikes) for s in signals)
-        names = listed(spiky, MAX_LISTED_JOINTS)
+        names = listed(joints_with_spikes, MAX_LISTED_JOINTS)
         signal_parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
     if filtered_signals:
         signal_parts.append(_cutoff_text(filtered_signals, len(signals)))
@@ -358,16 +366,18 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
     filtered_signals = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
-    spiky = sorted((s for s in signals if s.spikes), key=lambda s: -len(s.spikes))
+    signals_with_spikes = sorted(
+        (s for s in signals if s.spikes), key=lambda s: -len(s.spikes)
+    )
     spike_frames = len({frame for s in signals for frame in s.spikes})
     noises = (s.noise for s in signals if s.rotation)
     shifts = (s.noise for s in signals if not s.rotation)
     names = {
         "filtered": tuple(
-            f"{s.part} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
+            f"{s.name} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
             for s in filtered_signals
         ),
-        "spikes": tuple(f"{s.part} in {len(s.spikes)}" for s in spiky),
+        "spikes": tuple(f"{s.name} in {len(s.spikes)}" for s in signals_with_spikes),
     }
     return PassScores(
         (
@@ -390,10 +400,12 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
 
 
 def _option_error(message: str) -> OptionError:
+    """Return the error of an invalid option (CAP001)."""
     return OptionError(Fault("CAP001", message))
 
 
 def _check_spikes(spikes: int) -> None:
+    """Raise if the longest spike is out of range."""
     if not 0 <= spikes <= ROUGHNESS_FRAMES // 2:
         raise _option_error(
             f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}"
@@ -401,11 +413,13 @@ def _check_spikes(spikes: int) -> None:
 
 
 def _check_cutoff(cutoff: float | None) -> None:
+    """Raise if the cut-off frequency is not positive and finite."""
     if cutoff is not None and not 0 < cutoff < math.inf:
         raise _option_error(f"cutoff is {cutoff:g} Hz; it must be above 0")
 
 
-def _checks(options: CleanOptions) -> OptionChecks:
+def _option_checks(options: CleanOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {
         "spikes": lambda: _check_spikes(options.spikes),
         "cutoff": lambda: _check_cutoff(options.cutoff),
@@ -413,6 +427,7 @@ def _checks(options: CleanOptions) -> OptionChecks:
 
 
 def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
+    """Run the pass: clean the take and report its noise."""
     cleaned, signals = clean_take(take, options)
     context.notices.extend(cleaning_notices(take, signals, options))
     context.scores.append(noise_scores(take.clock.count, signals))
@@ -427,7 +442,7 @@ PASS = Pass(
     CleanOptions,
     Scope.CLIP,
     _run,
-    _checks,
+    _option_checks,
     reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},
     changes=_EDITED_PARTS,
 )

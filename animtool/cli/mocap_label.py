@@ -41,7 +41,7 @@ def label(
     """
 
     def label_points(points: Any, trial: Any) -> tuple[Any, Any]:
-        from animtool.capture.markers.label import label as run_label
+        from animtool.capture.markers.label import label_points as run_label
 
         return run_label(points, trial)
 

@@ -14,7 +14,7 @@ from animtool.preview.build import PreviewPage, check_page_output, make_page, wr
 from animtool.preview.options import PreviewOptions, ShowOptions
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
-from animtool.preview.serve import PageServer, WatchedPage, follow
+from animtool.preview.serve import PageServer, WatchedPage, rebuild_on_changes
 from animtool.preview.show import has_browser, open_browser, temporary_page
 from animtool.report.text import Each, Template
 from animtool.scene.bake.steps import PlanSteps
@@ -112,6 +112,8 @@ def serve_preview(
             console.say(f"reloaded: page {page_watcher.version}")
 
         try:
-            follow(page_watcher, report_failure, report_built, threading.Event().wait)
+            rebuild_on_changes(
+                page_watcher, report_failure, report_built, threading.Event().wait
+            )
         finally:
             server.shutdown()

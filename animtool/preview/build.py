@@ -64,7 +64,7 @@ class PreviewPage:
     blocks: list[str]
     notices: list[Fault] = field(default_factory=list)
 
-    def parts(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
+    def chunks(self, watch: dict[str, Any] | None = None) -> Iterable[bytes]:
         """Yield the page in chunks of bytes.
 
         Args:
@@ -78,7 +78,7 @@ class PreviewPage:
 
     def html(self) -> str:
         """Return the page as text."""
-        return b"".join(self.parts()).decode("utf-8")
+        return b"".join(self.chunks()).decode("utf-8")
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,7 +136,7 @@ def write_page(
         raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
     with protect_inputs([output]):
         page = make_page(paths, options)
-    write_parts(output, page.parts())
+    write_parts(output, page.chunks())
     return PageReport(output, output.stat().st_size, page)
 
 
@@ -157,7 +157,7 @@ def make_page(
     options = options or PreviewOptions()
     with ExitStack() as context:
         open_files = [open_file(path, options, files, context) for path in files]
-        draft, notices = _draft_page(open_files, options)
+        draft, notices = _collect_contents(open_files, options)
     if options.findings:
         _add_findings(draft, files)
     names = [path.name for path in files]
@@ -169,21 +169,22 @@ def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
     from animtool.preview.open_file import take_of_stream
 
     file = OpenFile(Path(name), "m", stream.rig.up, [take_of_stream(name, stream)])
-    draft, notices = _draft_page([file], PreviewOptions())
+    draft, notices = _collect_contents([file], PreviewOptions())
     return _build_page(draft, [name], [file], notices)
 
 
 def _build_page(
     draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
+    """Return the page of its contents; refuse one that is too large."""
     title = ", ".join(names)
     source = {
         "files": names,
         "unit": files[0].unit,
         "up": str(files[0].up).lower(),
     }
-    if draft.packer.nbytes > MAX_BYTES:
-        size = draft.packer.nbytes / 1e6
+    if draft.packer.total_bytes > MAX_BYTES:
+        size = draft.packer.total_bytes / 1e6
         message = f"the page would hold {size:.0f} MB of frames"
         raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     manifest, blocks = draft.manifest(
@@ -198,10 +199,11 @@ def _build_page(
     return PreviewPage(manifest, blocks, notices)
 
 
-def _draft_page(
+def _collect_contents(
     files: list[OpenFile], options: PreviewOptions
 ) -> tuple[PageDraft, list[Fault]]:
-    notices = [file.located(notice) for file in files for notice in file.notices]
+    """Return the contents of files on one timeline, and notices."""
+    notices = [file.at_scene(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     timed_takes = [
         fit_to_page(number, file, take, fps, options, notices)
@@ -214,8 +216,8 @@ def _draft_page(
     page_takes = [(timed, _add_timed_take(draft, timed)) for timed in timed_takes]
     for timed, page_take in page_takes:
         add_character(draft, timed.take, page_take)
-        add_visibility(draft, files[timed.file], timed, page_take)
-        add_channels(draft, page_take, timed.take.clip, timed.origin)
+        add_visibility(draft, files[timed.file_index], timed, page_take)
+        add_channels(draft, page_take, timed.take.clip, timed.clip_origin)
     for file in files:
         if file.contents is not None:
             from animtool.preview.stage import add_stage
@@ -227,7 +229,7 @@ def _draft_page(
             from animtool.preview.targets import add_targets
 
             # Targets apply to the first take; other takes may be versions of it.
-            up = files[page_takes[0][0].file].up if page_takes else UpAxis.Y
+            up = files[page_takes[0][0].file_index].up if page_takes else UpAxis.Y
             add_targets(
                 draft, file.targets, page_takes[0][1] if page_takes else None, up
             )
@@ -235,11 +237,12 @@ def _draft_page(
 
 
 def _add_timed_take(draft: PageDraft, timed_take: TimelineTake) -> PageTake:
-    first = draft.timeline.index(timed_take.first)
+    """Add a take with its meshes, visibility and curves; return its entry."""
+    first = draft.timeline.index(timed_take.first_frame)
     page_take = add_take(
         draft, timed_take.take.name, timed_take.stream, timed_take.motion, first
     )
-    page_take.entry["file"] = timed_take.file
+    page_take.entry["file"] = timed_take.file_index
     return page_take
 
 
@@ -247,10 +250,10 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     """Add markers to a page, sampled at the nearest frames."""
     clock = markers.clock
     ratio = float(clock.fps / draft.timeline.fps)
-    positions_at = (draft.timeline.codes * ratio - float(clock.start)) / float(
+    frame_positions = (draft.timeline.codes * ratio - float(clock.start)) / float(
         clock.step
     )
-    frames = np.clip(np.rint(positions_at), 0, clock.count - 1).astype(np.int64)
+    frames = np.clip(np.rint(frame_positions), 0, clock.count - 1).astype(np.int64)
     positions = markers.positions[frames]
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
@@ -271,6 +274,7 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
+    """Add the findings of `validate`, with the takes they concern."""
     faults = errors_first(find_faults(files))
     takes: dict[str, tuple[int, Sequence[str]]] = {}
     for number, entry in enumerate(draft.takes):
@@ -279,4 +283,4 @@ def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
     draft.findings += [finding_entry(fault, takes) for fault in faults[:MAX_FINDINGS]]
     if len(faults) > MAX_FINDINGS:
         omitted_text = counted(len(faults) - MAX_FINDINGS, "finding")
-        draft.note(f"{omitted_text} more: animtool validate lists them")
+        draft.add_notice(f"{omitted_text} more: animtool validate lists them")

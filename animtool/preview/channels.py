@@ -52,7 +52,7 @@ def add_channels(
         return
     total = sum(0 if curve.keys is None else len(curve.keys) for curve in curves)
     if total > MAX_KEYS:
-        draft.note(f"{total} keys: curves are drawn without them")
+        draft.add_notice(f"{total} keys: curves are drawn without them")
     stacked_values = np.stack([curve.values for curve in curves], axis=1)
     stream = draft.packer.add(Quantized(stacked_values.astype("<f4"), "f32"))
     size = rest_size(page_take.rig) or 1.0

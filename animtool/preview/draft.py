@@ -38,7 +38,7 @@ class Timeline:
         """Return the sample index of a time code; it may be out of range."""
         return round((code - self.first) / self.step)
 
-    def entry(self) -> dict[str, Any]:
+    def manifest_entry(self) -> dict[str, Any]:
         """Return the manifest entry."""
         return {
             "first": json_number(self.first),
@@ -86,7 +86,7 @@ class PageDraft:
     # Cached results per rig: characters of a crowd share rigs.
     cache: dict[bytes, Any] = field(default_factory=dict)
 
-    def note(self, message: str) -> None:
+    def add_notice(self, message: str) -> None:
         """Add a notice unless it is already there."""
         if message not in self.notices:
             self.notices.append(message)
@@ -105,7 +105,7 @@ class PageDraft:
             "format": FORMAT_VERSION,
             "title": title,
             "source": source,
-            "time": self.timeline.entry(),
+            "time": self.timeline.manifest_entry(),
             "errors": {
                 "rotation_deg": round_up_error(float(np.degrees(self.rotation_error))),
                 "position_mm": round_up_error(self.position_error * 1000),
@@ -134,7 +134,9 @@ def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
             f", and {counted(other_count, 'more fault')}" if other_count else ""
         )
         fault = error.faults[0]
-        draft.note(f"{name} is skipped: {fault.code} {fault.message}{more_faults}")
+        draft.add_notice(
+            f"{name} is skipped: {fault.code} {fault.message}{more_faults}"
+        )
 
 
 def round_up_error(error: float) -> float:
@@ -146,5 +148,9 @@ def round_up_error(error: float) -> float:
     if error <= 0:
         return 0.0
     digits = 1 - int(np.floor(np.log10(error)))
-    rounded = round(error, digits)
-    return rounded if rounded >= error else round(rounded + 10.0**-digits, digits)
+    rounded_error = round(error, digits)
+    return (
+        rounded_error
+        if rounded_error >= error
+        else round(rounded_error + 10.0**-digits, digits)
+    )

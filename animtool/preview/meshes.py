@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.maths.faces import triangulated
 from animtool.preview.draft import PageDraft
-from animtool.preview.open_file import ShownTake
+from animtool.preview.open_file import TakeToShow
 from animtool.preview.streams import Quantized, json_numbers, quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
@@ -31,7 +31,7 @@ STRAND_WIDTH = 0.001
 WEIGHT_ERROR = 1e-4
 
 
-def add_character(draft: PageDraft, character: ShownTake, page_take: PageTake) -> None:
+def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) -> None:
     """Add the meshes and strands of a take to a page."""
     names = [shape.name for shape in page_take.rig.shapes]
     meshes = character_meshes(
@@ -44,7 +44,7 @@ def add_character(draft: PageDraft, character: ShownTake, page_take: PageTake) -
         entry = _mesh_entry(draft, page_take, surface, colors)
         draft.meshes.append(entry)
         if needs_points(mesh.mesh.skin):
-            draft.note(
+            draft.add_notice(
                 f"mesh {surface.name!r} is drawn from its points: the viewer skins "
                 "linearly with four joints per vertex"
             )
@@ -79,8 +79,10 @@ def add_character(draft: PageDraft, character: ShownTake, page_take: PageTake) -
                 "bind": json_numbers(
                     np.linalg.inv(character.bind[joint]).T.reshape(-1), 9
                 ),
-                "counts": draft.packer.static(np.full(count, points_per_strand), "u32"),
-                "points": draft.packer.static_range(strands.points),
+                "counts": draft.packer.add_static(
+                    np.full(count, points_per_strand), "u32"
+                ),
+                "points": draft.packer.add_static_range(strands.points),
                 "width": STRAND_WIDTH,
                 "color": None,
             }
@@ -105,13 +107,11 @@ def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
     ranks = np.arange(len(influences.joints)) - np.repeat(
         influences.row_starts[:-1], counts
     )
-    in_first_four = ranks < MAX_INFLUENCES
+    is_kept = ranks < MAX_INFLUENCES
     joints = np.zeros((skin.vertices, MAX_INFLUENCES), np.int64)
     weights = np.zeros((skin.vertices, MAX_INFLUENCES))
-    joints[rows[in_first_four], ranks[in_first_four]] = influences.joints[in_first_four]
-    weights[rows[in_first_four], ranks[in_first_four]] = influences.weights[
-        in_first_four
-    ]
+    joints[rows[is_kept], ranks[is_kept]] = influences.joints[is_kept]
+    weights[rows[is_kept], ranks[is_kept]] = influences.weights[is_kept]
     return joints, weights
 
 
@@ -136,8 +136,8 @@ def mesh_entry(
     return {
         "name": name,
         "take": take,
-        "points": draft.packer.static_range(points),
-        "faces": draft.packer.static(triangles, "u32"),
+        "points": draft.packer.add_static_range(points),
+        "faces": draft.packer.add_static(triangles, "u32"),
         "skin": None,
         "shapes": [],
         "cache": None,
@@ -145,7 +145,7 @@ def mesh_entry(
         "colors": None
         if colors is None
         # sRGB colors, for which 8 bits are enough.
-        else draft.packer.static(
+        else draft.packer.add_static(
             np.rint(colors.clip(0, 1) ** (1 / 2.2) * 255).astype(np.uint8), "u8"
         ),
         "doubleSided": double_sided,
@@ -155,6 +155,7 @@ def mesh_entry(
 def _mesh_entry(
     draft: PageDraft, page_take: PageTake, surface: Surface, colors: FloatArray | None
 ) -> dict[str, Any]:
+    """Return the manifest entry of a character's surface."""
     points = surface.points
     if surface.skin is None:
         # The mesh is not attached to a joint or transform.
@@ -172,6 +173,7 @@ def _mesh_entry(
 
 
 def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
+    """Return the manifest entry of a skin binding."""
     joints, weights = largest_influences(skin)
     weight_sums = weights.sum(axis=1, keepdims=True)
     weights = np.divide(
@@ -184,9 +186,9 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
     bind = skin.joint_from_world @ skin.world_from_points
     return {
         "palette": skin.joints.tolist(),
-        "joints": draft.packer.static(joints, "u16"),
+        "joints": draft.packer.add_static(joints, "u16"),
         "weights": draft.packer.add(Quantized(stored_weights, "u16", 1 / 65535)),
-        "bind": draft.packer.static(bind.swapaxes(1, 2), "f32"),
+        "bind": draft.packer.add_static(bind.swapaxes(1, 2), "f32"),
     }
 
 
@@ -200,25 +202,25 @@ def _shape_entries(
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for at in knots[knots != 0].tolist()
     ]
-    owners = np.repeat(np.arange(shapes.vertices), np.diff(columns.row_starts))
-    numbers = {
+    vertex_of_entry = np.repeat(np.arange(shapes.vertices), np.diff(columns.row_starts))
+    dense_rows = {
         column: row for row, column in enumerate(np.flatnonzero(columns.is_dense), 1)
     }
     entries = []
     for index, column in enumerate(visible.tolist()):
-        if column in numbers:
-            offsets = columns.dense_table[numbers[column]].reshape(-1, 3)
+        if column in dense_rows:
+            offsets = columns.dense_table[dense_rows[column]].reshape(-1, 3)
             vertices = np.flatnonzero((offsets != 0).any(axis=1))
             offsets = offsets[vertices]
         else:
             rows = columns.columns == column
-            vertices, offsets = owners[rows], columns.offsets[rows]
+            vertices, offsets = vertex_of_entry[rows], columns.offsets[rows]
         entries.append(
             {
                 "name": names[column],
                 "column": first + index,
-                "vertices": draft.packer.static(vertices, "u32"),
-                "offsets": draft.packer.static_range(offsets),
+                "vertices": draft.packer.add_static(vertices, "u32"),
+                "offsets": draft.packer.add_static_range(offsets),
             }
         )
     return entries
@@ -245,6 +247,7 @@ def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) ->
 
 
 def _drop_unused_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
+    """Return a mesh without the shapes whose weights are 0 in all frames."""
     if weights is not None or mesh.shapes is None:
         return mesh
     return DeformedMesh(mesh.points, None, mesh.skin)

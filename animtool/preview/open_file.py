@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 # Kinds of files that cannot be shown by themselves, with a hint on what to open
 # instead.
-_NOT_SHOWN_HINTS = {
+_UNSUPPORTED_HINTS = {
     "batch": "preview its output",
     "cameras": "preview a file that uses it",
     "landmarks": "preview a file that uses it",
@@ -63,7 +63,7 @@ _NOT_SHOWN_HINTS = {
 
 
 @dataclass(frozen=True, slots=True)
-class ShownTake:
+class TakeToShow:
     """A take of a file, Y up, with its meshes."""
 
     name: str
@@ -96,14 +96,14 @@ class OpenFile:
     path: Path
     unit: str = "m"
     up: str = "Y"
-    takes: list[ShownTake] = field(default_factory=list)
+    takes: list[TakeToShow] = field(default_factory=list)
     contents: StageContents | None = None
     markers: Markers | None = None
     targets: TargetTracks | None = None
     notices: list[Fault] = field(default_factory=list)
     folder: Path | None = None
 
-    def located(self, fault: Fault) -> Fault:
+    def at_scene(self, fault: Fault) -> Fault:
         """Return a fault located at the scene instead of its temporary layer."""
         where = fault.path
         if (
@@ -127,6 +127,7 @@ class OpenFile:
 
 
 def _takes_overlays(path: Path) -> bool:
+    """Return whether overlays apply to a file: it is a stage."""
     return is_usd(path) or has_kind_suffix(path, "scene")
 
 
@@ -141,7 +142,7 @@ def open_file(
         all_files: All files of the page; an option may apply to some of them only.
         context: Keeps resources open until the page is built.
     """
-    for kind, hint in _NOT_SHOWN_HINTS.items():
+    for kind, hint in _UNSUPPORTED_HINTS.items():
         if has_kind_suffix(path, kind):
             message = f"is a {kind} file, which has nothing to show by itself"
             raise OptionError(Fault("PRV001", message, str(path), (), hint))
@@ -154,7 +155,7 @@ def open_file(
     if has_kind_suffix(path, "rig"):
         return _open_rig(path)
     if has_kind_suffix(path, "targets"):
-        return _open_targets(path, alone=len(all_files) == 1)
+        return _open_targets(path, is_only_file=len(all_files) == 1)
     source = replace(
         fitting_options(options.source, path, all_files), prim_path=options.prim_path
     )
@@ -183,14 +184,14 @@ def open_file(
 
 def take_of_stream(
     name: str, stream: TakeStream, clip: Clip | None = None
-) -> ShownTake:
+) -> TakeToShow:
     """Return a take with the meshes of its rig."""
     stream = reorient(stream, UpAxis.Y)
     rig = stream.rig
     if not rig.meshes and not rig.attach:
-        return ShownTake(name, stream, bind_matrices(rig), clip=clip)
+        return TakeToShow(name, stream, bind_matrices(rig), clip=clip)
     bind = bind_matrices(rig)
-    return ShownTake(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
+    return TakeToShow(name, stream, bind, surfaces_of(rig), strands_of(rig), clip)
 
 
 def rest_take(rig: Rig) -> TakeStream:
@@ -204,6 +205,7 @@ def rest_take(rig: Rig) -> TakeStream:
 
 
 def _open_rig(path: Path) -> OpenFile:
+    """Open a rig file as a take at rest."""
     note_input(path)
     rig = Rig.load(path)
     file = OpenFile(path, unit_name(rig.meters_per_unit), rig.up)
@@ -212,12 +214,13 @@ def _open_rig(path: Path) -> OpenFile:
     return file
 
 
-def _open_targets(path: Path, *, alone: bool) -> OpenFile:
+def _open_targets(path: Path, *, is_only_file: bool) -> OpenFile:
+    """Open a targets file; warn if no rig is shown with it."""
     note_input(path)
     file = OpenFile(path, targets=load_targets(path))
     assert file.targets is not None
     file.notices += file.targets.notices
-    if alone:
+    if is_only_file:
         message = (
             "targets are shown without a rig: in metres, Y up, joints at the origin"
         )
@@ -229,6 +232,7 @@ def _open_targets(path: Path, *, alone: bool) -> OpenFile:
 
 
 def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
+    """Open a file of markers, Y up."""
     markers = open_markers(path, unit=source.unit, up=source.up, fps=source.fps)
     file = OpenFile(path, "m", markers.up, markers=markers)
     file.notices += markers.notices
@@ -261,13 +265,15 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         streams = _read_characters(file, {p: characters[p] for p in selected_skeletons})
     for prim, stream in streams.items():
         label = source_stem(Path(name)) if len(streams) == 1 else prim
-        y_up = reorient(stream, UpAxis.Y)
+        stream_y_up = reorient(stream, UpAxis.Y)
         if not prim:
-            file.takes.append(ShownTake(label, y_up, bind_matrices(y_up.rig)))
+            file.takes.append(
+                TakeToShow(label, stream_y_up, bind_matrices(stream_y_up.rig))
+            )
             continue
         meshes = read_source_meshes(path, prim)
         file.notices += meshes.notices
-        bind = meshes.bind if len(meshes.bind) else bind_matrices(y_up.rig)
+        bind = meshes.bind if len(meshes.bind) else bind_matrices(stream_y_up.rig)
         bones = contents.bone_names
         unskinned = [
             surface for surface in meshes.surfaces if surface.name not in bones
@@ -275,9 +281,9 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         surfaces = contents.surfaces_to_y_up(unskinned)
         colors = contents.bound_colors(prim)
         file.takes.append(
-            ShownTake(
+            TakeToShow(
                 label,
-                y_up,
+                stream_y_up,
                 bind,
                 surfaces,
                 meshes.strands,
@@ -294,9 +300,9 @@ def _read_characters(
     """Read all valid characters; report the malformed ones."""
     streams: dict[str, TakeStream] = {}
     errors: list[FormatError] = []
-    for prim, read in characters.items():
+    for prim, read_stream in characters.items():
         try:
-            streams[prim] = read()
+            streams[prim] = read_stream()
         except FormatError as error:
             errors.append(error)
     if errors and not streams:
@@ -317,7 +323,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 
-def shown_scene(scene: Scene) -> Scene:
+def scene_to_show(scene: Scene) -> Scene:
     """Return a scene with the output to show, without its file."""
     output = scene.outputs[0]
     bake = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
@@ -346,7 +352,7 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
         )
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
-    output = shown_scene(scene).outputs[0]
+    output = scene_to_show(scene).outputs[0]
     bake = output.bake
     folder = Path(context.enter_context(tempfile.TemporaryDirectory("animtool")))
     layer = folder / f"{source_stem(path)}.usdc"

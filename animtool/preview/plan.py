@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.errors import counted
 from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
-from animtool.preview.open_file import OpenFile, ShownTake, open_file, shown_scene
+from animtool.preview.open_file import OpenFile, TakeToShow, open_file, scene_to_show
 from animtool.preview.options import PreviewOptions
 from animtool.scene.bake.outline import create_outline
 from animtool.scene.bake.steps import PlanStep, StepKind, bake_steps
@@ -43,21 +43,22 @@ def page_steps(
             else:
                 steps.append(_read_step(open_file(path, options, files, context)))
     reads = tuple(str(path) for path in files)
-    left_out = () if options.findings else ("findings: not requested (findings)",)
+    omitted = () if options.findings else ("findings: not requested (findings)",)
     outputs = ("a page" if output is None else str(output),)
     name = "a temporary file" if output is None else output.name
-    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, left_out)]
+    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, omitted)]
 
 
 def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
     """Yield the bake steps of a scene."""
-    scene = shown_scene(load_scene(path, dict(options.variables)))
+    scene = scene_to_show(load_scene(path, dict(options.variables)))
     for step in bake_steps(create_outline(scene, None)):
         if step.kind is not StepKind.OUTPUT:
             yield step
 
 
 def _read_step(file: OpenFile) -> PlanStep:
+    """Return the step that reads a file."""
     notices = tuple(f"{notice.code} {notice.message}" for notice in file.notices)
     return PlanStep(
         StepKind.SOURCE,
@@ -89,10 +90,11 @@ def _content_texts(file: OpenFile) -> Iterator[str]:
         yield f"{counted(len(file.targets.goals), 'target')}, {frames}"
 
 
-def _describe_take(take: ShownTake) -> str:
+def _describe_take(take: TakeToShow) -> str:
+    """Return a take's joints, frames and meshes as text."""
     stream = take.stream
     frames = counted(sum(block.frames for block in stream.blocks), "frame")
     meshes = counted(len(take.surfaces), "mesh", "meshes")
     joints = counted(len(stream.rig.joints), "joint")
-    facts = [f"take of {joints}", f"{frames} at {rate_label(stream.fps)}"]
-    return " and ".join([", ".join(facts), *([meshes] if take.surfaces else [])])
+    texts = [f"take of {joints}", f"{frames} at {rate_label(stream.fps)}"]
+    return " and ".join([", ".join(texts), *([meshes] if take.surfaces else [])])

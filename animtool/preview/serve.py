@@ -28,14 +28,14 @@ class WatchedPage:
     """A page and its input files.
 
     Attributes:
-        make: Builds the page.
+        build_page: Builds the page.
         secret: First path component of the page's address.
         page: The last page that was built.
         version: Number of builds.
         error: Why the last build failed; None if it succeeded.
     """
 
-    make: PageBuilder
+    build_page: PageBuilder
     secret: str = field(default_factory=lambda: secrets.token_urlsafe(16))
     page: PreviewPage | None = None
     version: int = 0
@@ -52,7 +52,7 @@ class WatchedPage:
         """
         with recorded_inputs() as inputs:
             try:
-                page = self.make()
+                page = self.build_page()
             except AnimtoolError as error:
                 self._record_states(inputs, keep=True)
                 self.error = str(error)
@@ -62,7 +62,7 @@ class WatchedPage:
             self.version += 1
             self.page, self.error = page, None
             watch = {"url": f"/{self.secret}/state", "version": self.version}
-            self._body = b"".join(page.parts(watch))
+            self._body = b"".join(page.chunks(watch))
 
     def _record_states(self, inputs: Inputs, *, keep: bool) -> None:
         """Record the state of files as of when they were read."""
@@ -77,9 +77,12 @@ class WatchedPage:
             if state is None or path.exists()
         }
 
-    def changed(self) -> bool:
+    def has_changed(self) -> bool:
         """Return whether an input file changed."""
-        return any(FileState.of(path) != was for path, was in self._states.items())
+        return any(
+            FileState.of(path) != previous_state
+            for path, previous_state in self._states.items()
+        )
 
     def response_body(self) -> bytes:
         """Return the response body of the page."""
@@ -94,6 +97,8 @@ class WatchedPage:
 
 
 class _Handler(BaseHTTPRequestHandler):
+    """Answers requests for the page and its state."""
+
     server: PageServer
     server_version, sys_version = "animtool", ""
     protocol_version = "HTTP/1.1"
@@ -161,7 +166,7 @@ class PageServer(ThreadingHTTPServer):
         """Ignore closed connections."""
 
 
-def follow(
+def rebuild_on_changes(
     watched: WatchedPage,
     on_error: Callable[[AnimtoolError], object],
     on_page: Callable[[PreviewPage], object],
@@ -176,7 +181,7 @@ def follow(
         wait: Called with an interval [s]; returns whether to stop.
     """
     while not wait(POLL_INTERVAL):
-        if not watched.changed():
+        if not watched.has_changed():
             continue
         try:
             watched.build()

@@ -95,7 +95,7 @@ class Preview:
         kind = picture_kind(output)
         check_outputs([output], [], overwrite=overwrite)
         if kind is None:
-            write_parts(output, self.page.parts())
+            write_parts(output, self.page.chunks())
         else:
             from animtool.preview.pictures.build import save_pictures
 

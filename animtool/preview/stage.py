@@ -38,18 +38,21 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
-            _ADDERS_BY_KIND[prim.kind](draft, prim, codes)
+            _ADD_BY_KIND[prim.kind](draft, prim, codes)
     _add_cameras(draft, contents, codes)
 
 
 def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+    """Add a mesh: static, rigid or with animated points."""
     if prim.is_deforming and prim.has_changing_faces:
-        draft.note(f"mesh {prim.name!r} changes its faces: only its points are drawn")
+        draft.add_notice(
+            f"mesh {prim.name!r} changes its faces: only its points are drawn"
+        )
         _add_points(draft, prim, codes)
         return
     faces = prim.local_mesh()
     if faces is None:
-        draft.note(f"mesh {prim.name!r} has no valid faces: it is not drawn")
+        draft.add_notice(f"mesh {prim.name!r} has no valid faces: it is not drawn")
         return
     if not prim.is_deforming:
         _add_rigid(draft, prim, faces, codes)
@@ -61,6 +64,7 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str, Any]:
+    """Return the manifest entry of a stage's mesh."""
     return mesh_entry(
         draft,
         name,
@@ -80,13 +84,15 @@ def _add_rigid(
     times = codes if prim.is_moving else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
-        draft.note(f"{prim.name!r} has a transform that is not finite: it is not drawn")
+        draft.add_notice(
+            f"{prim.name!r} has a transform that is not finite: it is not drawn"
+        )
         return
     visibility = _prim_visibility(draft, prim, codes)
     if not prim.is_moving and visibility is None:
         placed_points = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
-        rigid = replace(faces, points=placed_points)
-        draft.meshes.append(_stage_mesh_entry(draft, prim.name, rigid))
+        rigid_mesh = replace(faces, points=placed_points)
+        draft.meshes.append(_stage_mesh_entry(draft, prim.name, rigid_mesh))
         return
     rotations, scales = so3.split_scale(matrices[:, :3, :3])
     draft.meshes.append(
@@ -136,7 +142,9 @@ def _point_stream(
             rows[i] = points.reshape(-1)
         else:
             rows[i] = rows[i - 1] if i else 0.0
-            draft.note(f"{prim.name!r} has a different number of points in some frames")
+            draft.add_notice(
+                f"{prim.name!r} has a different number of points in some frames"
+            )
     quantized = quantize_range(rows, period=3)
     draft.record_error(position=quantized.error)
     return draft.packer.add(quantized)
@@ -145,17 +153,21 @@ def _point_stream(
 def _prim_visibility(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray
 ) -> int | None:
+    """Return the stream of a prim's visibility; None if always visible."""
     return visibility_stream(draft, prim.visibility(codes))
 
 
 def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+    """Add curves as strands with their widths."""
     if prim.has_changing_faces:
-        draft.note(f"the number of curves {prim.name!r} changes: points are drawn")
+        draft.add_notice(
+            f"the number of curves {prim.name!r} changes: points are drawn"
+        )
         _add_points(draft, prim, codes)
         return
     counts = prim.curve_counts()
-    moves = prim.is_deforming or prim.is_moving
-    times = codes if moves else codes[:1]
+    is_animated = prim.is_deforming or prim.is_moving
+    times = codes if is_animated else codes[:1]
     count = len(prim.points(float(codes[0])))
     if not count or counts.sum() != count:
         return
@@ -166,7 +178,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             "take": None,
             "joint": None,
             "bind": None,
-            "counts": draft.packer.static(counts, "u32"),
+            "counts": draft.packer.add_static(counts, "u32"),
             "points": _point_stream(draft, prim, times, count),
             "width": _finite_mean(widths),
             "color": None if prim.color is None else list(prim.color),
@@ -175,15 +187,16 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    moves = prim.is_deforming or prim.is_moving
-    times = (codes if moves else codes[:1]).tolist()
-    slots = PointSlots()
-    rows = [(slots.take(prim.ids(t), p := prim.points(t)), p) for t in times]
-    if not slots.count:
+    """Add points with widths and colors, at stable slots."""
+    is_animated = prim.is_deforming or prim.is_moving
+    times = (codes if is_animated else codes[:1]).tolist()
+    point_slots = PointSlots()
+    rows = [(point_slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times]
+    if not point_slots.count:
         return
-    positions = _spread_to_slots(rows, slots.count)
-    widths = _slot_values(rows, [prim.widths(t) for t in times], slots.count)
-    colors = _slot_values(rows, [prim.colors(t) for t in times], slots.count)
+    positions = _spread_to_slots(rows, point_slots.count)
+    widths = _slot_values(rows, [prim.widths(t) for t in times], point_slots.count)
+    colors = _slot_values(rows, [prim.colors(t) for t in times], point_slots.count)
     quantized = quantize_range(positions, period=3)
     draft.record_error(position=quantized.error)
     draft.points.append(
@@ -193,11 +206,11 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
             "radius": 0.0 if widths is None else _finite_mean(widths) / 2,
             "radii": None
             if widths is None or np.ptp(widths) == 0
-            else draft.packer.static(widths / 2, "f32"),
+            else draft.packer.add_static(widths / 2, "f32"),
             "color": None if prim.color is None else list(prim.color),
             "colors": None
             if colors is None or not np.ptp(colors, axis=0).any()
-            else draft.packer.static(np.rint(colors.clip(0, 1) * 255), "u8"),
+            else draft.packer.add_static(np.rint(colors.clip(0, 1) * 255), "u8"),
             "names": None,
         }
     )
@@ -214,25 +227,28 @@ class PointSlots:
 
     def __init__(self) -> None:
         self.count = 0
-        self._of: dict[int, int] = {}
+        self._slot_of_id: dict[int, int] = {}
 
-    def take(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
+    def assign(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
         """Return the slot of each point of a frame ``(N,)``, new ones included."""
         names = (
             range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
         )
-        previous, self._of = self._of, {}
+        previous, self._slot_of_id = self._slot_of_id, {}
         previous_ids = {name: previous[name] for name in names if name in previous}
         used = set(previous_ids.values())
         free = (slot for slot in range(self.count + len(rows)) if slot not in used)
         for name in names:
-            self._of[name] = previous_ids[name] if name in previous_ids else next(free)
-        columns = np.array([self._of[name] for name in names], np.int64)
+            self._slot_of_id[name] = (
+                previous_ids[name] if name in previous_ids else next(free)
+            )
+        columns = np.array([self._slot_of_id[name] for name in names], np.int64)
         self.count = max(self.count, int(columns.max(initial=-1)) + 1)
         return columns
 
 
 def _spread_to_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
+    """Return positions by slot ``(F, 3 S)``, NaN for empty slots."""
     slot_positions = np.full((len(rows), count, 3), np.nan)
     for frame, (slots, values) in zip(slot_positions, rows, strict=True):
         frame[slots] = values
@@ -254,15 +270,16 @@ def _slot_values(
 
 
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+    """Add the instances of each prototype."""
     prototypes = prim.prototypes()
     times = (codes if prim.is_deforming or prim.is_moving else codes[:1]).tolist()
     samples = [prim.instances(code) for code in times]
-    slots = PointSlots()
-    rows = [slots.take(sample.ids, sample.points) for sample in samples]
-    copies = _SlotInstances.of(samples, rows, slots.count)
+    point_slots = PointSlots()
+    rows = [point_slots.assign(sample.ids, sample.points) for sample in samples]
+    instances = _SlotInstances.of(samples, rows, point_slots.count)
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
-        uses_prototype = copies.prototype_indices == k
+        uses_prototype = instances.prototype_indices == k
         columns = np.flatnonzero(uses_prototype.any(axis=0))
         if not len(columns):
             continue
@@ -282,9 +299,9 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
                     "mesh": len(draft.meshes) - 1,
                     **_instance_streams(
                         draft,
-                        copies.points[:, columns],
-                        copies.rotations[:, columns],
-                        copies.scales[:, columns],
+                        instances.points[:, columns],
+                        instances.rotations[:, columns],
+                        instances.scales[:, columns],
                     ),
                     "visible": None
                     if visible.all()
@@ -321,6 +338,7 @@ class _SlotInstances:
 
 
 def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -> None:
+    """Add the cameras of a stage."""
     for path in contents.cameras():
         with skip_unreadable(draft, f"camera {path!r}"):
             prop = open_prop(PropRequest(contents.path, path, path), UpAxis.Y)
@@ -367,7 +385,7 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     )
 
 
-_ADDERS_BY_KIND: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
+_ADD_BY_KIND: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
     "mesh": _add_mesh,
     "curves": _add_curves,
     "points": _add_points,

@@ -39,19 +39,19 @@ class Quantized:
     """Quantized values with scale, offset and error.
 
     Attributes:
-        stored: Integers or floats ``(F, width)`` of the type ``kind``.
+        stored_values: Integers or floats ``(F, width)`` of the type ``kind``.
         kind: ``i16``, ``u16``, ``u8``, ``f32`` or ``u32``.
         scale: One number, or several that repeat along the width.
-        offset: Likewise; a value is ``offset + scale * stored``.
-        gaps: Whether -32768 stands for NaN.
+        offset: Likewise; a value is ``offset + scale * stored_values``.
+        has_gaps: Whether -32768 stands for NaN.
         error: Largest quantization error, in the unit of the values.
     """
 
-    stored: Array
+    stored_values: Array
     kind: str
     scale: float | list[float] = 1.0
     offset: float | list[float] = 0.0
-    gaps: bool = False
+    has_gaps: bool = False
     error: float = 0.0
 
 
@@ -84,16 +84,16 @@ def quantize_range(
             column its own.
     """
     width = values.shape[1]
-    exact = np.asarray(values, np.float32).astype(np.float64)
-    exact = np.where(np.isfinite(exact), exact, np.nan)
-    rows = exact.reshape(-1, period) if period else exact
+    float32_values = np.asarray(values, np.float32).astype(np.float64)
+    float32_values = np.where(np.isfinite(float32_values), float32_values, np.nan)
+    rows = float32_values.reshape(-1, period) if period else float32_values
     if not rows.size:
         return Quantized(np.zeros(values.shape, "<f4"), "f32")
     gaps = bool(np.isnan(rows).any())
     finite = np.isfinite(rows)
     low = np.where(finite, rows, np.inf).min(axis=0)
     high = np.where(finite, rows, -np.inf).max(axis=0)
-    low, high = (np.where(low <= high, side, 0.0) for side in (low, high))
+    low, high = (np.where(low <= high, bounds_, 0.0) for bounds_ in (low, high))
     scale = (high - low) / (2 * MAX_QUANTIZED)
     if scale.max(initial=0.0) / 2 > tolerance or not np.isfinite(scale).all():
         integers = np.asarray(values, np.float32)
@@ -113,40 +113,46 @@ def quantize_range(
 
 
 def _single_or_list(values: list[float]) -> float | list[float]:
+    """Return a list, or its number if all are equal."""
     return values[0] if len(values) == 1 else values
 
 
 def _largest_difference(differences: Array) -> float:
+    """Return the largest absolute difference; 0 without finite ones."""
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 
 @dataclass(slots=True)
 class _Stream:
+    """A stream of the page, and its blocks."""
+
     id: int
     data: Quantized
     blocks: list[list[int]] = field(default_factory=list)
 
     @property
-    def delta(self) -> bool:
+    def is_delta_coded(self) -> bool:
+        """Whether samples are stored as differences."""
         return self.data.kind != "f32"
 
     @property
     def sample_bytes(self) -> int:
-        return int(self.data.stored.shape[1]) * _WIDTHS[self.data.kind]
+        """Size of a sample [bytes]."""
+        return int(self.data.stored_values.shape[1]) * _WIDTHS[self.data.kind]
 
-    def entry(self) -> dict[str, Any]:
+    def manifest_entry(self) -> dict[str, Any]:
         """Return the manifest entry."""
         data = self.data
         entry: dict[str, Any] = {
             "id": self.id,
             "block": self.blocks,
             "kind": data.kind,
-            "width": int(data.stored.shape[1]),
+            "width": int(data.stored_values.shape[1]),
             "scale": data.scale,
             "offset": data.offset,
-            "coding": "delta" if self.delta else "raw",
+            "coding": "delta" if self.is_delta_coded else "raw",
         }
-        return entry | ({"gaps": True} if data.gaps else {})
+        return entry | ({"gaps": True} if data.has_gaps else {})
 
 
 class StreamPacker:
@@ -159,57 +165,60 @@ class StreamPacker:
     def add(self, data: Quantized) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
         number = len(self._streams)
-        if len(data.stored) == 1:
-            digest = hashlib.blake2b(data.stored.tobytes()).digest()
-            key = (digest, data.kind, str(data.scale), str(data.offset), data.gaps)
+        if len(data.stored_values) == 1:
+            digest = hashlib.blake2b(data.stored_values.tobytes()).digest()
+            key = (digest, data.kind, str(data.scale), str(data.offset), data.has_gaps)
             number = self._static.setdefault(key, number)
             if number < len(self._streams):
                 return number
         self._streams.append(_Stream(number, data))
         return number
 
-    def static(self, values: npt.ArrayLike, kind: str) -> int:
+    def add_static(self, values: npt.ArrayLike, kind: str) -> int:
         """Add a one-sample stream without quantization; return its index."""
         flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
         return self.add(Quantized(flat, kind))
 
-    def static_range(self, values: FloatArray, period: int = 3) -> int:
+    def add_static_range(self, values: FloatArray, period: int = 3) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
         data = quantize_range(np.reshape(values, (-1, period)), period=period)
-        flat = data.stored.reshape(1, -1)
+        flat = data.stored_values.reshape(1, -1)
         return self.add(
-            Quantized(flat, data.kind, data.scale, data.offset, data.gaps, data.error)
+            Quantized(
+                flat, data.kind, data.scale, data.offset, data.has_gaps, data.error
+            )
         )
 
     @property
-    def nbytes(self) -> int:
+    def total_bytes(self) -> int:
         """Size of all streams before compression [bytes]."""
-        return sum(stream.data.stored.nbytes for stream in self._streams)
+        return sum(stream.data.stored_values.nbytes for stream in self._streams)
 
     def finish(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the manifest entries of the streams, and the blocks as text."""
         blocks: list[str] = []
         for group, samples in self._groups():
-            count = len(group[0].data.stored)
+            count = len(group[0].data.stored_values)
             for first in range(0, count, samples):
                 frames = slice(first, min(first + samples, count))
                 encoded = [
-                    _encoded_samples(s.data.stored[frames], s.data.kind) for s in group
+                    _encoded_samples(s.data.stored_values[frames], s.data.kind)
+                    for s in group
                 ]
                 for stream in group:
                     stream.blocks.append([len(blocks), first, frames.stop - first])
                 blocks.append(deflate_base64(encoded))
-        return [stream.entry() for stream in self._streams], blocks
+        return [stream.manifest_entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
         """Return streams that share blocks, and their samples per block."""
         groups: list[tuple[list[_Stream], int]] = []
-        static: list[_Stream] = []
+        static_streams: list[_Stream] = []
         by_length: dict[int, list[_Stream]] = {}
         for stream in self._streams:
-            count = len(stream.data.stored)
+            count = len(stream.data.stored_values)
             if count == 1:
-                static.append(stream)
+                static_streams.append(stream)
             elif stream.sample_bytes * BLOCK_SAMPLES > BLOCK_BYTES:
                 samples = max(1, BLOCK_BYTES // stream.sample_bytes)
                 groups.append(([stream], samples))
@@ -220,7 +229,9 @@ class StreamPacker:
             for streams in by_length.values()
             for group in _split_by_size(streams, BLOCK_BYTES, BLOCK_SAMPLES)
         ]
-        groups += [(group, 1) for group in _split_by_size(static, STATIC_BYTES, 1)]
+        groups += [
+            (group, 1) for group in _split_by_size(static_streams, STATIC_BYTES, 1)
+        ]
         return groups
 
 

@@ -39,16 +39,18 @@ def plot_svg(panel: Panel) -> str:
         return "".join(elements)
     all_points = [point for _, points in curves for point in points]
     floor = [panel.floor] if panel.floor > 0 else []
-    x = _LogAxis.spanning([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
-    y = _LogAxis.spanning([p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP)
+    x = _LogAxis.from_values([point.cost for point in all_points], LEFT, WIDTH - RIGHT)
+    y = _LogAxis.from_values(
+        [p.error for p in all_points] + floor, HEIGHT - BOTTOM, TOP
+    )
     elements += _grid_lines(x, y, panel)
     if floor:
         elements.append(
             f'<path class="floor" d="M{LEFT} {y(panel.floor):.1f}H{WIDTH - RIGHT}"/>'
         )
-    front = sorted((p.cost, p.error) for p in all_points if p.best)
-    if len(front) > 1:
-        path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in front)
+    pareto_front = sorted((p.cost, p.error) for p in all_points if p.is_best)
+    if len(pareto_front) > 1:
+        path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in pareto_front)
         elements.append(f'<path class="front" d="M{path}"/>')
     for i, (name, points) in enumerate(curves):
         elements += _curve_elements(i, name, points, x, y)
@@ -70,7 +72,8 @@ class _LogAxis:
     end: float
 
     @staticmethod
-    def spanning(values: Sequence[float], begin: float, end: float) -> _LogAxis:
+    def from_values(values: Sequence[float], begin: float, end: float) -> _LogAxis:
+        """Return the axis of values, with a margin at both ends."""
         low, high = math.log10(min(values)), math.log10(max(values))
         margin = max(0.05 * (high - low), 0.1)
         return _LogAxis(low - margin, high + margin, begin, end)
@@ -96,26 +99,29 @@ class _LogAxis:
 
 
 def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
+    """Yield grid lines, tick labels and axis labels."""
     bottom, right = HEIGHT - BOTTOM, WIDTH - RIGHT
     for value in x.ticks():
-        at = x(value)
-        yield f'<path class="grid" d="M{at:.1f} {TOP}V{bottom}"/>'
-        yield f'<text x="{at:.1f}" y="{bottom + 16}" class="mid">{value:g}</text>'
+        position = x(value)
+        yield f'<path class="grid" d="M{position:.1f} {TOP}V{bottom}"/>'
+        yield f'<text x="{position:.1f}" y="{bottom + 16}" class="mid">{value:g}</text>'
     for value in y.ticks():
-        at = y(value)
-        yield f'<path class="grid" d="M{LEFT} {at:.1f}H{right}"/>'
-        yield f'<text x="{LEFT - 6}" y="{at + 4:.1f}" class="end">{value:g}</text>'
-    middle = (LEFT + right) / 2
-    yield f'<text x="{middle}" y="{HEIGHT - 8}" class="mid">{html.escape(panel.cost)}'
+        position = y(value)
+        yield f'<path class="grid" d="M{LEFT} {position:.1f}H{right}"/>'
+        yield f'<text x="{LEFT - 6}" y="{position + 4:.1f}" class="end">'
+        yield f"{value:g}</text>"
+    x_middle = (LEFT + right) / 2
+    yield f'<text x="{x_middle}" y="{HEIGHT - 8}" class="mid">{html.escape(panel.cost)}'
     yield "</text>"
-    up = (TOP + bottom) / 2
-    yield f'<text transform="translate(13 {up}) rotate(-90)" class="mid">'
+    y_middle = (TOP + bottom) / 2
+    yield f'<text transform="translate(13 {y_middle}) rotate(-90)" class="mid">'
     yield f"{html.escape(panel.error)}</text>"
 
 
 def _curve_elements(
     i: int, name: str, points: Sequence[PrecisionPoint], x: _LogAxis, y: _LogAxis
 ) -> Iterator[str]:
+    """Yield the line, markers and legend of a method."""
     colour = COLOURS[i % len(COLOURS)]
     dash = DASH_PATTERNS[i // len(COLOURS) % len(DASH_PATTERNS)]
     style = f'stroke="{colour}"' + (f' stroke-dasharray="{dash}"' if dash else "")
@@ -123,14 +129,14 @@ def _curve_elements(
     yield f'<path class="curve" {style} d="M{path}"/>'
     for p in points:
         cx, cy = f"{x(p.cost):.1f}", f"{y(p.error):.1f}"
-        fill = f'fill="{colour}"' if p.best else 'fill="none"'
-        size = 4.5 if p.best else 3
+        fill = f'fill="{colour}"' if p.is_best else 'fill="none"'
+        size = 4.5 if p.is_best else 3
         yield f'<circle cx="{cx}" cy="{cy}" r="{size}" stroke="{colour}" {fill}/>'
-        if p.chosen:
+        if p.is_current:
             yield f'<circle cx="{cx}" cy="{cy}" r="9" class="ring"/>'
-        if p.recommended:
-            at = x(p.cost) - 9, y(p.error) - 9
-            yield f'<rect x="{at[0]:.1f}" y="{at[1]:.1f}" width="18" height="18" '
+        if p.is_recommended:
+            left, top = x(p.cost) - 9, y(p.error) - 9
+            yield f'<rect x="{left:.1f}" y="{top:.1f}" width="18" height="18" '
             yield 'class="ring"/>'
     top = TOP + 10 + 16 * i
     left = WIDTH - RIGHT + 14

@@ -36,15 +36,15 @@ WEIGHT_ERROR = 5e-5
 class QuantizedTrack:
     """One component of all joints: animated columns and constant values."""
 
-    static: FloatArray  # value of every joint, also animated ones ``(J, K)``
-    animated: IntArray  # indices of animated joints ``(A,)``
-    values: Float32Array  # of animated joints ``(F, A, K)``
+    static_values: FloatArray  # value of every joint, also animated ones ``(J, K)``
+    animated_joints: IntArray  # indices of animated joints ``(A,)``
+    animated_values: Float32Array  # of animated joints ``(F, A, K)``
 
-    def dense(self, cut: slice) -> FloatArray:
+    def dense_values(self, frame_slice: slice) -> FloatArray:
         """Return the values of all joints in a range of frames ``(F, J, K)``."""
-        frames = len(self.values[cut])
-        values = np.repeat(self.static[None], frames, axis=0)
-        values[:, self.animated] = self.values[cut]
+        frames = len(self.animated_values[frame_slice])
+        values = np.repeat(self.static_values[None], frames, axis=0)
+        values[:, self.animated_joints] = self.animated_values[frame_slice]
         return values
 
 
@@ -92,10 +92,10 @@ class BufferedMotion:
                 channel: Channel | None = getattr(block, name)
                 if channel is not None:
                     self._rest.setdefault(name, channel)
-                    rows = self._stored(name, channel.values)
+                    rows = self._round_like_layer(name, channel.values)
                     self._parts.setdefault(name, []).append(rows)
 
-    def _stored(self, name: str, values: FloatArray) -> Float32Array:
+    def _round_like_layer(self, name: str, values: FloatArray) -> Float32Array:
         """Return values as they would be after writing a layer."""
         if name == "translations":
             exact = (values / self._unit).astype(np.float32).astype(np.float64)
@@ -111,12 +111,12 @@ class BufferedMotion:
             return values_float32
         return values.astype(np.float32)
 
-    def track(self, name: str) -> QuantizedTrack | None:
+    def pop_track(self, name: str) -> QuantizedTrack | None:
         """Return a channel; constant joints are not animated."""
         if name not in self._rest:
             return None
         channel, values = self._rest[name], np.concatenate(self._parts.pop(name))
-        static = self._stored(name, channel.rest).astype(np.float64)
+        static = self._round_like_layer(name, channel.rest).astype(np.float64)
         is_animated = np.zeros(len(channel.animated), bool)
         if self.frames:
             is_animated = (values != values[:1]).any(axis=(0, 2))
@@ -125,10 +125,10 @@ class BufferedMotion:
             static, channel.animated[is_animated], values[:, is_animated]
         )
 
-    def rows(self, name: str) -> FloatArray | None:
+    def pop_rows(self, name: str) -> FloatArray | None:
         """Return the values of a channel of one component ``(F, N)``."""
-        track = self.track(name)
-        return None if track is None else track.dense(slice(None))[..., 0]
+        track = self.pop_track(name)
+        return None if track is None else track.dense_values(slice(None))[..., 0]
 
 
 def add_take(
@@ -145,43 +145,54 @@ def add_take(
     """
     rig = stream.rig
     translations, rotations = (
-        motion.track(name) or _constant_channel(rest)
+        motion.pop_track(name) or _constant_channel(rest)
         for name, rest in (
             ("translations", rig.rest_translations),
             ("rotations", rig.rest_rotations),
         )
     )
     rotations = _with_positive_w(rotations)
-    scales = motion.track("scales")
-    kinds = {"t": translations, "r": rotations, "s": scales}
-    quantized = {kind: _store_track(kind, track) for kind, track in kinds.items()}
+    scales = motion.pop_track("scales")
+    tracks_by_component = {"t": translations, "r": rotations, "s": scales}
+    quantized_by_component = {
+        kind: _store_track(kind, track) for kind, track in tracks_by_component.items()
+    }
     decoded_tracks = {
-        kind: None if track is None else _decoded_track(track, quantized[kind])
-        for kind, track in kinds.items()
+        kind: None
+        if track is None
+        else _decoded_track(track, quantized_by_component[kind])
+        for kind, track in tracks_by_component.items()
     }
 
     def world(
-        cut: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
+        frame_slice: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
     ) -> WorldTransforms:
-        t, r, s = (
-            None if track is None else track.dense(cut) for track in tracks.values()
+        translations_, rotations_, scales_ = (
+            None if track is None else track.dense_values(frame_slice)
+            for track in tracks.values()
         )
-        assert t is not None
-        assert r is not None
-        return forward_kinematics(rig, t, so3.normalize(r), s)
+        assert translations_ is not None
+        assert rotations_ is not None
+        return forward_kinematics(
+            rig, translations_, so3.normalize(rotations_), scales_
+        )
 
-    contacts = _measure_error(draft, rig, motion.frames, world, kinds, stream)
+    contacts = _measure_error(
+        draft, rig, motion.frames, world, tracks_by_component, stream
+    )
     entry = {
         "name": name,
         "skeleton": _skeleton_entry(rig),
-        "still": {kind: _static_track(track) for kind, track in kinds.items()},
+        "still": {
+            kind: _static_track(track) for kind, track in tracks_by_component.items()
+        },
         "moving": {
-            kind: [] if track is None else track.animated.tolist()
-            for kind, track in kinds.items()
+            kind: [] if track is None else track.animated_joints.tolist()
+            for kind, track in tracks_by_component.items()
         },
         **{
             kind: None if data is None else draft.packer.add(data)
-            for kind, data in quantized.items()
+            for kind, data in quantized_by_component.items()
         },
         "shapes": None,
         "contacts": _contact_spans(draft, contacts, first),
@@ -195,58 +206,69 @@ def add_take(
         rig,
         first,
         motion.frames,
-        motion.rows("weights"),
-        motion.rows("controls"),
+        motion.pop_rows("weights"),
+        motion.pop_rows("controls"),
         world,
         entry,
     )
 
 
 def _constant_channel(rest: FloatArray) -> QuantizedTrack:
+    """Return a track with constant values."""
     empty = np.zeros((0, 0, rest.shape[1]), np.float32)
     return QuantizedTrack(rest, np.zeros(0, np.int64), empty)
 
 
 def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     """Return rotations whose first scalar part is positive."""
-    static = np.where(track.static[:, 3:] < 0, -track.static, track.static)
-    values = track.values
+    static = np.where(
+        track.static_values[:, 3:] < 0, -track.static_values, track.static_values
+    )
+    values = track.animated_values
     if len(values):
         values = so3.align_signs(values).astype(np.float32)
         values = np.where(values[:1, :, 3:] < 0, -values, values)
-    return QuantizedTrack(static, track.animated, values)
+    return QuantizedTrack(static, track.animated_joints, values)
 
 
 def _store_track(kind: str, track: QuantizedTrack | None) -> Quantized | None:
-    if track is None or not track.values.size:
+    """Return the quantized values of a component; None if nothing is animated."""
+    if track is None or not track.animated_values.size:
         return None
-    values = track.values.reshape(len(track.values), -1).astype(np.float64)
+    values = track.animated_values.reshape(len(track.animated_values), -1).astype(
+        np.float64
+    )
     if kind == "r":
         return quantize_units(values)
     return quantize_range(values, WEIGHT_ERROR if kind == "s" else 1e-4)
 
 
 def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
+    """Return a track with its values as the viewer decodes them."""
     if data is None:
         return track
-    values = data.stored * np.asarray(data.scale) + np.asarray(data.offset)
+    values = data.stored_values * np.asarray(data.scale) + np.asarray(data.offset)
     return QuantizedTrack(
-        track.static, track.animated, values.reshape(track.values.shape)
+        track.static_values,
+        track.animated_joints,
+        values.reshape(track.animated_values.shape),
     )
 
 
 def _static_track(track: QuantizedTrack | None) -> list[Any] | None:
-    return None if track is None else json_numbers(track.static)
+    """Return the constant values of a component for JSON; None without any."""
+    return None if track is None else json_numbers(track.static_values)
 
 
 def _skeleton_entry(rig: Rig) -> dict[str, Any]:
+    """Return the manifest entry of a rig's skeleton."""
     return {
         "names": rig.names,
         "parents": rig.parents.tolist(),
         "rest": {
             "t": json_numbers(rig.rest_translations),
             "r": json_numbers(
-                _with_positive_w(_constant_channel(rig.rest_rotations)).static
+                _with_positive_w(_constant_channel(rig.rest_rotations)).static_values
             ),
             "s": None,
         },
@@ -263,37 +285,37 @@ def _measure_error(
     rig: Rig,
     frames: int,
     world: Callable[..., WorldTransforms],
-    exact: dict[str, QuantizedTrack | None],
+    exact_tracks: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
     """Measure the quantization error of a take; return foot contacts."""
     if not rig.joints or not frames:
         return []
-    person, legs = _roled_legs(draft, rig)
+    skeleton, legs = _roled_legs(draft, rig)
     joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
     positions = []
     for begin in range(0, frames, BLOCK_FRAMES):
-        frames_ = slice(begin, min(begin + BLOCK_FRAMES, frames))
-        stored_world, exact_world = world(frames_), world(frames_, exact)
+        block = slice(begin, min(begin + BLOCK_FRAMES, frames))
+        stored_world, exact_world = world(block), world(block, exact_tracks)
         offsets = np.linalg.norm(
             stored_world.positions - exact_world.positions, axis=-1
         )
         draft.record_error(position=float(offsets.max(initial=0.0)))
         positions.append(exact_world.positions[:, joints])
-    rotations = exact["r"]
+    rotations = exact_tracks["r"]
     assert rotations is not None
-    if rotations.values.size:
-        quantized = quantize_units(rotations.values.astype(np.float64))
-        stored_rotations = so3.normalize(quantized.stored / 32767.0)
+    if rotations.animated_values.size:
+        quantized = quantize_units(rotations.animated_values.astype(np.float64))
+        stored_rotations = so3.normalize(quantized.stored_values / 32767.0)
         chords = np.linalg.norm(
-            stored_rotations - so3.normalize(rotations.values), axis=-1
+            stored_rotations - so3.normalize(rotations.animated_values), axis=-1
         )
         draft.record_error(rotation=2 * float(chords.max()))
-    if person is None or frames < 2:
+    if skeleton is None or frames < 2:
         return []
     feet = dict(zip(joints, np.concatenate(positions).swapaxes(0, 1), strict=True))
     rate = float(stream.fps / stream.step)
-    return list(_foot_contacts(person, legs, feet, rate))
+    return list(_foot_contacts(skeleton, legs, feet, rate))
 
 
 LegJoints = dict[str, tuple[int, int, int, int]]
@@ -305,18 +327,19 @@ def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJo
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.cache:
         draft.cache[key] = _find_legs(rig)
-    legs: tuple[RoledSkeleton | None, LegJoints] = draft.cache[key]
-    return legs
+    skeleton_and_legs: tuple[RoledSkeleton | None, LegJoints] = draft.cache[key]
+    return skeleton_and_legs
 
 
 def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
-    person = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-    legs = {side: leg for side in "lr" if (leg := person.leg(side)) is not None}
-    return (person if legs else None), legs
+    """Return a rig with roles and its legs; None if it has none."""
+    skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
+    legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
+    return (skeleton if legs else None), legs
 
 
 def _foot_contacts(
-    person: RoledSkeleton,
+    skeleton: RoledSkeleton,
     legs: LegJoints,
     feet: dict[int, FloatArray],
     rate: float,
@@ -324,7 +347,7 @@ def _foot_contacts(
     """Yield foot joints and their contact frames ``(F,)``."""
     for side, leg in legs.items():
         ankle, toe = leg[2:]
-        length = person.leg_length(side)
+        length = skeleton.leg_length(side)
         contacts = find_contacts(feet[ankle], feet.get(toe), rate, length)
         if toe < 0:
             yield ankle, contacts.any
@@ -335,6 +358,7 @@ def _foot_contacts(
 def _contact_spans(
     draft: PageDraft, contacts: list[tuple[int, Any]], first: int
 ) -> list[dict[str, Any]]:
+    """Return the manifest entries of contacts, as spans of page frames."""
     timeline = draft.timeline
 
     def code(frame: int) -> int | float:

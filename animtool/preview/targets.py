@@ -42,7 +42,7 @@ def add_targets(
     with skip_unreadable(draft, f"targets {tracks.path.name!r}"):
         frames = _covered_samples(draft, tracks)
         if not len(frames):
-            draft.note(f"targets {tracks.path.name!r} have other frames")
+            draft.add_notice(f"targets {tracks.path.name!r} have other frames")
             return
         up_rotation = up_from_up(UpAxis.Y, UpAxis(up))
         rig, world = _posed_targets(tracks, page_take, frames, up_rotation)
@@ -63,10 +63,12 @@ def _covered_samples(draft: PageDraft, tracks: TargetTracks) -> IntArray:
 
 
 def _rate_ratio(draft: PageDraft, tracks: TargetTracks) -> float:
+    """Return the rate of the targets over that of the page."""
     return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
 
 
 def _targets_clock(draft: PageDraft, tracks: TargetTracks, frames: IntArray) -> Clock:
+    """Return the clock of the page samples that the targets cover."""
     timeline = draft.timeline
     fps = tracks.fps or timeline.fps
     ratio = fps / timeline.fps
@@ -103,6 +105,7 @@ def _add_markers(
     frames: IntArray,
     up_rotation: object,
 ) -> None:
+    """Add the goals of each kind as markers, NaN while inactive."""
     weights = np.asarray(targets.weights)
     for kind, (values, column, color, radius) in _GOAL_STYLES.items():
         columns = [

@@ -17,7 +17,7 @@ from animtool.core.shot import FrameRange
 from animtool.edit.resample import outside_take
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
-from animtool.preview.open_file import OpenFile, ShownTake
+from animtool.preview.open_file import OpenFile, TakeToShow
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import BufferedMotion
 from animtool.scene.bake.first_frame import frame_start
@@ -39,24 +39,24 @@ FEWER_FRAMES_HINT = (
 class TimelineTake:
     """A take with its position on the timeline."""
 
-    file: int
-    take: ShownTake
+    file_index: int
+    take: TakeToShow
     stream: TakeStream
     motion: BufferedMotion
-    first: Fraction  # page frame of the take's first frame
-    origin: Fraction  # page frame of the file's first frame, also if not shown
+    first_frame: Fraction  # page frame of the take's first frame
+    clip_origin: Fraction  # page frame of the file's first frame, also if not shown
     shift: Fraction = Fraction(0)  # offset from its own frames to page frames
 
     @property
     def last(self) -> Fraction:
         """Last page frame of the take."""
-        return self.first + max(0, self.motion.frames - 1) * self.stream.step
+        return self.first_frame + max(0, self.motion.frames - 1) * self.stream.step
 
 
 def fit_to_page(
     number: int,
     file: OpenFile,
-    take: ShownTake,
+    take: TakeToShow,
     fps: Fraction,
     options: PreviewOptions,
     notices: list[Fault],
@@ -80,11 +80,11 @@ def fit_to_page(
     is_rig = has_kind_suffix(file.path, "rig")
     new_rate = None if is_rig or (stream.fps == fps and stream.step == 1) else fps
     frame_range = None if is_rig else options.frame_range
-    off_frame = stream.step != 1 or start.denominator != 1
+    has_fractional_frames = stream.step != 1 or start.denominator != 1
     ignored_codes = {"SCN202"}
     if (
         frame_range is None
-        and off_frame
+        and has_fractional_frames
         and (span := _authored_range(file, fps)) is not None
     ):
         ignored_codes = {"SCN202", "TAKE008"}
@@ -108,7 +108,7 @@ def fit_to_page(
         note = Fault("PRV103", message, str(file.path), severity=Severity.NOTE)
         notices.append(note)
     motion = BufferedMotion(stream.blocks, stream.rig.meters_per_unit)
-    notices += map(file.located, stream.notices)
+    notices += map(file.at_scene, stream.notices)
     return TimelineTake(number, take, stream, motion, start, origin)
 
 
@@ -117,15 +117,16 @@ def align_takes(timed_takes: list[TimelineTake]) -> list[Fault]:
     notices = []
     for timed in timed_takes[1:]:
         first_take = timed_takes[0]
-        if timed.first > first_take.last or timed.last < first_take.first:
+        if timed.first_frame > first_take.last or timed.last < first_take.first_frame:
             message = (
-                f"take {timed.take.name!r} begins at frame {frame_label(timed.first)}, "
-                f"but is shown from frame {frame_label(first_take.first)}"
+                f"take {timed.take.name!r} begins at frame "
+                f"{frame_label(timed.first_frame)}, "
+                f"but is shown from frame {frame_label(first_take.first_frame)}"
             )
             notices.append(Fault("PRV104", message, severity=Severity.NOTE))
-            timed.shift = first_take.first - timed.first
-            timed.origin += timed.shift
-            timed.first = first_take.first
+            timed.shift = first_take.first_frame - timed.first_frame
+            timed.clip_origin += timed.shift
+            timed.first_frame = first_take.first_frame
     return notices
 
 
@@ -137,7 +138,7 @@ def timeline_of(
 ) -> Timeline:
     """Return the timeline that covers all files."""
     spans = [
-        _range_in_stage(timed, _authored_range(files[timed.file], fps))
+        _range_in_stage(timed, _authored_range(files[timed.file_index], fps))
         for timed in timed_takes
         if timed.motion.frames > 1
     ]
@@ -159,10 +160,10 @@ def timeline_of(
             last = clock.start + (clock.count - 1) * clock.step
             spans.append((clock.start * ratio, last * ratio))
     first = min(
-        (a for a, _ in spans),
-        default=timed_takes[0].first if timed_takes else Fraction(1),
+        (span_start for span_start, _ in spans),
+        default=timed_takes[0].first_frame if timed_takes else Fraction(1),
     )
-    last = max((b for _, b in spans), default=first)
+    last = max((span_end for _, span_end in spans), default=first)
     frames = options.frame_range
     if frames is not None:
         start, end = first, last
@@ -182,12 +183,12 @@ def _range_in_stage(
 ) -> tuple[Fraction, Fraction]:
     """Return the frames of a take inside the range of its stage."""
     if stage_range is None or timed.shift:
-        return timed.first, timed.last
+        return timed.first_frame, timed.last
     first, last = (
-        max(timed.first, stage_range[0]),
+        max(timed.first_frame, stage_range[0]),
         min(timed.last, stage_range[1]),
     )
-    return (first, last) if first <= last else (timed.first, timed.last)
+    return (first, last) if first <= last else (timed.first_frame, timed.last)
 
 
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
@@ -201,5 +202,6 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
+    """Return the span of a stage's moving prims; None if nothing moves."""
     is_moving = any(prim.is_deforming or prim.is_moving for prim in contents.prims)
     return contents.span if is_moving or contents.cameras() else None

@@ -49,7 +49,7 @@ def write_tradeoff_page(
 def page_parts(
     report: Tradeoffs, calling: ArgumentNamer = python_name
 ) -> Iterator[str]:
-    """Yield the page in parts; it is self-contained."""
+    """Yield the HTML of the page in pieces; it is self-contained."""
     style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")
     yield (
@@ -64,46 +64,51 @@ def page_parts(
         message = worded(notice.message, calling)
         text = f"{notice.severity}: {notice.code} {message}"
         yield f"<p>{html.escape(text)}</p>\n"
-    pairs = {pair.table: pair for pair in report.pairs}
+    pair_by_table = {
+        compared_pair.table: compared_pair for compared_pair in report.pairs
+    }
     panels = panels_of(report.tables)
     for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):
-        table_ = table_parts(table)
-        yield f"<h2>{html.escape(table_.header[0])}</h2>\n"
-        for line in table_.header[1:]:
+        texts = table_parts(table)
+        yield f"<h2>{html.escape(texts.header[0])}</h2>\n"
+        for line in texts.header[1:]:
             yield f'<p class="soft">{html.escape(line.strip())}</p>\n'
         yield f"<figure>{plot_svg(panel)}</figure>\n"
-        for line in table_.advice:
+        for line in texts.advice:
             yield f"<p>{html.escape(line.strip())}</p>\n"
         if table.lines:
             lines = worded("\n".join(table.lines), calling)
             yield f"<pre>{html.escape(lines)}</pre>\n"
-        yield from _table_html(table_.rows, table_.left_columns, table_.classes)
-        if i in pairs:
-            yield from _viewer_html(pairs[i])
+        yield from _table_html(texts.rows, texts.left_columns, texts.classes)
+        if i in pair_by_table:
+            yield from _viewer_html(pair_by_table[i])
     yield "</body>\n</html>\n"
 
 
 def _table_html(
-    rows: Sequence[Sequence[str]], left: set[int], classes: Sequence[str]
+    rows: Sequence[Sequence[str]], left_columns: set[int], classes: Sequence[str]
 ) -> Iterator[str]:
+    """Yield a table as HTML; the first row is its header."""
     yield '<div class="wide"><table>\n'
     for k, row in enumerate(rows):
         cell = "td" if k else "th"
         kind = f' class="{classes[k - 1]}"' if k and classes[k - 1] else ""
         yield f"<tr{kind}>"
         for j, text in enumerate(row):
-            side = ' class="left"' if j in left else ""
+            side = ' class="left"' if j in left_columns else ""
             yield f"<{cell}{side}>{html.escape(text)}</{cell}>"
         yield "</tr>\n"
     yield "</table></div>\n"
 
 
-def _viewer_html(pair: Pair) -> Iterator[str]:
+def _viewer_html(compared_pair: Pair) -> Iterator[str]:
     """Yield the viewer of two settings, in an iframe."""
-    current, alternative = (html.escape(str(setting)) for setting in pair.settings)
+    current, alternative = (
+        html.escape(str(setting)) for setting in compared_pair.settings
+    )
     yield f"<p>Side by side: {current} (current) and {alternative}.</p>\n"
-    page = make_page([*pair.files], PreviewOptions(findings=False))
+    page = make_page([*compared_pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
-        take["offset"] = [i * VIEWER_GAP * pair.size, 0.0, 0.0]
+        take["offset"] = [i * VIEWER_GAP * compared_pair.size, 0.0, 0.0]
     document = html.escape(page.html(), quote=True)
     yield f'<iframe title="{current}, {alternative}" srcdoc="{document}"></iframe>\n'

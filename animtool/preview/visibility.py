@@ -28,19 +28,21 @@ def add_visibility(
     if contents is None or not prim:
         return
     codes = time_codes(
-        timed_take.first - timed_take.shift, timed_take.stream.step, page_take.frames
+        timed_take.first_frame - timed_take.shift,
+        timed_take.stream.step,
+        page_take.frames,
     )
     codes = codes * float(contents.fps / draft.timeline.fps)
     prim_visible = contents.visibility(prim, codes)
     page_take.entry["visible"] = visibility_stream(draft, prim_visible)
     if not prim_visible.any():
-        draft.note(
+        draft.add_notice(
             f"{timed_take.take.name!r} is hidden in every frame: it is not drawn"
         )
     meshes = [mesh for mesh in draft.meshes if mesh["take"] == page_take.index]
-    by_mesh = contents.mesh_visibility(prim, codes) if meshes else {}
+    visible_by_mesh = contents.mesh_visibility(prim, codes) if meshes else {}
     for mesh in meshes:
-        mesh_visible = by_mesh.get(mesh["name"], prim_visible)
+        mesh_visible = visible_by_mesh.get(mesh["name"], prim_visible)
         if not np.array_equal(mesh_visible, prim_visible):
             mesh["visible"] = visibility_stream(draft, mesh_visible)
 

@@ -37,16 +37,16 @@ class PrecisionPoint:
     Attributes:
         cost: In the unit of the panel.
         error: In the unit of the panel.
-        chosen: Whether it is the current setting.
-        best: Whether no setting of equal accuracy is cheaper.
-        recommended: Whether to use it instead of the current one.
+        is_current: Whether it is the current setting.
+        is_best: Whether no setting of equal accuracy is cheaper.
+        is_recommended: Whether to use it instead of the current one.
     """
 
     cost: float
     error: float
-    chosen: bool = False
-    best: bool = False
-    recommended: bool = False
+    is_current: bool = False
+    is_best: bool = False
+    is_recommended: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +86,9 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
     figure = figures.Figure(
         figsize=(WIDTH, HEIGHT * len(panels)), dpi=DPI, layout="constrained"
     )
-    frames = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
-    for frame, panel in zip(frames, panels, strict=True):
-        _draw_panel(frame, panel, ticker)
+    axes_of_panels = figure.subplots(len(panels), 1, squeeze=False)[:, 0]
+    for axes, panel in zip(axes_of_panels, panels, strict=True):
+        _draw_panel(axes, panel, ticker)
     kind = path.suffix.lower().removeprefix(".")
     # No metadata that changes between runs: equal plots are equal bytes.
     dates = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
@@ -117,26 +117,29 @@ def _import_matplotlib() -> tuple[Any, Any, Any]:
     return mpl, figure, ticker
 
 
-def _draw_panel(frame: Any, panel: Panel, ticker: Any) -> None:
+def _draw_panel(axes: Any, panel: Panel, ticker: Any) -> None:
+    """Draw a panel with its curves, labels and legend."""
     for i, curve in enumerate(panel.curves):
-        _draw_curve(frame, curve, i)
-    _ring_chosen(frame, [p for curve in panel.curves for p in curve.points if p.chosen])
+        _draw_curve(axes, curve, i)
+    _ring_current(
+        axes, [p for curve in panel.curves for p in curve.points if p.is_current]
+    )
     if panel.floor > 0:
-        frame.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
-    frame.set_xscale("log")
-    frame.set_yscale("log")
+        axes.axhline(panel.floor, color="grey", linestyle=":", label="the reference")
+    axes.set_xscale("log")
+    axes.set_yscale("log")
     # Times often span less than two decades, so minor ticks need labels.
-    frame.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
-    frame.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
-    frame.xaxis.set_minor_formatter(ticker.NullFormatter())
-    frame.set_xlabel(panel.cost)
-    frame.set_ylabel(panel.error)
+    axes.xaxis.set_major_locator(ticker.LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.xaxis.set_major_formatter(ticker.FormatStrFormatter("%g"))
+    axes.xaxis.set_minor_formatter(ticker.NullFormatter())
+    axes.set_xlabel(panel.cost)
+    axes.set_ylabel(panel.error)
     title = "\n".join(filter(None, [panel.title, panel.remark]))
     # Names are plain text, not matplotlib math text.
-    frame.set_title(title, fontsize=10, parse_math=False)
-    frame.grid(visible=True, which="both", alpha=0.2)
-    if frame.get_legend_handles_labels()[0]:
-        legend = frame.legend(
+    axes.set_title(title, fontsize=10, parse_math=False)
+    axes.grid(visible=True, which="both", alpha=0.2)
+    if axes.get_legend_handles_labels()[0]:
+        legend = axes.legend(
             fontsize=7,
             labelspacing=0.9,
             loc="center left",
@@ -146,13 +149,13 @@ def _draw_panel(frame: Any, panel: Panel, ticker: Any) -> None:
             text.set_parse_math(False)
 
 
-def _ring_chosen(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
+def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
     """Draw rings around the current settings."""
-    if not chosen:
+    if not current_points:
         return
-    frame.plot(
-        [p.cost for p in chosen],
-        [p.error for p in chosen],
+    axes.plot(
+        [p.cost for p in current_points],
+        [p.error for p in current_points],
         marker="o",
         markersize=14,
         color="black",
@@ -162,17 +165,18 @@ def _ring_chosen(frame: Any, chosen: Sequence[PrecisionPoint]) -> None:
     )
 
 
-def _draw_curve(frame: Any, curve: PrecisionCurve, i: int) -> None:
+def _draw_curve(axes: Any, curve: PrecisionCurve, i: int) -> None:
+    """Draw the settings of one method."""
     visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not visible_points:
         return
     x, y = [p.cost for p in visible_points], [p.error for p in visible_points]
     marker = MARKERS[i % len(MARKERS)]
-    (line,) = frame.plot(
+    (line,) = axes.plot(
         x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
-    best_points = [p for p in visible_points if p.best]
-    frame.plot(
+    best_points = [p for p in visible_points if p.is_best]
+    axes.plot(
         [p.cost for p in best_points],
         [p.error for p in best_points],
         linestyle="none",
@@ -189,6 +193,7 @@ def panels_of(tables: Sequence[TrialTable]) -> list[Panel]:
 
 
 def _panel_of(table: TrialTable) -> Panel:
+    """Return the panel of a table."""
     by_method: dict[str, list[PrecisionPoint]] = {}
     for row in table.rows:
         error = table.error_of(row)
@@ -206,5 +211,5 @@ def _panel_of(table: TrialTable) -> Panel:
         if reference.sensitive:
             remark = "error not small: the motion is sensitive"
     name = COST_LABELS[table.cost][1] or table.unit
-    title, axis = f"{table.name}, {table.kind}", f"error, {table.error} [m]"
-    return Panel(title, axis, curves, floor, remark, name)
+    title, error_label = f"{table.name}, {table.kind}", f"error, {table.error} [m]"
+    return Panel(title, error_label, curves, floor, remark, name)

@@ -173,8 +173,8 @@ def _syntax_fault(text: str, error: Exception) -> str:
         return "the expression ends too early"
     text_before, after_text = text[:offset].rstrip(), text[offset:]
     if re.search(r"[\w.)]$", text_before) and re.match(r"[A-Za-z_(]", after_text):
-        return f"no operator before {excerpt(after_text)}; write {text_before} * "
-        f"{after_text}"
+        message = f"no operator before {excerpt(after_text)}; "
+        return f"{message}write {text_before} * {after_text}"
     if with_unit := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", after_text):
         return f"{excerpt(with_unit[0])} has a unit: write numbers in the rig's units"
     return f"the expression cannot be read from {excerpt(after_text)} on"

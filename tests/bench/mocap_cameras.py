@@ -26,7 +26,7 @@ from measuring import (
 )
 
 from animtool.capture.cameras import load_cameras, read_observations, triangulate
-from animtool.capture.cameras.camera import camera_numbers
+from animtool.capture.cameras.camera import camera_parameters
 
 Array = npt.NDArray[np.float64]
 OWN = "animtool, mocap triangulate"
@@ -65,7 +65,7 @@ def measured(path: Path, python: str | None, runs: int, folder: Path) -> list[Ro
     np.savez(
         given,
         pixels=pixels.reshape(len(pixels), -1, 2),
-        cameras=camera_numbers(cameras.cameras),
+        cameras=camera_parameters(cameras.cameras),
     )
     found: list[Array] = []
 

@@ -26,7 +26,7 @@ from support.mocap_skeleton import rig_of, template_of
 from support.named import scores_of
 
 from animtool.capture.markers.fill import fill_markers
-from animtool.capture.markers.label import label
+from animtool.capture.markers.label import label_points
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
 
@@ -45,7 +45,7 @@ def main() -> None:
             open_markers(f"{path}#{name}")
             for name in ("unlabelled_mm", "static_mm", "markers_mm")
         )
-        labelling = best(lambda c=points, s=static: label(c, s))
+        labelling = best(lambda c=points, s=static: label_points(c, s))
         filling = best(lambda m=named: fill_markers(m))
         subject = MarkerSubject(
             rig_of(generic, "generic"), template_of(generic), static
@@ -79,7 +79,7 @@ def distribution(first: int, last: int) -> None:
         made = cloud(seed)
         points, static = made.markers("unlabelled_mm"), made.markers("static_mm")
         start = time.process_time()
-        named, doubts = label(points, static)
+        named, doubts = label_points(points, static)
         row = {"names": min(scores_of(named, points, made.truth["perm"]))}
         row |= {"doubts": len(doubts.doubts), "names_s": time.process_time() - start}
         rig = rig_of(made.template, "generic")

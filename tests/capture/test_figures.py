@@ -18,7 +18,7 @@ from support.small_takes import small
 from support.stage import changed, observed, ring, walkers
 
 from animtool.capture.cameras import Observations, TriangulateOptions, triangulate
-from animtool.capture.cameras.openpose import follow_people
+from animtool.capture.cameras.openpose import track_people
 from animtool.capture.clean import CleanOptions, clean, clean_take, noise_scores
 from animtool.capture.face import fit_face, transfer_weights
 from animtool.capture.face.model import FaceModel, NonlinearShapes
@@ -26,12 +26,19 @@ from animtool.capture.markers import spikes, swaps
 from animtool.capture.markers.chains import chain_likelihoods, chain_runs, rest_evidence
 from animtool.capture.markers.fill import fill_markers
 from animtool.capture.markers.geometry import MarkerDistances, marker_distances
-from animtool.capture.markers.naming import PointNaming, pair_evidence, search_names
-from animtool.capture.markers.predict import follow as by_skeleton
-from animtool.capture.markers.predict import predict_from_markers, predict_in_parent
+from animtool.capture.markers.naming import (
+    PointNaming,
+    compute_pair_evidence,
+    search_names,
+)
+from animtool.capture.markers.predict import (
+    predict_from_markers,
+    predict_from_parent_joint,
+)
+from animtool.capture.markers.predict import predict_from_skeleton as by_skeleton
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.skeleton import MarkerSubject
-from animtool.capture.markers.tracklets import follow
+from animtool.capture.markers.tracklets import track_points
 from animtool.capture.markers.twins import distinguish_twins
 from animtool.capture.options import FillOptions
 from animtool.capture.solve import solve_markers
@@ -91,7 +98,7 @@ def test_people_of_keypoints() -> None:
                 one[:, :2] += rng.normal(0, 0.5, (POINTS, 2))
                 one[:, 2] = rng.uniform(0.3, 1, POINTS)
                 one[rng.integers(POINTS)] = [np.nan, np.nan, 0.0]
-    check_figures(__file__, "people", follow_people(rows, CAMERAS, RATE, POINTS, None))
+    check_figures(__file__, "people", track_people(rows, CAMERAS, RATE, POINTS, None))
 
 
 @pytest.mark.parametrize("options", [{}, {"keep_spikes": True, "longest": 0.15}])
@@ -230,25 +237,25 @@ def test_what_distances_say_of_names() -> None:
     seen = np.random.default_rng(5).uniform(0, 200, REST.shape)
     seen = np.floor((seen + seen.T) / 2)
     own = PointNaming(moving, seen, REST)
-    found: list[Any] = [own.total()]
+    found: list[Any] = [own.total_evidence()]
     for point in range(6):
         own.assign(point, [1, 0, 2, 4, 3, 5][point])
-        found.append(own.total())
+        found.append(own.total_evidence())
     grown = own.copy()
-    grown.grow()
-    found += [grown.names_of, grown.total(), grown.scarce_markers()]
+    grown.assign_greedily()
+    found += [grown.names_of, grown.total_evidence(), grown.scarce_markers()]
     grown.improve()
-    found += [grown.names_of, grown.total(), grown.most_doubtful(set()) or ()]
-    grown.eject(2, 5, np.arange(9) % 2 == 0)
-    found += [grown.names_of, grown.total()]
+    found += [grown.names_of, grown.total_evidence(), grown.most_doubtful(set()) or ()]
+    grown.force_name(2, 5, np.arange(9) % 2 == 0)
+    found += [grown.names_of, grown.total_evidence()]
     best = search_names(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
-    found += [best.names_of, best.total()]
+    found += [best.names_of, best.total_evidence()]
     a, b = np.array([0.3, 0.2, np.nan]), np.array([0.001, 0.02, 0.01])
     found += [
         rest_evidence(a, b, REST[0, 1:5]),
         chain_likelihoods(moving, seen),
         chain_runs(moving, np.where(REST > 0.2, 0.0, seen)),
-        pair_evidence(moving, np.minimum(seen / 60, 1.0), REST),
+        compute_pair_evidence(moving, np.minimum(seen / 60, 1.0), REST),
     ]
     check_figures(__file__, "names", found)
 
@@ -278,7 +285,7 @@ def test_runs_of_points_and_their_costs() -> None:
         points[frame, order[:10]] = truth[frame]
     points[40:60, order[11]] = truth[40:60, 2] + 0.05
     points[rng.random(points.shape[:2]) < 0.02] = np.nan
-    runs = follow(points, 120.0)
+    runs = track_points(points, 120.0)
     rest = np.linalg.norm(truth[0][:, None] - truth[0], axis=-1)
     given = np.full(len(runs.first), -1)
     given[:10] = np.arange(10)
@@ -292,7 +299,7 @@ def test_runs_of_points_and_their_costs() -> None:
         __file__,
         "runs",
         [runs.ids, runs.first, runs.last, costs, jumps, labels.names_of,
-         labels.by_marker()],
+         labels.marker_paths()],
     )  # fmt: skip
 
 
@@ -328,7 +335,7 @@ def test_weights_of_a_bent_face() -> None:
     check_figures(
         __file__,
         "bent",
-        [model.points(weights), model.offsets(weights), fit.weights, fit.rms],
+        [model.points(weights), model.nonlinear_offsets(weights), fit.weights, fit.rms],
     )
 
 
@@ -362,9 +369,13 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
     found = [predict_from_markers(positions, seen, 0, gap, spread, 100.0)]
     for mates in ([], [1], [1, 3]):
         bones: Any = SimpleNamespace(**known, markers_on_joint=lambda *_, m=mates: m)
-        found.append(predict_in_parent(bones, positions, seen, 0, gap, spread, 100.0))
+        found.append(
+            predict_from_parent_joint(bones, positions, seen, 0, gap, spread, 100.0)
+        )
         far = np.where(np.arange(count) < 4, np.nan, spread)
-        found.append(predict_in_parent(bones, positions, seen, 0, gap, far, 100.0))
+        found.append(
+            predict_from_parent_joint(bones, positions, seen, 0, gap, far, 100.0)
+        )
     found.append(by_skeleton(bones, positions, seen, 0, gap, 100.0))
     check_figures(__file__, "predicted", found)
 
@@ -387,7 +398,7 @@ def test_what_says_that_names_are_swapped() -> None:
     expected = swaps._expected_positions(positions, rate)
     found: list[Any] = [*expected, swaps._jump_pairs(positions, rate)]
     for a, b in ((2, 6), (0, 9), (3, 4), (5, 8)):
-        crossed = swaps._crossed_frames(positions, a, b, rate, apart)
+        crossed = swaps._find_crossed_frames(positions, a, b, rate, apart)
         both = positions[:, [a, b]]
         found += [crossed, swaps._typical_acceleration(both, rate)]
         found += [swaps._swap_spans(crossed[1], both)]

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from animtool.capture.cameras.camera import (
     Camera,
-    camera_numbers,
+    camera_parameters,
     distort,
     nearest_rotation,
     pixel_rays,
@@ -34,25 +34,29 @@ from animtool.capture.cameras.openpose import (
     _ray_distance,
     _solve_person,
     _stack_tracks,
-    follow_people,
+    track_people,
 )
 from animtool.capture.cameras.stale import (
     PoseChange,
     PoseShift,
-    _find_shifts,
+    _exact_ranges,
     _outlier_runs,
     _window_sums,
-    disagreements,
-    pose_change,
-    shifted_ranges,
-    stale_ranges,
+    find_disagreements,
+    find_shifted_ranges,
+    find_stale_ranges,
+    fit_pose_change,
     truncated_error,
 )
 from animtool.capture.cameras.triangulate import _check_options, _TriangulationRun
 from animtool.capture.face.model import FaceModel, rms_spread
-from animtool.capture.face.poses import camera_pose, head_poses, last_good_poses
+from animtool.capture.face.poses import (
+    estimate_camera_pose,
+    estimate_head_poses,
+    last_good_poses,
+)
 from animtool.capture.markers.fill import (
-    _best_prediction,
+    _most_accurate_prediction,
     _polynomial_positions,
     _sorted_gaps,
     _visible_frames_near,
@@ -67,12 +71,12 @@ from animtool.capture.markers.predict import (
     Prediction,
     _covariance,
     _nearest_markers,
-    _regress,
+    _predict_gap,
     _rotate_towards,
     _training_frames,
     _validation_spans,
 )
-from animtool.capture.markers.runs import RunLabels, _learnt_distances
+from animtool.capture.markers.runs import RunLabels, _merge_known_distances
 from animtool.capture.markers.spikes import (
     _is_one_sided,
     _local_level,
@@ -84,7 +88,7 @@ from animtool.capture.markers.tracklets import (
     _expected_positions,
     _mutual_nearest,
     _second_smallest,
-    follow,
+    track_points,
 )
 from animtool.capture.options import TriangulateOptions
 from animtool.capture.solve.sampling import sampled_frames, typical_noise
@@ -129,10 +133,10 @@ def test_pixels_are_those_of_the_lens_as_opencv_has_it() -> None:
     behind = project(own, own.position - TURN[2])
     assert np.isnan(behind).all()
     row = [800, 700, 320, 240, 5, *LENS, *TURN.ravel(), 0.1, -0.2, 3.0, 0, 0]
-    assert_allclose(own.numbers, row)
+    assert_allclose(own.kernel_parameters, row)
     sized = camera(size=(640, 480))
-    assert camera_numbers([own, sized])[:, 25:].tolist() == [[0, 0], [640, 480]]
-    assert camera_numbers([]).shape == (0, 27)
+    assert camera_parameters([own, sized])[:, 25:].tolist() == [[0, 0], [640, 480]]
+    assert camera_parameters([]).shape == (0, 27)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +199,7 @@ def test_a_camera_that_moved_is_found_to_the_frame(
     """More than half of what it sees is off, for a quarter of a second at least."""
     judged, rejected = tallies(60, bad, share)
     active = np.ones((60, 3), bool)
-    result = shifted_ranges(judged, rejected, active, 30.0)
+    result = find_shifted_ranges(judged, rejected, active, 30.0)
     if found is None:
         assert result is None
         return
@@ -204,32 +208,35 @@ def test_a_camera_that_moved_is_found_to_the_frame(
     assert (number, one.first, one.end) == (1, *found)
     assert one.outliers == pytest.approx(share)
     # Who would leave fewer than two is not taken.
-    assert shifted_ranges(judged, rejected, active & [True, True, False], 30.0) is None
-    (stale,) = stale_ranges(judged, rejected, 1, 30.0)
+    assert (
+        find_shifted_ranges(judged, rejected, active & [True, True, False], 30.0)
+        is None
+    )
+    (stale,) = find_stale_ranges(judged, rejected, 1, 30.0)
     assert (stale.first, stale.end) == found
-    (whole,) = stale_ranges(judged, 0 * rejected, 1, 30.0)
+    (whole,) = find_stale_ranges(judged, 0 * rejected, 1, 30.0)
     assert (whole.first, whole.end) == (0, 60)
-    assert shifted_ranges(judged / 10, rejected / 10, active, 30.0) is None
+    assert find_shifted_ranges(judged / 10, rejected / 10, active, 30.0) is None
 
 
 def test_the_worst_camera_goes_first() -> None:
     judged, rejected = tallies(60, slice(20, 40))
     rejected[10:45, 2] = 10
-    result = shifted_ranges(judged, rejected, np.ones((60, 3), bool), 30.0)
+    result = find_shifted_ranges(judged, rejected, np.ones((60, 3), bool), 30.0)
     assert result is not None
     assert (result[0], result[1][0].first, result[1][0].end) == (2, 10, 45)
-    (one,) = _find_shifts(judged, rejected, 2, np.arange(60) > 20, 8)
+    (one,) = _exact_ranges(judged, rejected, 2, np.arange(60) > 20, 8)
     assert (one.first, one.end) == (10, 60) or (one.first, one.end) == (10, 45)
 
 
 def test_a_run_begins_where_a_camera_was_off_from_the_first_frame_on() -> None:
     judged, rejected = tallies(60, slice(0, 40))
-    (one,) = _find_shifts(
+    (one,) = _exact_ranges(
         judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
     )
     assert (one.first, one.end) == (0, 40)
     rejected[3, 1] = 0
-    (one,) = _find_shifts(
+    (one,) = _exact_ranges(
         judged, rejected, 1, (np.arange(60) > 8) & (np.arange(60) < 30), 8
     )
     assert (one.first, one.end) == (4, 40)
@@ -244,13 +251,17 @@ def test_frames_in_which_a_camera_disagrees() -> None:
          (100, 100, 0, 100 * 0.5 * 4.01), (3, 3, 0, 3 * 0.5 * 4.4), (0, 2, 2, 0.0)]
     ):  # fmt: skip
         rows[f, 0, [1, 2, 3, 5]] = used, judged, rejected, pixels
-    found = disagreements(rows, 0, 0.5, np.ones(6, bool))
+    found = find_disagreements(rows, 0, 0.5, np.ones(6, bool))
     assert [one.frame for one in found] == [1, 3]
     assert (found[0].outliers, found[0].error_px) == (0.6, pytest.approx(0.5**0.5))
     loud = rows.copy()
     loud[4, 0, 5] = 3 * 0.5 * 4.5
-    assert [d.frame for d in disagreements(loud, 0, 0.5, np.ones(6, bool))] == [1, 3, 4]
-    assert not disagreements(loud, 0, 0.5, np.zeros(6, bool))
+    assert [d.frame for d in find_disagreements(loud, 0, 0.5, np.ones(6, bool))] == [
+        1,
+        3,
+        4,
+    ]
+    assert not find_disagreements(loud, 0, 0.5, np.zeros(6, bool))
 
 
 def test_errors_are_truncated_at_the_gate_and_by_what_is_expected() -> None:
@@ -273,21 +284,23 @@ def test_how_a_camera_went_is_found_from_what_it_sees() -> None:
     shift = turn @ was.translation + [0.02, 0.01, -0.05]
     moved = camera(turn @ TURN, shift, distortion=LENS)
     pixels = project(moved, points)
-    found = pose_change(was, points, pixels)
+    found = fit_pose_change(was, points, pixels)
     assert found is not None
     assert found.angle == pytest.approx(np.hypot(0.03, 0.01), rel=1e-3)
     far = np.linalg.norm(moved.position - was.position)
     assert found.distance == pytest.approx(far, rel=1e-3)
     assert found.error_px < 1e-3
     assert (
-        pose_change(was, points, project(was, points) + rng.normal(0, 3, (4, 10, 2)))
+        fit_pose_change(
+            was, points, project(was, points) + rng.normal(0, 3, (4, 10, 2))
+        )
         is None
     )
     few = pixels.copy()
     few.reshape(-1, 2)[:21] = np.nan
-    assert pose_change(was, points, few) is None
+    assert fit_pose_change(was, points, few) is None
     few.reshape(-1, 2)[20] = pixels.reshape(-1, 2)[20]
-    assert pose_change(was, points, few) is not None
+    assert fit_pose_change(was, points, few) is not None
     text = str(PoseChange(np.radians(1.5), 0.0123, 0.5))
     assert text.startswith("a rotation of 1.50 degrees and a shift of 12.3 mm")
 
@@ -320,7 +333,7 @@ def test_each_camera_has_the_noise_of_its_own_median() -> None:
 
 
 def test_noise_that_nothing_shows_is_a_pixel() -> None:
-    numbers = camera_numbers([camera(), camera()])
+    numbers = camera_parameters([camera(), camera()])
     assert initial_noise(np.full((3, 2, 4, 2), np.nan), numbers) == 1
     assert initial_noise(np.zeros((3, 2, 4, 2)) + 320.0, numbers) >= 0.05
 
@@ -347,7 +360,7 @@ def test_ends_of_what_may_be_triangulated(keys: Any, where: str | None) -> None:
 def test_the_condition_is_that_of_two_rays_at_an_angle() -> None:
     for angle, expected in ((np.pi / 3, 8.0), (0.0, 2e12)):
         run: Any = SimpleNamespace(options=TriangulateOptions(min_angle=angle))
-        assert _TriangulationRun._condition.fget(run) == pytest.approx(expected)  # type: ignore[attr-defined]
+        assert _TriangulationRun._max_condition.fget(run) == pytest.approx(expected)  # type: ignore[attr-defined]
 
 
 BODY = np.random.default_rng(4).uniform(-0.4, 0.4, (6, 3))
@@ -416,16 +429,16 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
         for f in range(12 + gone):
             visible = f < 6 or f >= 6 + gone
             frames.append([[one] if visible else [] for one in seen_by(cameras, BODY)])
-        found = follow_people(frames, cameras, 20.0, 6, None)
+        found = track_people(frames, cameras, 20.0, 6, None)
         assert found.shape == (12 + gone, 3, 6 * people, 3)
     frames = [[[one] for one in seen_by(cameras, BODY)] for _ in range(10)]
     other = seen_by(cameras, BODY + np.array([0.0, 1.5, 0]))
     for f in range(4):
         for c in range(3):
             frames[f][c].append(other[c])
-    assert follow_people(frames, cameras, 20.0, 6, None).shape[2] == 6
-    assert follow_people(frames, cameras, 12.0, 6, None).shape[2] == 12
-    one = follow_people(frames, cameras, 12.0, 6, 1)
+    assert track_people(frames, cameras, 20.0, 6, None).shape[2] == 6
+    assert track_people(frames, cameras, 12.0, 6, None).shape[2] == 12
+    one = track_people(frames, cameras, 12.0, 6, 1)
     assert_allclose(one[:, 0, :, :2], np.stack([frames[0][0][0][:, :2]] * 10))
     track = _PersonTrack(BODY, 0)
     track.detections = {(1, 2): 0}
@@ -461,7 +474,7 @@ def test_quantiles_and_distances_of_what_is_seen() -> None:
     both = merge_distances(rest, moving)
     assert_array_equal(both.mean, [[nan, 3], [1, nan]])
     assert_array_equal(both.spread, [[nan, 0.5], [0.1, nan]])
-    learnt = _learnt_distances(np.array([[nan, 1.0], [1, nan]]), moving)
+    learnt = _merge_known_distances(np.array([[nan, 1.0], [1, nan]]), moving)
     assert_array_equal(learnt.mean, both.mean)
     assert_array_equal(learnt.spread, [[nan, 0.5], [0.25, nan]])
 
@@ -492,12 +505,12 @@ def test_points_are_followed_as_far_as_a_marker_goes() -> None:
     cloud = np.full((4, 2, 3), np.nan)
     cloud[:, 0] = [[0.0, 0, 0], [0.12, 0, 0], [0.24, 0, 0], [0.36, 0.1, 0]]
     cloud[1:, 1] = [5.0, 0, 0]
-    found = follow(cloud, 100.0)
+    found = track_points(cloud, 100.0)
     assert found.ids.tolist() == [[0, -1], [0, 1], [0, 1], [0, 1]]
     assert (found.first.tolist(), found.last.tolist()) == ([0, 1], [3, 3])
     assert_array_equal(found.trajectory(cloud, 1), cloud[1:, 1])
     cloud[1, 0, 0] = 0.13
-    assert follow(cloud, 100.0).ids[:2, 0].tolist() == [0, 1]
+    assert track_points(cloud, 100.0).ids[:2, 0].tolist() == [0, 1]
 
 
 def labels(positions: Any, given: Any) -> RunLabels:
@@ -513,8 +526,8 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     positions[:, 1, 0] = 0.3
     positions[:, 2, 1] = 0.4
     own = labels(positions, [0, 1, -1])
-    assert np.isnan(own.marked[:, 2]).all()
-    assert_array_equal(own.marked[:, 1], positions[:, 1])
+    assert np.isnan(own.marker_positions[:, 2]).all()
+    assert_array_equal(own.marker_positions[:, 1], positions[:, 1])
     own._update_distances()
     costs = own._shape_costs(positions[:, 2], 0, 30)
     assert costs[2] == pytest.approx(0, abs=1e-12)
@@ -523,7 +536,7 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     assert own._is_free(2, 2)
     assert own._marker_costs(2)[:2].tolist() == [np.inf] * 2
     # It stood, and two frames later is 5 mm off what noise and pull allow.
-    own.marked[:10, 2] = positions[:10, 2]
+    own.marker_positions[:10, 2] = positions[:10, 2]
     path = positions[11:, 2] + [0.006, 0, 0]
     allowed = 0.004 + 0.5 * 60 * 0.02**2 + 0.3 * 0.02
     assert own._step_costs(path, 11, 30)[2] == pytest.approx((0.006 / allowed) ** 2)
@@ -553,7 +566,7 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
     own = RunLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
     own.name_runs()
     assert own.names_of.tolist() == [*wanted, 5]
-    assert_array_equal(own.by_marker()[:, :6], body)
+    assert_array_equal(own.marker_paths()[:, :6], body)
 
 
 def test_frames_to_learn_from_are_all_near_and_some_far() -> None:
@@ -595,7 +608,7 @@ def test_a_process_over_time_joins_what_it_knows() -> None:
     frames = np.array([*range(20), *range(24, 44), 20, 21, 22, 23])
     path = np.stack([frames[:40] * 0.001] * 3, axis=1)
     kernel = _covariance(np.zeros((44, 0)), frames / 100.0, 0.0, 0.03, 1.0, path)
-    off, made = _regress(path, kernel, frames, slice(20, 24))
+    off, made = _predict_gap(path, kernel, frames, slice(20, 24))
     assert_allclose(made, np.stack([frames[40:] * 0.001] * 3, axis=1), atol=5e-4)
     assert 0 < off < 1e-3
     noise = 0.0005**2 * np.eye(40)
@@ -632,10 +645,15 @@ def test_gaps_are_curves_through_frames_around_them() -> None:
     rows[2:5, 0] = rows[7:, 0] = rows[3, 2] = rows[:, 1] = rows[:, 3] = False
     assert _sorted_gaps(names, rows) == [(1, 3, 2), (2, 7, 0), (3, 2, 0)]
     first, second = Prediction(np.zeros((1, 3)), 1.6), Prediction(np.ones((1, 3)), 1.01)
-    assert _best_prediction((first, "skeleton"), (second, "markers"))[1] == "skeleton"
+    assert (
+        _most_accurate_prediction((first, "skeleton"), (second, "markers"))[1]
+        == "skeleton"
+    )
     second = Prediction(np.ones((1, 3)), 0.99)
     assert (
-        _best_prediction((first, "skeleton"), (None, "x"), (second, "markers"))[1]
+        _most_accurate_prediction(
+            (first, "skeleton"), (None, "x"), (second, "markers")
+        )[1]
         == "markers"
     )
 
@@ -685,7 +703,7 @@ def test_heads_are_posed_by_weighted_landmarks() -> None:
     )
     frames[1, 4] += [0.0, 0.3, 0]
     frames[3, :4] = np.nan
-    found = head_poses(BODY, frames)
+    found = estimate_head_poses(BODY, frames)
     assert so3.angle_between(found[0, :4], turn) < 1e-7
     assert_allclose(found[0, 4:], [1, 2, 3], atol=1e-9)
     assert so3.angle_between(found[1, :4], turn) < 0.05
@@ -702,12 +720,12 @@ def test_heads_are_posed_by_weighted_landmarks() -> None:
     placed = so3.rotate(turn, BODY) + np.array([0.1, -0.2, 4.0])
     pixels = placed[:, :2] / placed[:, 2:] * [800, 700] + [320, 240]
     lens = np.array([800.0, 700, 320, 240])
-    pose = camera_pose(BODY, pixels, lens)
+    pose = estimate_camera_pose(BODY, pixels, lens)
     assert pose is not None
     assert so3.angle_between(pose[:4], turn) < 1e-4
     assert_allclose(pose[4:], [0.1, -0.2, 4.0], atol=1e-3)
     pixels[3:] = np.nan
-    assert camera_pose(BODY, pixels, lens) is None
+    assert estimate_camera_pose(BODY, pixels, lens) is None
 
 
 def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
@@ -718,7 +736,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     deltas[3, 2, 0] = 0.1
     deltas[4, 0, 0] = 0.9e-6 * rms_spread(BODY)
     face = FaceModel(tuple("abcdef"), ("A", "B", "C", "D", "E"), BODY, deltas)
-    assert face.moving().tolist() == [True, True, True, True, False]
+    assert face.shapes_with_motion().tolist() == [True, True, True, True, False]
     assert face.similar_shapes() == [(0, 1)]
     codes = [notice.code for notice in face.notices()]
     assert codes == ["FAC101", "FAC102"]
@@ -728,7 +746,7 @@ def test_faces_know_which_shapes_move_and_which_are_alike() -> None:
     weights = np.array([[1.0, 0.5, 0, 2, 0]])
     expected = BODY + deltas[0] + 0.5 * deltas[1] + 2 * deltas[3]
     assert_allclose(face.points(weights), [expected])
-    assert not face.offsets(weights).any()
+    assert not face.nonlinear_offsets(weights).any()
     some = face.select(np.array([0, 0, 1, 1, 0], bool))
     assert some.shapes == ("C", "D")
     assert_array_equal(some.deltas, deltas[2:4])
@@ -857,14 +875,14 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), 40)
     seen = Observations(tuple("abcdefgh"), clock, pixels)
     found = measure_noise(seen, cameras, 5.0, 6600.0)
-    assert found.agree
-    assert list(found.stale) == [2]
-    assert found.stale[2].angle == pytest.approx(0.05, rel=0.1)
+    assert found.cameras_agree
+    assert list(found.stale_cameras) == [2]
+    assert found.stale_cameras[2].angle == pytest.approx(0.05, rel=0.1)
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     good = pixels.copy()
     good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
     found = measure_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
-    assert (found.agree, found.stale) == (True, {})
+    assert (found.cameras_agree, found.stale_cameras) == (True, {})
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     # All alike, they have one noise; one that is twice as noisy has its own.
     assert np.ptp(found.pixels) == 0
@@ -880,9 +898,9 @@ def test_a_camera_is_kept_where_the_others_are_no_better_excluded(keep: bool) ->
     ranges = [PoseShift(0, 5, 0.9), PoseShift(9, 12, 0.8)]
     run: Any = SimpleNamespace(
         options=TriangulateOptions(keep_moved=keep),
-        _better_excluded=lambda camera, moved: (camera, moved.first) == (3, 9),
+        _is_better_without=lambda camera, moved: (camera, moved.first) == (3, 9),
     )
-    found = _TriangulationRun._mark_kept(run, 3, ranges)
+    found = _TriangulationRun._mark_kept_ranges(run, 3, ranges)
     assert [one.kept for one in found] == ([False, False] if keep else [True, False])
     assert [(one.first, one.end) for one in found] == [(0, 5), (9, 12)]
 
@@ -905,7 +923,7 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         return found.pop(0) if found else None
 
     monkeypatch.setitem(
-        _TriangulationRun._exclude_shifted.__globals__, "shifted_ranges", worst
+        _TriangulationRun._exclude_shifted.__globals__, "find_shifted_ranges", worst
     )
     solved: list[tuple[int, int]] = []
     run: Any = SimpleNamespace(
@@ -913,9 +931,9 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         active=np.ones((6, 3), bool),
         shifts=[[], [], [PoseShift(4, 6, 0.5)]],
         views=9,
-        tallies=SimpleNamespace(judged=0, rejected=0),
+        tallies=SimpleNamespace(of_triangulated=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
-        _mark_kept=lambda _, ranges: ranges,
+        _mark_kept_ranges=lambda _, ranges: ranges,
         _with_pose_change=lambda _, each: each,
         _solve=lambda first, end: solved.append((first, end)),
     )

@@ -50,12 +50,12 @@ from animtool.capture.face.model import FaceModel
 from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
     _check,
-    _common_shapes,
     _notices,
+    _solved_shapes,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
-from animtool.capture.solve.run import check_units, to_world_of
+from animtool.capture.solve.run import check_units, positions_in_rig_axes
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError, FormatError, OptionError
 from animtool.core.units import LengthUnit, UpAxis
@@ -88,7 +88,7 @@ def test_tallies_become_errors() -> None:
     assert (none.observed, none.outliers) == (0, 0)
     assert np.isnan([none.error_px, none.error_mm]).all()
     assert own.errors() == pytest.approx((2, 200))
-    assert (own.used[1, 0], own.judged[0, 0], own.rejected[0, 0]) == (2, 9, 1)
+    assert (own.used[1, 0], own.of_triangulated[0, 0], own.rejected[0, 0]) == (2, 9, 1)
 
 
 @pytest.mark.parametrize(
@@ -183,9 +183,9 @@ def skeleton(joints: Any, parents: Any, free: Any) -> SkeletonMarkers:
 def test_a_skeleton_tells_where_markers_are_that_hold_its_joints() -> None:
     own = skeleton([0, 1, 1, 1, 2, 2, -1], [-1, 0, 1], [True, True, False])
     every = np.ones(7, bool)
-    assert own.predicts(0, slice(0, 3))
-    assert not own.predicts(1, slice(0, 3))
-    assert not own.predicts(0, slice(2, 4))
+    assert own.is_predicted(0, slice(0, 3))
+    assert not own.is_predicted(1, slice(0, 3))
+    assert not own.is_predicted(0, slice(2, 4))
     assert [own.has_parent(m) for m in (0, 1, 6)] == [False, True, False]
     assert own.markers_on_joint(1, every) == [2, 3]
     assert own.drift_speed(1, every) == 0
@@ -240,7 +240,7 @@ def test_what_was_cleaned_is_counted() -> None:
         CleanedSignal("a", True, (2,), 0.01, None),
         CleanedSignal("b", True, (), 0.03, 3.0),
     ]
-    assert [s.part for s in signals] == ["a translation", "a rotation", "b rotation"]
+    assert [s.name for s in signals] == ["a translation", "a rotation", "b rotation"]
     assert signals[0].text(signals[0].noise).endswith("mm")
     assert "1.7" in signals[2].text(signals[2].noise)
     found = noise_scores(10, signals)
@@ -329,7 +329,7 @@ def test_faces_of_other_sizes_and_numbers_are_refused() -> None:
         with pytest.raises(OptionError) as error:
             _check(own, observed, camera)
         assert error.value.code == code
-    kept, share = _common_shapes(own, own.moving())
+    kept, share = _solved_shapes(own, own.shapes_with_motion())
     assert (kept.tolist(), share.tolist()) == ([True, False, True], [0, 0, 2])
     three = FaceModel(tuple("abc"), ("X",), POINTS[:3], np.ones((1, 3, 3)))
     with pytest.raises(OptionError):
@@ -439,10 +439,10 @@ def test_pixels_are_eighths_or_floats_and_cameras_by_name(tmp_path: Path) -> Non
     assert (pixels[0] == 10).all()
     assert np.isnan(pixels[1, 0, 1]).all()
     assert found.pixels(0, 2, 2).shape == (1, 2, 3, 2)
-    assert found.trust(0, 2) is None
+    assert found.confidences_of(0, 2) is None
     assert found.clock.rate == Fraction(1, 10)
     sure = replace(found, confidences=np.arange(12.0).reshape(2, 2, 3))
-    trust = sure.trust(1, 2)
+    trust = sure.confidences_of(1, 2)
     assert trust is not None
     assert trust.ravel().tolist() == [6, 7, 8, 9, 10, 11]
     both = Cameras(tuple(replace(PLAIN, name=n) for n in "abc"))
@@ -465,7 +465,7 @@ def test_pixels_are_eighths_or_floats_and_cameras_by_name(tmp_path: Path) -> Non
 
 def test_markers_in_other_units_are_told_by_how_far_they_spread() -> None:
     rest = np.stack([POINTS])
-    model: Any = SimpleNamespace(points=lambda _: rest, starts=lambda rows: rows)
+    model: Any = SimpleNamespace(points=lambda _: rest, start_poses=lambda rows: rows)
     for times, refused in (
         (29.9, False),
         (30.1, True),
@@ -485,7 +485,7 @@ def test_markers_in_other_units_are_told_by_how_far_they_spread() -> None:
         ("a",), replace(CLOCK, count=1), np.array([[[1.0, 2, 3]]]), UpAxis.Z
     )
     rig: Any = SimpleNamespace(up=UpAxis.Y)
-    assert_allclose(to_world_of(rig, markers), [[[1, 3, -2]]], atol=1e-12)
+    assert_allclose(positions_in_rig_axes(rig, markers), [[[1, 3, -2]]], atol=1e-12)
     rig.up = UpAxis.Z
-    assert to_world_of(rig, markers) is markers.positions
+    assert positions_in_rig_axes(rig, markers) is markers.positions
     assert issubclass(OptionError, AnimtoolError)

@@ -16,7 +16,7 @@ from support.named import scores_of
 from support.suite import is_full, some_quick
 
 from animtool.capture.markers.fill import FillReport, fill_markers
-from animtool.capture.markers.label import label
+from animtool.capture.markers.label import label_points
 from animtool.capture.markers.skeleton import MarkerSubject
 from animtool.formats.marker_files import open_markers
 from animtool.motion.markers import Markers
@@ -83,7 +83,7 @@ def test_a_trc_is_read_as_the_c3d_of_it(path: Path) -> None:
 def test_points_get_their_names(truth: Path, record_property: Record) -> None:
     path = cloud_of(truth)
     cloud = open_markers(f"{path}#unlabelled_mm")
-    named, report = label(cloud, open_markers(f"{path}#static_mm"))
+    named, report = label_points(cloud, open_markers(f"{path}#static_mm"))
     precision, recall = scores_of(named, cloud, np.load(truth)["perm"])
     scores = f"{precision:.4f} {recall:.4f} {report.runs} {report.rejected}"
     record_property(NAMES, f"  {path.stem:20} {scores}")

@@ -13,7 +13,7 @@ from support.bvh import random_rows, small_bvh
 from animtool.core.errors import AnimtoolError
 from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
-from animtool.preview.serve import ADDRESS, PageServer, WatchedPage, follow
+from animtool.preview.serve import ADDRESS, PageServer, WatchedPage, rebuild_on_changes
 
 PLAIN = PreviewOptions(findings=False)
 
@@ -76,7 +76,7 @@ def test_those_who_know_the_address_alone_get_the_page(take: Path) -> None:
 def test_a_page_is_made_again_when_its_file_changes(take: Path) -> None:
     watched = WatchedPage(lambda: make_page([take], PLAIN))
     watched.build()
-    assert not watched.changed()
+    assert not watched.has_changed()
     failures: list[AnimtoolError] = []
     pages: list[PreviewPage] = []
     texts = ["HIERARCHY\nnonsense", small_bvh(random_rows(5))]
@@ -87,12 +87,12 @@ def test_a_page_is_made_again_when_its_file_changes(take: Path) -> None:
         take.write_text(texts.pop(0))
         return False
 
-    follow(watched, failures.append, pages.append, wait)
+    rebuild_on_changes(watched, failures.append, pages.append, wait)
     assert [error.code[:3] for error in failures] == ["BVH"]
     assert len(pages) == 1
     assert (watched.version, watched.error) == (2, None)
     assert pages[0].manifest["time"]["count"] == 5
-    assert not watched.changed()
+    assert not watched.has_changed()
 
 
 def test_an_error_stays_on_the_page_until_it_is_mended(take: Path) -> None:
@@ -106,9 +106,9 @@ def test_an_error_stays_on_the_page_until_it_is_mended(take: Path) -> None:
     assert state["version"] == 1
     assert "BVH" in state["error"]
     assert watched.response_body() == before
-    assert not watched.changed()
+    assert not watched.has_changed()
     take.unlink()
-    assert watched.changed()
+    assert watched.has_changed()
 
 
 def test_files_that_a_file_names_are_followed(tmp_path: Path) -> None:
@@ -120,7 +120,7 @@ def test_files_that_a_file_names_are_followed(tmp_path: Path) -> None:
     watched = WatchedPage(lambda: make_page([clip]))
     watched.build()
     rig.write_text(rig.read_text() + "- {name: b, parent: a, type: ball}\n")
-    assert watched.changed()
+    assert watched.has_changed()
     watched.build()
     assert watched.page is not None
     names = watched.page.manifest["takes"][0]["skeleton"]["names"]

@@ -30,7 +30,7 @@ def test_values_come_back_within_their_error(frames: int) -> None:
     packer = StreamPacker()
     stored = [quantize_units(units), quantize_range(places), quantize_range(far)]
     numbers = [packer.add(data) for data in stored]
-    faces = packer.static([[0, 1, 2], [70000, 3, 1]], "u32")
+    faces = packer.add_static([[0, 1, 2], [70000, 3, 1]], "u32")
     page = read(packer)
     for number, data, values in zip(numbers, stored, (units, places, far), strict=True):
         found = page.values(number)
@@ -68,9 +68,9 @@ def test_gaps_are_nan() -> None:
 def test_equal_static_arrays_are_stored_once() -> None:
     packer = StreamPacker()
     points = np.arange(30.0).reshape(10, 3)
-    first = packer.static_range(points)
-    assert packer.static_range(points.copy()) == first
-    assert packer.static_range(points + 1) != first
+    first = packer.add_static_range(points)
+    assert packer.add_static_range(points.copy()) == first
+    assert packer.add_static_range(points + 1) != first
     moving = Quantized(np.zeros((2, 1), "<u1"), "u8")
     assert packer.add(moving) != packer.add(moving)
 

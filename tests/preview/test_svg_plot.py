@@ -29,7 +29,7 @@ def panel(*points: PrecisionPoint, floor: float = 0.0) -> Panel:
 def test_points_stand_where_their_logarithms_say() -> None:
     made = panel(
         PrecisionPoint(1.0, 1e-1),
-        PrecisionPoint(10.0, 1e-3, best=True),
+        PrecisionPoint(10.0, 1e-3, is_best=True),
         PrecisionPoint(100.0, 1e-5),
     )
     root = ET.fromstring(plot_svg(made))
@@ -62,8 +62,8 @@ def test_names_are_escaped_and_points_without_a_logarithm_are_left_out() -> None
 def test_the_present_one_has_a_ring_and_what_to_take_a_square() -> None:
     text = plot_svg(
         panel(
-            PrecisionPoint(1.0, 0.1, chosen=True),
-            PrecisionPoint(2.0, 0.01, recommended=True),
+            PrecisionPoint(1.0, 0.1, is_current=True),
+            PrecisionPoint(2.0, 0.01, is_recommended=True),
         )
     )
     assert len(re.findall('class="ring"', text)) == 2
@@ -71,7 +71,10 @@ def test_the_present_one_has_a_ring_and_what_to_take_a_square() -> None:
 
 
 def test_the_front_joins_what_nothing_beats_in_order() -> None:
-    best = [PrecisionPoint(4.0, 0.01, best=True), PrecisionPoint(1.0, 0.1, best=True)]
+    best = [
+        PrecisionPoint(4.0, 0.01, is_best=True),
+        PrecisionPoint(1.0, 0.1, is_best=True),
+    ]
     text = plot_svg(panel(*best, PrecisionPoint(2.0, 0.2)))
     (front,) = re.findall('class="front" d="M([^"]*)"', text)
     xs = [float(part.split()[0]) for part in front.split("L")]

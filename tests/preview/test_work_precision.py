@@ -29,10 +29,11 @@ PANEL = Panel(
     "error [m]",
     (
         PrecisionCurve(
-            "euler", (PrecisionPoint(0.1, 0.1), PrecisionPoint(0.2, 0.05, chosen=True))
+            "euler",
+            (PrecisionPoint(0.1, 0.1), PrecisionPoint(0.2, 0.05, is_current=True)),
         ),
         PrecisionCurve(
-            "rk4", (PrecisionPoint(0.3, 1e-6, best=True), PrecisionPoint(0.4, 0.0))
+            "rk4", (PrecisionPoint(0.3, 1e-6, is_best=True), PrecisionPoint(0.4, 0.0))
         ),
         PrecisionCurve("lost", (PrecisionPoint(0.1, math.nan),)),
     ),
@@ -105,8 +106,8 @@ def test_settings_without_an_error_or_with_none_at_all_have_no_point(
         PrecisionPoint(0.1, 0.0),
         PrecisionPoint(0.2, math.inf),
         PrecisionPoint(0.3, math.nan),
-        PrecisionPoint(0.4, 1e-3, best=True),
-        PrecisionPoint(0.5, 2e-3, chosen=True),
+        PrecisionPoint(0.4, 1e-3, is_best=True),
+        PrecisionPoint(0.5, 2e-3, is_current=True),
         PrecisionPoint(0.6, -1.0),
     )
     panel = Panel(
@@ -194,7 +195,7 @@ def test_a_simulation_has_a_curve_for_each_method() -> None:
             "rk4",
             (
                 PrecisionPoint(0.1, 1e-3),
-                PrecisionPoint(0.3, 1e-5, chosen=True, best=True),
+                PrecisionPoint(0.3, 1e-5, is_current=True, is_best=True),
             ),
         ),
         PrecisionCurve("euler", (PrecisionPoint(0.2, 1e-1),)),
@@ -225,7 +226,7 @@ def test_what_is_written_is_drawn_by_its_bytes_and_its_largest_error() -> None:
     points = panel.curves[0].points
     assert points == (
         PrecisionPoint(70, 0.2),
-        PrecisionPoint(60, 0.4, recommended=True),
+        PrecisionPoint(60, 0.4, is_recommended=True),
     )
     (panel,) = panels_of([replace(part, cost=CostMeasure.STEPS, unit="keys")])
     assert panel.cost == "keys"

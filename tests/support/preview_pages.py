@@ -203,20 +203,20 @@ def ribbon(
     shape = {
         "name": "wide",
         "column": 0,
-        "vertices": draft.packer.static(vertices, "u32"),
-        "offsets": draft.packer.static(np.tile([reach, 0, 0], 2 * joints), "f32"),
+        "vertices": draft.packer.add_static(vertices, "u32"),
+        "offsets": draft.packer.add_static(np.tile([reach, 0, 0], 2 * joints), "f32"),
     }
     return draft.add(
         "meshes",
         name="ribbon",
         take=take,
-        points=draft.packer.static(points, "f32"),
-        faces=draft.packer.static(np.array(faces), "u32"),
+        points=draft.packer.add_static(points, "f32"),
+        faces=draft.packer.add_static(np.array(faces), "u32"),
         skin={
             "palette": [*range(joints)],
-            "joints": draft.packer.static(own, "u16"),
+            "joints": draft.packer.add_static(own, "u16"),
             "weights": stream,
-            "bind": draft.packer.static(bind.swapaxes(1, 2), "f32"),
+            "bind": draft.packer.add_static(bind.swapaxes(1, 2), "f32"),
         },
         shapes=[shape] if reach else [],
         cache=None,

@@ -106,17 +106,17 @@ def parse_calibration(
     stated_unit = _stated_unit(document)
     unit = unit or stated_unit or LengthUnit.M
     scale = unit.meters
-    entries = list(_camera_entries(document.value))
+    entries = list(_find_camera_entries(document.value))
     if not entries:
         message = "holds no cameras"
         hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
         document.add("CAM003", (), message, hint)
     cameras: list[Camera] = []
     for location, name, entry in entries:
-        camera = _CalibrationEntry(document, location, entry).camera(name, scale)
+        camera = _CalibrationEntry(document, location, entry).read_camera(name, scale)
         if camera is None:
             continue
-        if camera.name in {other.name for other in cameras}:
+        if camera.name in {earlier_camera.name for earlier_camera in cameras}:
             message = f"two cameras are called {camera.name!r}"
             document.add("CAM002", location, message)
         cameras.append(camera)
@@ -142,26 +142,27 @@ def _stated_unit(document: Document) -> LengthUnit | None:
     return None
 
 
-def _camera_entries(
+def _find_camera_entries(
     value: dict[str, Any],
 ) -> Iterator[tuple[Location, str, dict[str, Any]]]:
     """Yield the cameras of a calibration: locations, names and values."""
-    listed_ = value.get("cameras")
-    if isinstance(listed_, list):
-        for i, entry in enumerate(listed_):
+    camera_list = value.get("cameras")
+    if isinstance(camera_list, list):
+        for i, entry in enumerate(camera_list):
             if isinstance(entry, dict):
                 yield ("cameras", i), f"cam{i:02d}", entry
     elif _is_camera(value):
         yield (), DEFAULT_CAMERA_NAME, value
     else:
-        tables = listed_ if isinstance(listed_, dict) else value
-        prefix: Location = ("cameras",) if isinstance(listed_, dict) else ()
+        tables = camera_list if isinstance(camera_list, dict) else value
+        prefix: Location = ("cameras",) if isinstance(camera_list, dict) else ()
         for name, entry in tables.items():
             if isinstance(entry, dict) and _is_camera(entry):
                 yield (*prefix, name), name, entry
 
 
 def _is_camera(value: Mapping[str, Any]) -> bool:
+    """Return whether a value has a camera matrix."""
     return any(key in value for key in _QUANTITY_KEYS["matrix"])
 
 
@@ -173,24 +174,24 @@ class _CalibrationEntry:
     location: Location
     value: dict[str, Any]
 
-    def camera(self, name: str, scale: float) -> Camera | None:
+    def read_camera(self, name: str, scale: float) -> Camera | None:
         """Return the camera; None if it has faults, which are recorded."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
             self.document.add("CAM003", (*self.location, "fisheye"), message, hint)
             return None
-        matrix = self._numbers("matrix", (3, 3))
-        lens = self._numbers("distortion", None)
-        rotation = self._numbers("rotation", None)
-        translation = self._numbers("translation", (3,))
-        size = self._size()
+        matrix = self._read_numbers("matrix", (3, 3))
+        lens = self._read_numbers("distortion", None)
+        rotation = self._read_numbers("rotation", None)
+        translation = self._read_numbers("translation", (3,))
+        size = self._read_size()
         if matrix is None or rotation is None or translation is None or lens is None:
             return None
-        if not self._is_matrix(matrix):
+        if not self._check_matrix(matrix):
             return None
-        rotation_matrix = self._rotation(rotation)
-        if rotation_matrix is None or not self._is_lens(lens):
+        rotation_matrix = self._read_rotation(rotation)
+        if rotation_matrix is None or not self._check_lens(lens):
             return None
         stated_name = self.value.get("name")
         return Camera(
@@ -208,15 +209,17 @@ class _CalibrationEntry:
             ),
         )
 
-    def _key(self, quantity: str) -> str | None:
+    def _key_of(self, quantity: str) -> str | None:
+        """Return the key of a quantity that the entry has; None without one."""
         return next(
             (key for key in _QUANTITY_KEYS[quantity] if key in self.value), None
         )
 
-    def _numbers(
+    def _read_numbers(
         self, quantity: str, shape: tuple[int, ...] | None
     ) -> FloatArray | None:
-        key = self._key(quantity)
+        """Return the numbers of a quantity; None with a fault if missing or invalid."""
+        key = self._key_of(quantity)
         if key is None:
             if quantity == "distortion":
                 return np.zeros(0)
@@ -228,7 +231,7 @@ class _CalibrationEntry:
             return None
         value = self.value[key]
         if isinstance(value, dict) and "data" in value:
-            value = self._opencv(value)
+            value = self._matrix_of_storage(value)
         try:
             numbers = np.array(value, np.float64)
         except (TypeError, ValueError, OverflowError):
@@ -247,7 +250,7 @@ class _CalibrationEntry:
             return None
         return numbers
 
-    def _opencv(self, value: dict[str, Any]) -> Any:
+    def _matrix_of_storage(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
         if not (
@@ -258,7 +261,8 @@ class _CalibrationEntry:
             return None
         return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 
-    def _is_matrix(self, matrix: FloatArray) -> bool:
+    def _check_matrix(self, matrix: FloatArray) -> bool:
+        """Return whether a matrix is a camera matrix; record a fault otherwise."""
         fixed_entries = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
         is_valid = (
             matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(fixed_entries, 0)
@@ -266,25 +270,29 @@ class _CalibrationEntry:
         if not is_valid:
             message = "is not a camera matrix"
             hint = "write [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
-            key = self._key("matrix") or "matrix"
+            key = self._key_of("matrix") or "matrix"
             self.document.add("CAM003", (*self.location, key), message, hint)
         return bool(is_valid)
 
-    def _rotation(self, value: FloatArray) -> FloatArray | None:
+    def _read_rotation(self, value: FloatArray) -> FloatArray | None:
+        """Return a rotation matrix; None with a fault if it is no rotation."""
         if value.size == 3:
             return to_matrix(exp(value.ravel()))
-        matrix = nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
-        if matrix is None:
+        rotation_matrix = (
+            nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
+        )
+        if rotation_matrix is None:
             message = "is not a rotation"
             hint = (
                 "write a matrix with orthogonal rows of length 1, or a rotation vector"
             )
-            key = self._key("rotation") or "rotation"
+            key = self._key_of("rotation") or "rotation"
             self.document.add("CAM001", (*self.location, key), message, hint)
-        return matrix
+        return rotation_matrix
 
-    def _is_lens(self, value: FloatArray) -> bool:
-        key = self._key("distortion") or "distortion"
+    def _check_lens(self, value: FloatArray) -> bool:
+        """Return whether a lens is supported; record a fault otherwise."""
+        key = self._key_of("distortion") or "distortion"
         if value.size not in range(9) and value.size not in _COEFFICIENT_COUNTS:
             message = f"{value.size} numbers do not make an OpenCV lens"
             self.document.add("CAM003", (*self.location, key), message)
@@ -296,8 +304,9 @@ class _CalibrationEntry:
             return False
         return True
 
-    def _size(self) -> tuple[int, int] | None:
-        key = self._key("size")
+    def _read_size(self) -> tuple[int, int] | None:
+        """Return width and height of the image [px]; None if unknown."""
+        key = self._key_of("size")
         size_pair: Any = None if key is None else self.value[key]
         for width, height in _SIZE_KEYS:
             if width in self.value and height in self.value:

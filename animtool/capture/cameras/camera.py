@@ -55,7 +55,7 @@ class Camera:
         return -self.rotation.T @ self.translation
 
     @property
-    def numbers(self) -> FloatArray:
+    def kernel_parameters(self) -> FloatArray:
         """Parameters for kernels: focal, centre, skew, lens, R, t, size ``(27,)``."""
         lens = (*self.focal, *self.centre, self.skew, *self.distortion)
         size = self.size or (0, 0)
@@ -104,19 +104,21 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
     return rotation if abs(rotation - matrix).max() <= ROTATION_TOLERANCE else None
 
 
-def camera_numbers(cameras: Sequence[Camera]) -> FloatArray:
+def camera_parameters(cameras: Sequence[Camera]) -> FloatArray:
     """Return the kernel parameters of cameras ``(C, 27)``."""
-    return np.array([camera.numbers for camera in cameras]).reshape(-1, 27)
+    return np.array([camera.kernel_parameters for camera in cameras]).reshape(-1, 27)
 
 
 def distort(camera: Camera, points: FloatArray) -> FloatArray:
     """Return image plane points at depth 1 with lens distortion applied ``(…, 2)``."""
     k1, k2, p1, p2, k3, k4, k5, k6 = camera.distortion
     x, y = points[..., 0], points[..., 1]
-    s = x * x + y * y
-    radial = (1 + s * (k1 + s * (k2 + s * k3))) / (1 + s * (k4 + s * (k5 + s * k6)))
-    x_distorted = x * radial + 2 * p1 * x * y + p2 * (s + 2 * x * x)
-    y_distorted = y * radial + p1 * (s + 2 * y * y) + 2 * p2 * x * y
+    squared_radius = x * x + y * y
+    radial = (
+        1 + squared_radius * (k1 + squared_radius * (k2 + squared_radius * k3))
+    ) / (1 + squared_radius * (k4 + squared_radius * (k5 + squared_radius * k6)))
+    x_distorted = x * radial + 2 * p1 * x * y + p2 * (squared_radius + 2 * x * x)
+    y_distorted = y * radial + p1 * (squared_radius + 2 * y * y) + 2 * p2 * x * y
     return np.stack([x_distorted, y_distorted], axis=-1)
 
 
@@ -165,17 +167,26 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
         # Finite differences are exact enough for the slopes of the lens: every step is
         # checked with the lens model itself.
         step, projected = 1e-6, distort(camera, estimate)
-        by_x = (distort(camera, estimate + np.array([step, 0])) - projected) / step
-        by_y = (distort(camera, estimate + np.array([0, step])) - projected) / step
+        derivative_x = (
+            distort(camera, estimate + np.array([step, 0])) - projected
+        ) / step
+        derivative_y = (
+            distort(camera, estimate + np.array([0, step])) - projected
+        ) / step
         error = projected - target
-        det = by_x[..., 0] * by_y[..., 1] - by_x[..., 1] * by_y[..., 0]
-        det = np.where(det > 0, det, np.nan)
-        change = np.stack(
+        determinant = (
+            derivative_x[..., 0] * derivative_y[..., 1]
+            - derivative_x[..., 1] * derivative_y[..., 0]
+        )
+        determinant = np.where(determinant > 0, determinant, np.nan)
+        newton_step = np.stack(
             [
-                error[..., 0] * by_y[..., 1] - error[..., 1] * by_y[..., 0],
-                error[..., 1] * by_x[..., 0] - error[..., 0] * by_x[..., 1],
+                error[..., 0] * derivative_y[..., 1]
+                - error[..., 1] * derivative_y[..., 0],
+                error[..., 1] * derivative_x[..., 0]
+                - error[..., 0] * derivative_x[..., 1],
             ],
             axis=-1,
         )
-        estimate -= change / det[..., None]
+        estimate -= newton_step / determinant[..., None]
     return estimate

@@ -199,8 +199,8 @@ def load_all_cameras(
     cameras: dict[str, Camera] = {}
     for path, camera_set in zip(paths, camera_sets, strict=True):
         if camera_set.up != camera_sets[0].up:
-            other = f"that of {paths[0].name} is {camera_sets[0].up}"
-            message = f"its up axis is {camera_set.up}, but {other}"
+            first_axis_text = f"that of {paths[0].name} is {camera_sets[0].up}"
+            message = f"its up axis is {camera_set.up}, but {first_axis_text}"
             hint = "calibrate all cameras in one world, and write its `up` in each file"
             raise FormatError(Fault("CAM003", message, str(path), hint=hint))
         for camera in camera_set.cameras:

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool.capture.cameras.camera import Camera, camera_numbers
+from animtool.capture.cameras.camera import Camera, camera_parameters
 from animtool.capture.cameras.observations import Observations
-from animtool.capture.cameras.stale import PoseChange, pose_change
+from animtool.capture.cameras.stale import PoseChange, fit_pose_change
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.record import dataclass
 
@@ -52,13 +52,14 @@ class ObservationNoise:
 
     Attributes:
         pixels: Standard deviation of an axis [px] ``(C,)``.
-        stale: Cameras that another pose fits much better in all frames, by index.
-        agree: Whether cameras agree on most of the points.
+        stale_cameras: Cameras that another pose fits much better in all frames, by
+            index.
+        cameras_agree: Whether cameras agree on most of the points.
     """
 
     pixels: FloatArray
-    stale: dict[int, PoseChange]
-    agree: bool = True
+    stale_cameras: dict[int, PoseChange]
+    cameras_agree: bool = True
 
 
 def measure_noise(
@@ -66,61 +67,69 @@ def measure_noise(
 ) -> ObservationNoise:
     """Return the noise of observations, measured on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
-    step = max(1, frames * markers // SAMPLE_POINTS)
-    pixels = observations.pixels(0, frames, step)
-    trust = observations.trust(0, frames, step)
-    camera_parameters = camera_numbers(cameras)
-    noise = np.full(views, initial_noise(pixels, camera_parameters))
+    frame_step = max(1, frames * markers // SAMPLE_POINTS)
+    pixels = observations.pixels(0, frames, frame_step)
+    confidences = observations.confidences_of(0, frames, frame_step)
+    kernel_cameras = camera_parameters(cameras)
+    noise = np.full(views, initial_noise(pixels, kernel_cameras))
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
     for round_ in range(_NOISE_ROUNDS + views):
         *_, residuals, states = _kernels.triangulate_points(
-            pixels, trust, camera_parameters, active, noise, *settings, detailed=True
+            pixels,
+            confidences,
+            kernel_cameras,
+            active,
+            noise,
+            *settings,
+            detailed=True,
         )
         lengths = _lengths(residuals)
-        if trust is not None:
-            lengths = lengths * np.sqrt(np.maximum(trust, 0))
-        pooled = _pooled_noise(lengths, states == USED)
-        if pooled is None:
+        if confidences is not None:
+            lengths = lengths * np.sqrt(np.maximum(confidences, 0))
+        pooled_noise = _pooled_noise(lengths, states == USED)
+        if pooled_noise is None:
             break
         noises = _camera_noise(lengths, states)
-        middle = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
-        ratios = np.nan_to_num(noises / middle, nan=1.0)
-        noise = np.maximum(pooled * _noise_factors(ratios), MIN_NOISE)
-        left_out = _stale_camera(
-            cameras, pixels, trust, noise, active, ratios, settings
+        median_noise = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
+        ratios = np.nan_to_num(noises / median_noise, nan=1.0)
+        noise = np.maximum(pooled_noise * _noise_factors(ratios), MIN_NOISE)
+        stale_camera = _stale_camera(
+            cameras, pixels, confidences, noise, active, ratios, settings
         )
-        if left_out is not None:
-            worst, stale[worst] = left_out[0], left_out[1]
-            active[:, worst] = False
+        if stale_camera is not None:
+            worst_camera, stale[worst_camera] = stale_camera[0], stale_camera[1]
+            active[:, worst_camera] = False
             active_frame = active[0]
             noise[:] = initial_noise(
-                pixels[:, active_frame], camera_parameters[active_frame]
+                pixels[:, active_frame], kernel_cameras[active_frame]
             )
         elif round_ >= _NOISE_ROUNDS - 1:
             break
     points, *_ = _kernels.triangulate_points(
-        pixels, trust, camera_parameters, active, noise, *settings, detailed=False
+        pixels, confidences, kernel_cameras, active, noise, *settings, detailed=False
     )
-    visible = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1) > 1
+    visible_count = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(
+        axis=1
+    ) > 1
     triangulated = int(np.isfinite(points[..., 0]).sum())
-    if triangulated < MIN_TRIANGULATED * visible.sum():
+    if triangulated < MIN_TRIANGULATED * visible_count.sum():
         # If no two cameras agree, or any two do, all are pooled.
         stale, active = {}, np.ones_like(active)
         *_, residuals, states = _kernels.triangulate_points(
             pixels,
-            trust,
-            camera_parameters,
+            confidences,
+            kernel_cameras,
             active,
             noise,
             _UNLIMITED_GATE,
             condition,
             detailed=True,
         )
-        overall = _pooled_noise(_lengths(residuals), states == USED)
-        noise[:] = noise if overall is None else max(overall, MIN_NOISE)
-        return ObservationNoise(noise, stale, agree=False)
+        overall_noise = _pooled_noise(_lengths(residuals), states == USED)
+        noise[:] = noise if overall_noise is None else max(overall_noise, MIN_NOISE)
+        return ObservationNoise(noise, stale, cameras_agree=False)
     noise[list(stale)] = np.median(noise[active[0]])
     return ObservationNoise(noise, stale)
 
@@ -141,15 +150,15 @@ def _lengths(residuals: Float32Array) -> Any:
 
 def _noise_factors(ratios: FloatArray) -> FloatArray:
     """Return factors of the pooled noise by camera: 1 for similar ones, bounded."""
-    similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
-    bounded = np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
-    return np.asarray(np.where(similar, 1.0, bounded))
+    is_similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
+    bounded_ratios = np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
+    return np.asarray(np.where(is_similar, 1.0, bounded_ratios))
 
 
 def _stale_camera(
     cameras: Sequence[Camera],
     pixels: FloatArray,
-    trust: FloatArray | None,
+    confidences: FloatArray | None,
     noise: FloatArray,
     active_cameras: BoolArray,
     noise_ratios: FloatArray,
@@ -170,14 +179,14 @@ def _stale_camera(
         without_camera[:, camera] = False
         points, sizes, *_ = _kernels.triangulate_points(
             pixels,
-            trust,
-            camera_numbers(cameras),
+            confidences,
+            camera_parameters(cameras),
             without_camera,
             noise,
             *settings,
             detailed=False,
         )
-        change = pose_change(cameras[camera], points, pixels[:, camera])
+        change = fit_pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
             candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
     if not candidates:
@@ -204,16 +213,16 @@ def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     )
 
 
-def _pooled_noise(lengths: FloatArray, used: BoolArray) -> float | None:
+def _pooled_noise(lengths: FloatArray, is_used: BoolArray) -> float | None:
     """Estimate the noise from the points' sums of squares [px]."""
-    counts = used.sum(axis=1)
-    square_sums = np.where(used, lengths, 0.0)
+    counts = is_used.sum(axis=1)
+    square_sums = np.where(is_used, lengths, 0.0)
     square_sums = (square_sums * square_sums).sum(axis=1)[counts > 1]
     degrees_of_freedom = 2.0 * counts[counts > 1] - 3
     if not len(square_sums):
         return None
-    middle = degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
-    return float(np.sqrt(np.median(square_sums / middle)))
+    expected_median = degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
+    return float(np.sqrt(np.median(square_sums / expected_median)))
 
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:

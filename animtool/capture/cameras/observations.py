@@ -76,7 +76,7 @@ class Observations:
             pixels[(stored == self.missing).any(axis=-1)] = np.nan
         return pixels
 
-    def trust(self, first: int, end: int, step: int = 1) -> FloatArray | None:
+    def confidences_of(self, first: int, end: int, step: int = 1) -> FloatArray | None:
         """Return the confidences of frames ``(F, C, M)``; None if all are 1."""
         if self.confidences is None:
             return None

@@ -22,7 +22,7 @@ from animtool import _kernels
 from animtool.capture.cameras.camera import (
     Camera,
     Cameras,
-    camera_numbers,
+    camera_parameters,
     pixel_rays,
     project,
 )
@@ -64,7 +64,7 @@ class _PersonTrack:
     detections: dict[tuple[int, int], int] = field(default_factory=dict)
 
 
-def follow_people(
+def track_people(
     detections: Sequence[Sequence[Sequence[FloatArray]]],
     cameras: Sequence[Camera],
     rate: float,
@@ -84,20 +84,20 @@ def follow_people(
     tracks: list[_PersonTrack] = []
     lost_after = max(1, round(MAX_LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
-        live = [t for t in tracks if frame - t.last_frame <= lost_after]
+        live_tracks = [t for t in tracks if frame - t.last_frame <= lost_after]
         unassigned_detections = {
             (camera, i)
             for camera, detected in enumerate(people)
             for i in range(len(detected))
         }
-        groups = _continue_tracks(live, people, cameras, unassigned_detections)
-        first_new = _group_detections(people, cameras, sorted(unassigned_detections))
-        for known_as, group in [*groups, *((None, group) for group in first_new)]:
+        groups = _continue_tracks(live_tracks, people, cameras, unassigned_detections)
+        new_groups = _group_detections(people, cameras, sorted(unassigned_detections))
+        for known_track, group in [*groups, *((None, group) for group in new_groups)]:
             points = _solve_person(group, people, cameras, keypoints)
             if points is None:
                 continue
-            track = known_as or _PersonTrack(points, frame)
-            if known_as is None:
+            track = known_track or _PersonTrack(points, frame)
+            if known_track is None:
                 tracks.append(track)
             is_triangulated = np.isfinite(points[:, :1])
             track.points = np.where(is_triangulated, points, track.points)
@@ -122,6 +122,7 @@ def _stack_tracks(
     cameras: int,
     keypoints: int,
 ) -> FloatArray:
+    """Return the keypoints of tracks as one array ``(F, C, P * M, 3)``."""
     shape = (len(detections), cameras, max(1, len(tracks)), keypoints, 3)
     gathered = np.full(shape, np.nan)
     gathered[..., 2] = 0
@@ -138,7 +139,7 @@ def _person_size(keypoints: FloatArray) -> float:
 
 
 def _continue_tracks(
-    live: list[_PersonTrack],
+    live_tracks: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
     unassigned: set[tuple[int, int]],
@@ -146,12 +147,12 @@ def _continue_tracks(
     """Assign detections to known people, and remove them from ``unassigned``."""
     from scipy.optimize import linear_sum_assignment
 
-    groups: list[dict[int, int]] = [{} for _ in live]
+    groups: list[dict[int, int]] = [{} for _ in live_tracks]
     for c, camera in enumerate(cameras):
-        if not live or not people[c]:
+        if not live_tracks or not people[c]:
             continue
-        costs = np.full((len(live), len(people[c])), _MAX_SHIFT)
-        for t, track in enumerate(live):
+        costs = np.full((len(live_tracks), len(people[c])), _MAX_SHIFT)
+        for t, track in enumerate(live_tracks):
             projected = project(camera, track.points)
             for i, keypoints in enumerate(people[c]):
                 distances = np.linalg.norm(projected - keypoints[:, :2], axis=-1)
@@ -165,13 +166,13 @@ def _continue_tracks(
             if costs[t, i] < _MAX_SHIFT:
                 groups[t][c] = int(i)
                 unassigned.discard((c, int(i)))
-    return list(zip(live, groups, strict=True))
+    return list(zip(live_tracks, groups, strict=True))
 
 
 def _group_detections(
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    free: Sequence[tuple[int, int]],
+    unassigned: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
     """Return new people: detections whose rays intersect."""
     pairs = []
@@ -179,37 +180,39 @@ def _group_detections(
         detection: _keypoint_rays(
             cameras[detection[0]], people[detection[0]][detection[1]]
         )
-        for detection in free
+        for detection in unassigned
     }
-    for a, det_a in enumerate(free):
-        for det_b in free[a + 1 :]:
-            if det_a[0] != det_b[0]:
+    for a, detection_a in enumerate(unassigned):
+        for detection_b in unassigned[a + 1 :]:
+            if detection_a[0] != detection_b[0]:
                 cost = _ray_distance(
-                    cameras[det_a[0]], ray_directions[det_a],
-                    cameras[det_b[0]], ray_directions[det_b],
-                    _person_size(people[det_a[0]][det_a[1]]),
-                    _person_size(people[det_b[0]][det_b[1]]),
+                    cameras[detection_a[0]], ray_directions[detection_a],
+                    cameras[detection_b[0]], ray_directions[detection_b],
+                    _person_size(people[detection_a[0]][detection_a[1]]),
+                    _person_size(people[detection_b[0]][detection_b[1]]),
                 )  # fmt: skip
                 if cost < _MAX_RAY_GAP:
-                    pairs.append((cost, det_a, det_b))
-    pair_costs = {(det_a, det_b): cost for cost, det_a, det_b in pairs}
-    group_of = {detection: {detection[0]: detection[1]} for detection in free}
-    for _, det_a, det_b in sorted(pairs):
-        first, second = group_of[det_a], group_of[det_b]
+                    pairs.append((cost, detection_a, detection_b))
+    pair_costs = {
+        (detection_a, detection_b): cost for cost, detection_a, detection_b in pairs
+    }
+    group_of = {detection: {detection[0]: detection[1]} for detection in unassigned}
+    for _, detection_a, detection_b in sorted(pairs):
+        first, second = group_of[detection_a], group_of[detection_b]
         if first is second or set(first) & set(second):
             continue
         # All keypoints of both must agree: rays of two people may meet by chance.
-        crossing = [
+        cross_pairs = [
             tuple(sorted([(c, i), (d, j)]))
             for c, i in first.items()
             for d, j in second.items()
         ]
-        if all(pair in pair_costs for pair in crossing):
+        if all(pair in pair_costs for pair in cross_pairs):
             first.update(second)
             for c, i in second.items():
                 group_of[c, i] = first
-    unique = {id(group): group for group in group_of.values()}
-    return [group for group in unique.values() if len(group) > 1]
+    unique_groups = {id(group): group for group in group_of.values()}
+    return [group for group in unique_groups.values() if len(group) > 1]
 
 
 def _keypoint_rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
@@ -261,13 +264,13 @@ def _solve_person(
     """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
-    selected = sorted(group)
-    views = np.stack([people[c][group[c]] for c in selected])
-    noise = np.array([_NOISE * _person_size(view) for view in views])
+    cameras_of_person = sorted(group)
+    keypoints_by_camera = np.stack([people[c][group[c]] for c in cameras_of_person])
+    noise = np.array([_NOISE * _person_size(view) for view in keypoints_by_camera])
     points: FloatArray = _kernels.triangulate_points(
-        np.ascontiguousarray(views[None, :, :, :2]), None,
-        camera_numbers([cameras[c] for c in selected]),
-        np.ones((1, len(selected)), bool), noise, _GATE, _CONDITION,
+        np.ascontiguousarray(keypoints_by_camera[None, :, :, :2]), None,
+        camera_parameters([cameras[c] for c in cameras_of_person]),
+        np.ones((1, len(cameras_of_person)), bool), noise, _GATE, _CONDITION,
         detailed=False,
     )[0][0]  # fmt: skip
     triangulated = np.isfinite(points).all(axis=-1)
@@ -338,7 +341,7 @@ def read_keypoints(
         (), Clock(rate, Fraction(1), Fraction(1), last - first + 1),
         np.zeros((1, len(folders), 0, 2)), names, path=str(folder),
     )  # fmt: skip
-    chosen = match_cameras(frame_clock, cameras)
+    matched_cameras = match_cameras(frame_clock, cameras)
     detections = [
         [_read_people(files[f]) if f in files else [] for files in frames]
         for f in range(first, last + 1)
@@ -349,7 +352,9 @@ def read_keypoints(
         hint = "all files must use one body model"
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
     keypoints = counts.pop()
-    tracks = follow_people(detections, chosen.cameras, float(rate), keypoints, people)
+    tracks = track_people(
+        detections, matched_cameras.cameras, float(rate), keypoints, people
+    )
     labels = _KEYPOINT_NAMES.get(keypoints) or tuple(
         f"point{i:02d}" for i in range(keypoints)
     )
@@ -417,7 +422,7 @@ def _read_people(path: Path) -> list[FloatArray]:
     try:
         value: Any = json.loads(data)
         people = value["people"]
-        valid = [
+        people_arrays = [
             np.array(keypoints["pose_keypoints_2d"], np.float64).reshape(-1, 3)
             for keypoints in people[: MAX_PEOPLE + 1]
         ]
@@ -428,7 +433,7 @@ def _read_people(path: Path) -> list[FloatArray]:
         message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
         raise FormatError(Fault("CAM010", message, str(path)))
     detected = []
-    for keypoints in valid:
+    for keypoints in people_arrays:
         if not 0 < len(keypoints) <= MAX_KEYPOINTS:
             message = f"a person has {len(keypoints)} keypoints"
             raise FormatError(Fault("CAM010", message, str(path)))
@@ -440,6 +445,7 @@ def _read_people(path: Path) -> list[FloatArray]:
 
 
 def _error_reason(error: Exception) -> str:
+    """Return the reason of an error, in words for users."""
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):

@@ -110,7 +110,7 @@ class ObservationCounts:
         return self.values[..., 1]
 
     @property
-    def judged(self) -> FloatArray:
+    def of_triangulated(self) -> FloatArray:
         """Observations of triangulated points ``(F, C)``."""
         return self.values[..., 2]
 
@@ -203,19 +203,19 @@ def camera_notices(
 
 
 def lost_frames(
-    positions: FloatArray, visible: BoolArray, clock: Clock, path: str
+    positions: FloatArray, is_visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
     """Yield warnings about frames in which most visible points have no position.
 
     Args:
         positions: ``(F, M, 3)``, NaN for a gap.
-        visible: Points visible to two or more cameras ``(F, M)``.
+        is_visible: Points visible to two or more cameras ``(F, M)``.
         clock: Clock of the frames.
         path: Path of the observations.
     """
-    lost_counts = (visible & np.isnan(positions[..., 0])).sum(axis=1)
+    lost_counts = (is_visible & np.isnan(positions[..., 0])).sum(axis=1)
     frames = np.flatnonzero(
-        (lost_counts > MAX_LOST_FRACTION * visible.sum(axis=1))
+        (lost_counts > MAX_LOST_FRACTION * is_visible.sum(axis=1))
         & (lost_counts >= MIN_VIEW)
     )
     if not len(frames) or len(frames) == clock.count:

@@ -94,33 +94,40 @@ class CameraDisagreement:
         return self.frame + 1
 
 
-def shifted_ranges(
-    judged: FloatArray, rejected: FloatArray, active: BoolArray, rate: float
+def find_shifted_ranges(
+    triangulated_counts: FloatArray,
+    rejected: FloatArray,
+    active: BoolArray,
+    rate: float,
 ) -> tuple[int, list[PoseShift]] | None:
     """Return the worst-fitting camera and its frame ranges; None if all fit.
 
     A camera that would leave fewer than two is skipped.
 
     Args:
-        judged: Observations of triangulated points ``(F, C)``.
+        triangulated_counts: Observations of triangulated points ``(F, C)``.
         rejected: Outliers among them ``(F, C)``.
         active: Whether each camera is used ``(F, C)``.
         rate: Frames a second.
     """
-    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
+    window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
     worst_fit: tuple[int, list[PoseShift]] | None = None
     most_rejections = 0
-    for camera in range(judged.shape[1]):
-        live = active[:, camera] & (active.sum(axis=1) > 2)
-        count = _window_sums(np.where(live, judged[:, camera], 0), window)
-        rejected_count = _window_sums(np.where(live, rejected[:, camera], 0), window)
+    for camera in range(triangulated_counts.shape[1]):
+        is_active = active[:, camera] & (active.sum(axis=1) > 2)
+        count = _window_sums(
+            np.where(is_active, triangulated_counts[:, camera], 0), window
+        )
+        rejected_count = _window_sums(
+            np.where(is_active, rejected[:, camera], 0), window
+        )
         is_off = (
-            live
+            is_active
             & (rejected_count > MIN_REJECTED_FRACTION * count)
             & (count >= MIN_OBSERVATIONS)
         )
-        rejections = np.where(live[:, None], rejected, 0.0)
-        ranges = _find_shifts(judged, rejections, camera, is_off, window)
+        rejections = np.where(is_active[:, None], rejected, 0.0)
+        ranges = _exact_ranges(triangulated_counts, rejections, camera, is_off, window)
         rejection_total = sum(
             int(rejected[shift.first : shift.end, camera].sum()) for shift in ranges
         )
@@ -129,26 +136,26 @@ def shifted_ranges(
     return worst_fit
 
 
-def stale_ranges(
-    judged: FloatArray, rejected: FloatArray, camera: int, rate: float
+def find_stale_ranges(
+    triangulated_counts: FloatArray, rejected: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
     """Return ranges in which an unused camera does not fit; all if no part differs.
 
-    Arguments are those of `shifted_ranges`.
+    Arguments are those of `find_shifted_ranges`.
     """
-    window = max(1, min(len(judged), round(MIN_SECONDS * rate)))
-    count = _window_sums(judged[:, camera], window)
+    window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
+    count = _window_sums(triangulated_counts[:, camera], window)
     rejected_count = _window_sums(rejected[:, camera], window)
     is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | (
         count < MIN_OBSERVATIONS
     )
     if not (is_off & (count >= MIN_OBSERVATIONS)).any():
         is_off[:] = True
-    return _find_shifts(judged, rejected, camera, is_off, window)
+    return _exact_ranges(triangulated_counts, rejected, camera, is_off, window)
 
 
-def disagreements(
-    values: FloatArray, camera: int, noise: float, live: BoolArray
+def find_disagreements(
+    values: FloatArray, camera: int, noise: float, is_active: BoolArray
 ) -> list[CameraDisagreement]:
     """Return single frames in which a camera does not agree with the others.
 
@@ -156,19 +163,21 @@ def disagreements(
         values: Tallies of the kernel ``(F, C, 8)``.
         camera: Camera index.
         noise: Noise of its observations, as a standard deviation of an axis [px].
-        live: Whether the camera is used in each frame ``(F,)``.
+        is_active: Whether the camera is used in each frame ``(F,)``.
     """
-    _, used, judged, rejected, _, pixels, *_ = values[:, camera].T
+    _, used, triangulated_counts, rejected, _, pixels, *_ = values[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = pixels / used / (2 * noise**2)
         ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
-    mostly_rejected = rejected > MIN_REJECTED_FRACTION * judged
+    is_mostly_rejected = rejected > MIN_REJECTED_FRACTION * triangulated_counts
     is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
-    frames = np.flatnonzero(live & (judged >= MIN_VIEW) & (mostly_rejected | is_loud))
+    frames = np.flatnonzero(
+        is_active & (triangulated_counts >= MIN_VIEW) & (is_mostly_rejected | is_loud)
+    )
     return [
         CameraDisagreement(
             f,
-            float(rejected[f] / judged[f]),
+            float(rejected[f] / triangulated_counts[f]),
             float(np.sqrt(pixels[f] / used[f])) if used[f] else float("nan"),
         )
         for f in frames.tolist()
@@ -180,7 +189,7 @@ def truncated_error(
     visible: BoolArray,
     noise: FloatArray,
     gate: float,
-    has_extra: BoolArray | bool = False,
+    has_extra_camera: BoolArray | bool = False,
 ) -> float:
     """Return the mean squared reprojection error over its expectation, truncated.
 
@@ -192,17 +201,17 @@ def truncated_error(
         visible: Which observations are counted ``(F, C, M)``.
         noise: Noise of each camera [px] ``(C,)``.
         gate: Outlier threshold, over the noise.
-        has_extra: Whether one more camera is used for a point ``(F, M)``.
+        has_extra_camera: Whether one more camera is used for a point ``(F, M)``.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
     count = visible.sum(axis=1)
     # A point takes 3 of the 2n residuals of all n cameras that see it.
-    degrees_of_freedom = 2 * count - 3 * count / np.maximum(count + has_extra, 1)
+    degrees_of_freedom = 2 * count - 3 * count / np.maximum(count + has_extra_camera, 1)
     return float(squares[visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12))
 
 
-def _find_shifts(
+def _exact_ranges(
     judged: FloatArray,
     rejected: FloatArray,
     camera: int,
@@ -225,9 +234,12 @@ def _find_shifts(
 
 
 def _rejected_fraction(
-    judged: FloatArray, rejected: FloatArray, camera: int, a: int, b: int
+    judged: FloatArray, rejected: FloatArray, camera: int, first: int, end: int
 ) -> float:
-    return float(rejected[a:b, camera].sum() / max(1, judged[a:b, camera].sum()))
+    """Return the rejected fraction of a camera's observations in frames."""
+    return float(
+        rejected[first:end, camera].sum() / max(1, judged[first:end, camera].sum())
+    )
 
 
 def _window_sums(values: FloatArray, window: int) -> FloatArray:
@@ -244,10 +256,14 @@ def _outlier_runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
     """Return runs of at least a window of frames; shorter gaps are closed."""
     # A shift that lasts a window shows for at least half of one around it.
     min_frames = max(1, window // 2)
-    return [(a, b) for a, b in merge_runs(runs(is_off), window) if b - a >= min_frames]
+    return [
+        (first, end)
+        for first, end in merge_runs(runs(is_off), window)
+        if end - first >= min_frames
+    ]
 
 
-def pose_change(
+def fit_pose_change(
     camera: Camera, points: FloatArray, pixels: FloatArray
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
@@ -272,17 +288,17 @@ def pose_change(
         )  # fmt: skip
         residual_vectors = project(refined_camera, points) - pixels
         lengths = np.linalg.norm(residual_vectors, axis=-1)
-        usable = np.isfinite(lengths)
-        if usable.sum() < MIN_OBSERVATIONS:
+        is_usable = np.isfinite(lengths)
+        if is_usable.sum() < MIN_OBSERVATIONS:
             return None
-        middle = max(float(np.median(lengths[usable])), 1e-6)
-        weights = np.where(usable, 1 / (1 + lengths / middle), 0.0)
+        median_length = max(float(np.median(lengths[is_usable])), 1e-6)
+        weights = np.where(is_usable, 1 / (1 + lengths / median_length), 0.0)
         slopes = _pixel_derivatives(refined_camera, points)
-        usable &= np.isfinite(slopes).all(axis=(1, 2))
-        root = np.sqrt(weights[usable])[:, None]
-        matrix = (slopes[usable] * root[..., None]).reshape(-1, 6)
+        is_usable &= np.isfinite(slopes).all(axis=(1, 2))
+        root_weights = np.sqrt(weights[is_usable])[:, None]
+        matrix = (slopes[is_usable] * root_weights[..., None]).reshape(-1, 6)
         step = np.linalg.lstsq(
-            matrix, -(residual_vectors[usable] * root).ravel(), rcond=None
+            matrix, -(residual_vectors[is_usable] * root_weights).ravel(), rcond=None
         )[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]

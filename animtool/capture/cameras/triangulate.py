@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool import _kernels
-from animtool.capture.cameras.camera import Cameras, camera_numbers
+from animtool.capture.cameras.camera import Cameras, camera_parameters
 from animtool.capture.cameras.conventions import better_convention
 from animtool.capture.cameras.noise import USED, measure_noise, sampled_initial_noise
 from animtool.capture.cameras.observations import Observations, match_cameras
@@ -28,10 +28,10 @@ from animtool.capture.cameras.stale import (
     CameraDisagreement,
     PoseChange,
     PoseShift,
-    disagreements,
-    pose_change,
-    shifted_ranges,
-    stale_ranges,
+    find_disagreements,
+    find_shifted_ranges,
+    find_stale_ranges,
+    fit_pose_change,
     truncated_error,
 )
 from animtool.capture.markers.plausible import plausibility_warnings
@@ -82,10 +82,11 @@ def triangulate(
     run = _TriangulationRun(
         observations, match_cameras(observations, cameras), options, progress
     )
-    return run.result()
+    return run.run()
 
 
 def _check_options(options: TriangulateOptions) -> None:
+    """Raise if an option is out of range."""
     for name in ("gate", "noise"):
         value = getattr(options, name)
         if value is not None and not 0 < value < np.inf:
@@ -112,7 +113,7 @@ class _TriangulationRun:
         self.observations, self.cameras, self.options = observations, cameras, options
         self.progress = progress
         self.frames, self.views, self.markers = observations.stored.shape[:3]
-        self.numbers = camera_numbers(cameras.cameras)
+        self.numbers = camera_parameters(cameras.cameras)
         self.active = np.ones((self.frames, self.views), bool)
         self.noise = np.ones(self.views)
         self.positions = np.full((self.frames, self.markers, 3), np.nan)
@@ -121,27 +122,30 @@ class _TriangulationRun:
         self.notices = [*cameras.notices, *observations.notices]
         self.shifts: list[list[PoseShift]] = [[] for _ in range(self.views)]
 
-    def result(self) -> Triangulation:
+    def run(self) -> Triangulation:
         """Return the points and the reports."""
-        stale = self._measure()
-        self._solve(0, self.frames)
+        stale = self._measure_noise()
+        self._solve_frames(0, self.frames)
         self._record_stale(stale)
         self._exclude_shifted()
         self._check_triangulated()
-        return self._triangulation()
+        return self._build_result()
 
-    def _measure(self) -> dict[int, PoseChange]:
+    def _measure_noise(self) -> dict[int, PoseChange]:
         """Measure the noise; return cameras that fit in no frame."""
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
         noise = measure_noise(
-            self.observations, self.cameras.cameras, self.options.gate, self._condition
+            self.observations,
+            self.cameras.cameras,
+            self.options.gate,
+            self._max_condition,
         )
         if not self.options.keep_moved:
-            self.active[:, list(noise.stale)] = False
+            self.active[:, list(noise.stale_cameras)] = False
         self.noise = noise.pixels
-        middle = float(np.median(self.noise))
+        median_noise = float(np.median(self.noise))
         widths = [
             c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
         ]
@@ -149,15 +153,17 @@ class _TriangulationRun:
         limit = SUSPECT_NOISE * width
         if noise.stale or not noise.agree or middle > limit:
             self._refuse_other_convention(limit)
-        if middle > MAX_NOISE * width:
-            message = f"cameras disagree: their rays miss each other by {middle:.0f} px"
+        if median_noise > MAX_NOISE * width:
+            message = (
+                f"cameras disagree: their rays miss each other by {median_noise:.0f} px"
+            )
             self._warn_of_disagreement(message)
-        if not noise.agree or middle > limit:
-            message = f"rays of the cameras miss each other by {middle:.1f} px"
+        if not noise.cameras_agree or median_noise > limit:
+            message = f"rays of the cameras miss each other by {median_noise:.1f} px"
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
             self._warn("CAM108", message, hint)
-        return noise.stale
+        return noise.stale_cameras
 
     def _refuse_other_convention(self, limit: float) -> None:
         """Refuse poses that fit in another convention, such as quaternions w last."""
@@ -179,26 +185,26 @@ class _TriangulationRun:
         raise OptionError(Fault("CAM014", message, path, hint=hint))
 
     @property
-    def _condition(self) -> float:
+    def _max_condition(self) -> float:
         """Largest allowed trace of a normal matrix times its inverse's.
 
         For two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
         """
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
-    def _solve(self, first: int, end: int) -> None:
+    def _solve_frames(self, first: int, end: int) -> None:
         """Solve frames block by block, and store the results."""
         for first_frame, end_frame in self._frame_blocks(first, end):
             block = slice(first_frame, end_frame)
             self.positions[block], self.known[block], self.tallies.values[block], *_ = (
                 _kernels.triangulate_points(
                     self.observations.pixels(first_frame, end_frame),
-                    self.observations.trust(first_frame, end_frame),
+                    self.observations.confidences_of(first_frame, end_frame),
                     self.numbers,
                     np.ascontiguousarray(self.active[block]),
                     self.noise,
                     self.options.gate,
-                    self._condition,
+                    self._max_condition,
                     detailed=False,
                 )
             )
@@ -206,6 +212,7 @@ class _TriangulationRun:
                 self.progress(end_frame / self.frames)
 
     def _frame_blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
+        """Yield first and end of blocks of frames that fit into memory."""
         size = max(1, BLOCK_VALUES // (self.views * self.markers))
         for begin in range(first, end, size):
             yield begin, min(begin + size, end)
@@ -218,19 +225,21 @@ class _TriangulationRun:
         """
         rate = float(self.observations.clock.rate)
         for camera, change in stale.items():
-            judged, rejected = self.tallies.judged, self.tallies.rejected
-            ranges = stale_ranges(judged, rejected, camera, rate)
+            judged, rejected = self.tallies.of_triangulated, self.tallies.rejected
+            ranges = find_stale_ranges(judged, rejected, camera, rate)
             previously_active = self.active[:, camera].copy()
-            self.shifts[camera] += self._mark_kept(
+            self.shifts[camera] += self._mark_kept_ranges(
                 camera, [replace(shift, change=change) for shift in ranges]
             )
             if not self.options.keep_moved:
                 self.active[:, camera] = True
                 for shift in self.shifts[camera]:
                     self.active[shift.first : shift.end, camera] = shift.kept
-                self._solve_changed(self.active[:, camera] != previously_active)
+                self._solve_changed_frames(self.active[:, camera] != previously_active)
 
-    def _mark_kept(self, camera: int, ranges: list[PoseShift]) -> list[PoseShift]:
+    def _mark_kept_ranges(
+        self, camera: int, ranges: list[PoseShift]
+    ) -> list[PoseShift]:
         """Return ranges, marking a camera as kept where leaving it out does not help.
 
         The criterion is the reprojection error of the other cameras.
@@ -238,50 +247,50 @@ class _TriangulationRun:
         if self.options.keep_moved:
             return ranges
         return [
-            replace(shift, kept=not self._better_excluded(camera, shift))
+            replace(shift, kept=not self._is_better_without(camera, shift))
             for shift in ranges
         ]
 
-    def _better_excluded(self, camera: int, shift: PoseShift) -> bool:
+    def _is_better_without(self, camera: int, shift: PoseShift) -> bool:
         """Return whether the other cameras agree better without one camera."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
         pixels = self.observations.pixels(shift.first, shift.end, step)
-        trust = self.observations.trust(shift.first, shift.end, step)
+        confidences = self.observations.confidences_of(shift.first, shift.end, step)
         visible = np.isfinite(pixels).all(axis=-1)
         views = visible & self.active[frames][..., None]
         views[:, camera] = False
         views &= (views.sum(axis=1) > 1)[:, None]
         errors = []
-        for keep in (True, False):
+        for is_kept in (True, False):
             active = np.ascontiguousarray(self.active[frames])
-            active[:, camera] = keep
+            active[:, camera] = is_kept
             *_, residuals, states = _kernels.triangulate_points(
                 pixels,
-                trust,
+                confidences,
                 self.numbers,
                 active,
                 self.noise,
                 self.options.gate,
-                self._condition,
+                self._max_condition,
                 detailed=True,
             )
-            takes_part = states[:, camera] == USED
+            is_used = states[:, camera] == USED
             errors.append(
                 truncated_error(
                     residuals.astype(np.float64),
                     views,
                     self.noise,
                     self.options.gate,
-                    takes_part,
+                    is_used,
                 )
             )
         return errors[1] <= TIE_COST_RATIO * errors[0]
 
-    def _solve_changed(self, changed: BoolArray) -> None:
+    def _solve_changed_frames(self, changed: BoolArray) -> None:
         """Solve frames again whose set of cameras changed."""
         for first, end in runs(changed):
-            self._solve(first, end)
+            self._solve_frames(first, end)
 
     def _exclude_shifted(self) -> None:
         """Exclude cameras where they do not fit, the worst first."""
@@ -291,12 +300,12 @@ class _TriangulationRun:
             for shift in shifts:
                 is_active[shift.first : shift.end, camera] = False
         for _ in range(self.views):
-            judged, rejected = self.tallies.judged, self.tallies.rejected
-            worst = shifted_ranges(judged, rejected, is_active, rate)
+            judged, rejected = self.tallies.of_triangulated, self.tallies.rejected
+            worst = find_shifted_ranges(judged, rejected, is_active, rate)
             if worst is None:
                 break
             camera, ranges = worst
-            ranges = self._mark_kept(camera, ranges)
+            ranges = self._mark_kept_ranges(camera, ranges)
             self.shifts[camera] += [
                 self._with_pose_change(camera, shift) for shift in ranges
             ]
@@ -304,25 +313,26 @@ class _TriangulationRun:
                 is_active[shift.first : shift.end, camera] = False
                 if not (self.options.keep_moved or shift.kept):
                     self.active[shift.first : shift.end, camera] = False
-                    self._solve(shift.first, shift.end)
+                    self._solve_frames(shift.first, shift.end)
 
-    def _disagreements(self, camera: int) -> tuple[CameraDisagreement, ...]:
+    def _find_disagreements(self, camera: int) -> tuple[CameraDisagreement, ...]:
         """Return single frames in which a camera disagrees with the others."""
-        live = self.active[:, camera].copy()
+        is_active = self.active[:, camera].copy()
         for shift in self.shifts[camera]:
-            live[shift.first : shift.end] = False
+            is_active[shift.first : shift.end] = False
         noise = float(self.noise[camera])
-        return tuple(disagreements(self.tallies.values, camera, noise, live))
+        return tuple(find_disagreements(self.tallies.values, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
         """Return a range with the pose change that explains it."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]
-        change = pose_change(self.cameras.cameras[camera], points, pixels)
+        change = fit_pose_change(self.cameras.cameras[camera], points, pixels)
         return replace(shift, change=change)
 
     def _check_triangulated(self) -> None:
+        """Raise if no point is seen by two cameras in any frame."""
         if np.isfinite(self.positions).any():
             return
         if not self._view_count:
@@ -334,10 +344,12 @@ class _TriangulationRun:
         )
 
     def _warn(self, code: str, message: str, hint: str) -> None:
+        """Add a warning about the cameras file."""
         path = self.cameras.path or None
         self.notices.append(Fault(code, message, path, (), hint, Severity.WARNING))
 
     def _warn_of_disagreement(self, message: str) -> None:
+        """Warn that cameras and observations may not belong together."""
         hint = "is this the calibration of these cameras, in this order, for images of "
         hint += "this size?"
         path = self.cameras.path or None
@@ -348,14 +360,15 @@ class _TriangulationRun:
         """Number of points visible to two or more cameras."""
         return int((self.known[..., 4] > 1).sum())
 
-    def _triangulation(self) -> Triangulation:
+    def _build_result(self) -> Triangulation:
+        """Return the points, reports and notices."""
         observations, cameras = self.observations, self.cameras.cameras
         reports = tuple(
             replace(
                 self.tallies.report(
                     c, cameras[c].name, float(self.noise[c]), tuple(shifts)
                 ),
-                disagrees=self._disagreements(c),
+                disagrees=self._find_disagreements(c),
             )
             for c, shifts in enumerate(self.shifts)
         )

@@ -112,12 +112,13 @@ def read_capture(
         with Archives() as archives:
             return _read_arrays(archives, path, array, unit, up or UpAxis.Y, fps)
     except ValueError as error:
-        raise _format_error(
+        raise _fault_in_file(
             path, str(error).removeprefix(path.name).lstrip("# ")
         ) from error
 
 
-def _format_error(path: Path, message: str, hint: str | None = None) -> FormatError:
+def _fault_in_file(path: Path, message: str, hint: str | None = None) -> FormatError:
+    """Return the error of a malformed capture file (FAC004)."""
     return FormatError(Fault("FAC003", message, str(path), (), hint))
 
 
@@ -129,53 +130,55 @@ def _read_arrays(
     up: UpAxis,
     fps: FractionLike | None,
 ) -> FaceCapture:
+    """Return the landmarks of an npz."""
     keys = archives.names(path)
     names = [name for name in keys if _POINTS_ARRAY.fullmatch(name)]
     if array:
         names = [array]
     if not names:
         hint = f"it holds {listed(keys)}; landmarks_mm (F, N, 3) are positions in mm"
-        raise _format_error(path, "has no array landmarks_mm or landmarks_px", hint)
+        raise _fault_in_file(path, "has no array landmarks_mm or landmarks_px", hint)
     key = names[0]
     header = archives.header(path, key)
     width = 2 if key.endswith("_px") else 3
     if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
         message = f"{key} has shape {header.shape}, not (frames, landmarks, {width})"
-        raise _format_error(path, message)
+        raise _fault_in_file(path, message)
     frames, count, _ = header.shape
     if not frames or not count or frames * count > MAX_POSITIONS:
-        raise _format_error(path, f"{key} has {frames} frames of {count} landmarks")
+        raise _fault_in_file(path, f"{key} has {frames} frames of {count} landmarks")
     scale = 1.0 if width == 2 else _unit_meters(key, unit)
     points = np.array(archives.load_stored(path, key), np.float64) * scale
     notices = []
     # NaN marks missing values; infinite ones count as missing too.
-    infinite = np.isinf(points).any(axis=-1)
-    if infinite.any():
-        points[infinite] = np.nan
-        message = f"{int(infinite.sum())} landmarks are infinite: treated as missing"
+    is_infinite = np.isinf(points).any(axis=-1)
+    if is_infinite.any():
+        points[is_infinite] = np.nan
+        message = f"{int(is_infinite.sum())} landmarks are infinite: treated as missing"
         notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
-    texts = None
+    name_array = None
     if "landmark_names" in keys:
-        texts = tuple(archives.texts(path, "landmark_names"))
-        if len(texts) != count or len(set(texts)) < count:
+        name_array = tuple(archives.texts(path, "landmark_names"))
+        if len(name_array) != count or len(set(name_array)) < count:
             message = (
-                f"landmark_names has {len(set(texts))} names for {count} landmarks"
+                f"landmark_names has {len(set(name_array))} names for {count} landmarks"
             )
-            raise _format_error(path, message)
+            raise _fault_in_file(path, message)
     return FaceCapture(
         path,
-        texts,
+        name_array,
         Clock(
             _capture_rate(archives, path, keys, fps), Fraction(1), Fraction(1), frames
         ),
         points,
         up,
-        _stored_model(archives, path, keys, texts, unit),
+        _read_model(archives, path, keys, name_array, unit),
         tuple(notices),
     )
 
 
 def _unit_meters(key: str, unit: LengthUnit | None) -> float:
+    """Return the unit of an array [m], from its name or as requested."""
     if unit is not None:
         return unit.meters
     return _UNIT_SUFFIXES.get(
@@ -186,21 +189,22 @@ def _unit_meters(key: str, unit: LengthUnit | None) -> float:
 def _capture_rate(
     archives: Archives, path: Path, array_names: Sequence[str], fps: FractionLike | None
 ) -> Fraction:
+    """Return the frame rate, as requested or from the file."""
     if fps is not None:
         return rate_option(fps)
     if "fs" not in array_names:
         hint = f"set it with {argument('source.fps')}"
-        raise _format_error(path, "states no rate (fs)", hint)
+        raise _fault_in_file(path, "states no rate (fs)", hint)
     stored_rates = archives.load_stored(path, "fs").ravel()
     try:
         return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
-        raise _format_error(
+        raise _fault_in_file(
             path, f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
         ) from error
 
 
-def _stored_model(
+def _read_model(
     archives: Archives,
     path: Path,
     array_names: Sequence[str],
@@ -208,9 +212,13 @@ def _stored_model(
     unit: LengthUnit | None,
 ) -> FaceModel | None:
     """Return the face in an npz; None if it has none."""
-    neutral = next((key for key in array_names if re.match(r"neutral(_|$)", key)), None)
-    deltas = next((key for key in array_names if re.match(r"deltas?(_|$)", key)), None)
-    if neutral is None or deltas is None or "shape_names" not in array_names:
+    neutral_key = next(
+        (key for key in array_names if re.match(r"neutral(_|$)", key)), None
+    )
+    deltas_key = next(
+        (key for key in array_names if re.match(r"deltas?(_|$)", key)), None
+    )
+    if neutral_key is None or deltas_key is None or "shape_names" not in array_names:
         return None
 
     def meters(key: str) -> FloatArray:
@@ -219,11 +227,11 @@ def _stored_model(
         )
         return values
 
-    points = meters(neutral)
+    points = meters(neutral_key)
     shapes = tuple(archives.texts(path, "shape_names"))
     labels = landmark_names(len(points), names)
     try:
-        return FaceModel(labels, shapes, points, meters(deltas))
+        return FaceModel(labels, shapes, points, meters(deltas_key))
     except OptionError as error:
         faults = [
             Fault(f.code, f.message, str(path), hint=f.hint) for f in error.faults

@@ -140,20 +140,23 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
     rows = _landmark_rows(file, surfaces)
     neutral = np.stack(
-        [_at_landmark(surfaces[m].points, weight, w) for m, weight, w in rows]
+        [
+            _at_landmark(surfaces[mesh_name].points, vertices, vertex_weights)
+            for mesh_name, vertices, vertex_weights in rows
+        ]
     )
     deltas: dict[str, FloatArray] = {}
-    bent_shapes: list[ShapeDeltas] = []
+    shape_deltas: list[ShapeDeltas] = []
     for shape in rig.shapes:
-        displaced = _displacement(shape, surfaces, rows)
-        if displaced is None:
+        displacement = _displacement(shape, surfaces, rows)
+        if displacement is None:
             continue
-        deltas[shape.name] = displaced[0]
-        displacements_at = tuple(
-            InbetweenDeltas(weight, values) for weight, values in displaced[1]
+        deltas[shape.name] = displacement[0]
+        inbetween_deltas = tuple(
+            InbetweenDeltas(vertices, values) for vertices, values in displacement[1]
         )
-        bent_shapes.append(
-            ShapeDeltas(shape.name, displaced[0], inbetweens=displacements_at)
+        shape_deltas.append(
+            ShapeDeltas(shape.name, displacement[0], inbetweens=inbetween_deltas)
         )
     solved_shapes = [
         shape for shape in rig.shapes if not shape.combine and shape.name in deltas
@@ -161,8 +164,8 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     names = tuple(shape.name for shape in solved_shapes)
     # A combined shape may combine others that move no landmark: keep all.
     shapes = tuple(rig.shapes)
-    has_correctives = any(s.combine and s.name in deltas for s in shapes)
-    has_correctives = has_correctives or any(shape.inbetweens for shape in bent_shapes)
+    has_correctives = any(shape_.combine and shape_.name in deltas for shape_ in shapes)
+    has_correctives = has_correctives or any(shape.inbetweens for shape in shape_deltas)
     columns = {shape.name: i for i, shape in enumerate(shapes)}
     return FaceModel(
         file.names,
@@ -173,7 +176,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         else np.zeros((0, *neutral.shape)),
         NonlinearShapes(
             shapes,
-            prepare_shapes(bent_shapes, neutral),
+            prepare_shapes(shape_deltas, neutral),
             tuple(columns[n] for n in names),
         )
         if has_correctives
@@ -242,20 +245,20 @@ _Displacement = tuple[FloatArray, list[tuple[float, FloatArray]]]
 def _displacement(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_LandmarkRow]
 ) -> _Displacement | None:
-    """Return a shape's offsets at landmarks, with in-betweens; None for nothing."""
-    match: SurfaceShape | None = None
+    """Return a shape's offsets at landmarks, with in-betweens; None for none."""
+    matching_shape: SurfaceShape | None = None
     surface = surfaces.get(shape.mesh)
     if surface is not None:
-        match = next((s for s in surface.shapes if s.name == shape.name), None)
-    if surface is None or match is None:
+        matching_shape = next((s for s in surface.shapes if s.name == shape.name), None)
+    if surface is None or matching_shape is None:
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
         offsets = np.zeros((len(surface.points), 3))
-        if match.vertices is None:
+        if matching_shape.vertices is None:
             offsets[:] = values
         else:
-            offsets[match.vertices] = values
+            offsets[matching_shape.vertices] = values
         return np.stack(
             [
                 _at_landmark(offsets, vertices, w)
@@ -266,6 +269,7 @@ def _displacement(
         )
 
     inbetweens = [
-        (inbetween.at, at_landmarks(inbetween.deltas)) for inbetween in match.inbetweens
+        (inbetween.at, at_landmarks(inbetween.deltas))
+        for inbetween in matching_shape.inbetweens
     ]
-    return at_landmarks(match.deltas), inbetweens
+    return at_landmarks(matching_shape.deltas), inbetweens

@@ -70,12 +70,12 @@ class FaceModel:
         """Root mean square distance of landmarks from their mean [m]."""
         return rms_spread(self.neutral)
 
-    def offsets(self, weights: FloatArray) -> FloatArray:
+    def nonlinear_offsets(self, weights: FloatArray) -> FloatArray:
         """Return the displacement beyond the sum of deltas ``(F, N, 3)`` [m]."""
         if self.nonlinear_shapes is None:
             return np.zeros((len(weights), *self.neutral.shape))
-        bent_points = self.nonlinear_shapes.points(weights)
-        return bent_points - self.neutral - np.tensordot(weights, self.deltas, 1)
+        nonlinear_points = self.nonlinear_shapes.points(weights)
+        return nonlinear_points - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return landmarks at weights, in the face's frame [m]."""
@@ -83,7 +83,7 @@ class FaceModel:
             return self.nonlinear_shapes.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
 
-    def moving(self) -> BoolArray:
+    def shapes_with_motion(self) -> BoolArray:
         """Return which shapes move a landmark ``(S,)``."""
         lengths = np.linalg.norm(self.deltas, axis=-1)
         return np.asarray(
@@ -92,19 +92,23 @@ class FaceModel:
 
     def select(self, shapes: BoolArray) -> FaceModel:
         """Return the model with a subset of its shapes; the rest have weight 0."""
-        names = tuple(n for n, k in zip(self.shapes, shapes.tolist(), strict=True) if k)
-        bent = (
+        names = tuple(
+            name
+            for name, is_kept in zip(self.shapes, shapes.tolist(), strict=True)
+            if is_kept
+        )
+        nonlinear = (
             None
             if self.nonlinear_shapes is None
             else self.nonlinear_shapes.select(shapes)
         )
         return replace(
-            self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=bent
+            self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=nonlinear
         )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
         """Return pairs of shapes that displace landmarks in the same directions."""
-        moving = np.flatnonzero(self.moving())
+        moving = np.flatnonzero(self.shapes_with_motion())
         flat_deltas = self.deltas[moving].reshape(len(moving), -1)
         flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
         pairs = np.argwhere(
@@ -115,12 +119,14 @@ class FaceModel:
     def notices(self) -> list[Fault]:
         """Return warnings about shapes that landmarks do not show or distinguish."""
         notices = []
-        moving = self.moving()
-        static = [n for n, k in zip(self.shapes, moving.tolist(), strict=True) if not k]
-        if static:
-            message = f"{len(static)} shapes move no landmark, and stay at 0: "
+        moving = self.shapes_with_motion()
+        static_names = [
+            name for name, k in zip(self.shapes, moving.tolist(), strict=True) if not k
+        ]
+        if static_names:
+            message = f"{len(static_names)} shapes move no landmark, and stay at 0: "
             notices.append(
-                names_fault("FAC101", message, static, severity=Severity.WARNING)
+                names_fault("FAC101", message, static_names, severity=Severity.WARNING)
             )
         pairs = self.similar_shapes()
         if len(pairs):
@@ -158,24 +164,26 @@ class NonlinearShapes:
     """Shapes of a mesh at landmarks, with in-betweens and correctives."""
 
     shapes: tuple[Shape, ...]  # of the rig: those that move landmarks or are combined
-    prepared: PreparedShapes  # the shapes that have deltas
-    solved: tuple[int, ...]  # index of each solved shape in ``shapes``
+    prepared_shapes: PreparedShapes  # the shapes that have deltas
+    solved_indices: tuple[int, ...]  # index of each solved shape in ``shapes``
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return the landmarks at weights of the solved shapes ``(F, S)``."""
         by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
-        for i, column in zip(self.solved, weights.T, strict=True):
+        for i, column in zip(self.solved_indices, weights.T, strict=True):
             by_name[self.shapes[i].name] = column
         all_weights = add_combinations(self.shapes, by_name)
         return blend_points(
-            self.prepared,
-            np.stack([all_weights[n] for n in self.prepared.names], axis=-1),
+            self.prepared_shapes,
+            np.stack([all_weights[n] for n in self.prepared_shapes.names], axis=-1),
         )
 
     def select(self, shapes: BoolArray) -> NonlinearShapes:
         """Return the model of some of the solved shapes."""
         selected = np.flatnonzero(shapes).tolist()
-        return replace(self, solved=tuple(self.solved[i] for i in selected))
+        return replace(
+            self, solved_indices=tuple(self.solved_indices[i] for i in selected)
+        )
 
 
 def rms_spread(points: FloatArray) -> float:

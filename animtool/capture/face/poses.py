@@ -12,7 +12,7 @@ ROBUST_ROUNDS = 4
 PERSPECTIVE_ROUNDS = 30
 
 
-def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
+def estimate_head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
     """Return a head pose per frame, quaternion (x, y, z, w) and translation ``(F, 7)``.
 
     Landmarks that move most have the least weight. Frames with fewer than three
@@ -33,13 +33,13 @@ def head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
         distances = np.where(
             visible, np.linalg.norm(points - posed_points, axis=-1), np.nan
         )
-        limits = np.full(len(distances), np.inf)
+        max_distances = np.full(len(distances), np.inf)
         has_landmarks: BoolArray = np.asarray(visible.any(axis=1))
-        limits[has_landmarks] = np.maximum(
+        max_distances[has_landmarks] = np.maximum(
             np.nanmedian(distances[has_landmarks], axis=1), 1e-9
         )
         robust_weights = np.where(
-            visible, 1.0 / (1.0 + (distances / limits[:, None]) ** 2), 0.0
+            visible, 1.0 / (1.0 + (distances / max_distances[:, None]) ** 2), 0.0
         )
     return last_good_poses(poses, visible.sum(axis=1) >= 3)
 
@@ -49,9 +49,9 @@ def _kabsch_poses(
 ) -> FloatArray:
     """Return poses by Kabsch's rule, weighted ``(F, 7)``."""
     weight_sums = np.maximum(robust_weights.sum(axis=1), 1e-300)[:, None]
-    middle = robust_weights @ neutral / weight_sums
+    centre = robust_weights @ neutral / weight_sums
     target = np.einsum("fn,fni->fi", robust_weights, points) / weight_sums
-    centred_points = neutral[None] - middle[:, None]
+    centred_points = neutral[None] - centre[:, None]
     covariance = np.einsum(
         "fn,fni,fnj->fij", robust_weights, points - target[:, None], centred_points
     )
@@ -59,18 +59,20 @@ def _kabsch_poses(
     signs = np.ones((len(points), 3))
     signs[:, 2] = np.sign(np.linalg.det(u @ vt))
     rotations = from_matrix((u * signs[:, None]) @ vt)
-    return np.concatenate([rotations, target - rotate(rotations, middle)], axis=1)
+    return np.concatenate([rotations, target - rotate(rotations, centre)], axis=1)
 
 
-def last_good_poses(poses: FloatArray, good: BoolArray) -> FloatArray:
+def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:
     """Return poses with each bad one replaced by the last good one, or the first."""
-    if not good.any():
+    if not is_good.any():
         return poses
-    last_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), -1))
-    return np.asarray(poses[np.where(last_good < 0, int(np.argmax(good)), last_good)])
+    last_good = np.maximum.accumulate(np.where(is_good, np.arange(len(is_good)), -1))
+    return np.asarray(
+        poses[np.where(last_good < 0, int(np.argmax(is_good)), last_good)]
+    )
 
 
-def camera_pose(
+def estimate_camera_pose(
     neutral: FloatArray, pixels: FloatArray, camera: FloatArray
 ) -> FloatArray | None:
     """Return a head's pose before a camera ``(7,)``; None if not found.
@@ -87,13 +89,13 @@ def camera_pose(
     visible: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
     if visible.sum() < 4:
         return None
-    points, image = neutral[visible], (pixels[visible] - camera[2:]) / camera[:2]
-    middle = points.mean(axis=0)
-    inverse = np.linalg.pinv(np.c_[points - middle, np.ones(len(points))])
+    points, image_points = neutral[visible], (pixels[visible] - camera[2:]) / camera[:2]
+    centre = points.mean(axis=0)
+    inverse = np.linalg.pinv(np.c_[points - centre, np.ones(len(points))])
     depth = np.ones(len(points))
     rotation, shift = np.eye(3), np.zeros(3)
     for _ in range(PERSPECTIVE_ROUNDS):
-        solution = inverse @ (image * depth[:, None])
+        solution = inverse @ (image_points * depth[:, None])
         lengths = np.linalg.norm(solution[:3], axis=0)
         if not (np.isfinite(solution).all() and lengths.min() > 1e-12):
             return None
@@ -102,30 +104,32 @@ def camera_pose(
         u, _, vt = np.linalg.svd(np.stack([first, second, np.cross(first, second)]))
         rotation = u @ np.diag([1, 1, np.linalg.det(u @ vt)]) @ vt
         shift = np.array([solution[3, 0], solution[3, 1], 1.0]) / scale
-        depth = 1.0 + (points - middle) @ rotation[2] / shift[2]
+        depth = 1.0 + (points - centre) @ rotation[2] / shift[2]
     quaternion = from_matrix(rotation[None])[0]
-    return np.concatenate([quaternion, shift - rotation @ middle])
+    return np.concatenate([quaternion, shift - rotation @ centre])
 
 
 def interpolate_poses(
-    poses: FloatArray, usable: BoolArray
+    poses: FloatArray, is_usable: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations and translations, interpolated over frames without landmarks."""
     rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
-    if usable.all():
+    if is_usable.all():
         return rotations, shifts
-    good_frames, frames = np.flatnonzero(usable), np.arange(len(usable))
+    good_frames, frames = np.flatnonzero(is_usable), np.arange(len(is_usable))
     rotations[good_frames] = align_signs(rotations[good_frames])
     next_good = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
     previous_good = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
-    a, b = good_frames[previous_good], good_frames[next_good]
-    gap_length = np.maximum(b - a, 1)
-    fraction = np.clip((frames - a) / gap_length, 0.0, 1.0)
-    is_gap = ~usable
+    previous_frame, next_frame = good_frames[previous_good], good_frames[next_good]
+    gap_length = np.maximum(next_frame - previous_frame, 1)
+    fraction = np.clip((frames - previous_frame) / gap_length, 0.0, 1.0)
+    is_gap = ~is_usable
     rotations[is_gap] = slerp(
-        rotations[a[is_gap]], rotations[b[is_gap]], fraction[is_gap]
+        rotations[previous_frame[is_gap]],
+        rotations[next_frame[is_gap]],
+        fraction[is_gap],
     )
-    shifts[is_gap] = shifts[a[is_gap]] + fraction[is_gap, None] * (
-        shifts[b[is_gap]] - shifts[a[is_gap]]
+    shifts[is_gap] = shifts[previous_frame[is_gap]] + fraction[is_gap, None] * (
+        shifts[next_frame[is_gap]] - shifts[previous_frame[is_gap]]
     )
     return align_signs(rotations), shifts

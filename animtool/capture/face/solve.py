@@ -20,7 +20,11 @@ import numpy as np
 from animtool import _kernels
 from animtool.capture.face.fit import MISPLACED_FRACTION, FaceFit, FrameStatus
 from animtool.capture.face.model import MIN_LANDMARK_MOTION, FaceModel, rms_spread
-from animtool.capture.face.poses import camera_pose, head_poses, interpolate_poses
+from animtool.capture.face.poses import (
+    estimate_camera_pose,
+    estimate_head_poses,
+    interpolate_poses,
+)
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import (
@@ -56,8 +60,8 @@ TYPICAL_WEIGHT = 0.5
 CONVERGED_CHANGE = 1e-5
 MAX_ROUNDS = 30
 # Rounds for in-betweens and correctives.
-MAX_BENT_ROUNDS = 6
-BENT_CONVERGED_CHANGE = 1e-4
+MAX_NONLINEAR_ROUNDS = 6
+NONLINEAR_CONVERGED_CHANGE = 1e-4
 # Largest size ratio between capture and face: beyond, their units differ.
 MAX_SCALE = 3.0
 MAX_LISTED = 12
@@ -97,60 +101,69 @@ def fit_face(
     """
     _check(model, observed, camera)
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    usable = visible.sum(axis=1) >= MIN_LANDMARKS
-    if not usable.any():
+    is_usable = visible.sum(axis=1) >= MIN_LANDMARKS
+    if not is_usable.any():
         message = f"no frame has {MIN_LANDMARKS} landmarks or more"
         raise OptionError(Fault("FAC005", message))
-    moving = model.moving()
+    moving = model.shapes_with_motion()
     if not moving.any():
         message = "no shape moves a landmark"
         hint = "are the landmarks on the mesh of the shapes?"
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    solved_shapes, group = _common_shapes(model, moving)
+    solved_shapes, representative_of_shape = _solved_shapes(model, moving)
     face = model.select(solved_shapes)
-    counts = np.bincount(group[moving], minlength=len(model.shapes))[solved_shapes]
+    counts = np.bincount(representative_of_shape[moving], minlength=len(model.shapes))[
+        solved_shapes
+    ]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
-    fit = _Fit(
-        face, np.where(usable[:, None, None], observed, np.nan), fps, smooth, camera
+    solver = _Fit(
+        face, np.where(is_usable[:, None, None], observed, np.nan), fps, smooth, camera
     )
-    weights, poses, residuals, shares, rounds, change = fit.solve(progress)
+    weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
-    all_weights[:, moving] = weights[:, columns[group[moving]]]
-    rotations, translations = interpolate_poses(poses, usable)
-    poor = usable & ((shares < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names))
-    poor &= (shares >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(axis=1)
-    status = np.where(
-        usable, np.where(poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
+    all_weights[:, moving] = weights[:, columns[representative_of_shape[moving]]]
+    rotations, translations = interpolate_poses(poses, is_usable)
+    is_poor = is_usable & (
+        (robust_weights < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names)
     )
-    notices = [*model.notices(), *_notices(model, visible, usable, poor, shares)]
+    is_poor &= (robust_weights >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(
+        axis=1
+    )
+    status = np.where(
+        is_usable, np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
+    )
+    notices = [
+        *model.notices(),
+        *_notices(model, visible, is_usable, is_poor, robust_weights),
+    ]
     return FaceFit(
         model,
         all_weights,
         rotations,
         translations,
         residuals,
-        shares,
+        robust_weights,
         tuple(FrameStatus(s) for s in status.tolist()),
-        fit.noise,
+        solver.noise,
         rounds,
         change,
         tuple(notices),
     )
 
 
-def _common_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
+def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Return which shapes are solved, and the representative of each moving shape."""
-    solved_shapes, group = moving.copy(), np.arange(len(moving))
+    solved_shapes, representative_of_shape = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
-        if group[a] == a and distance <= MIN_LANDMARK_MOTION * np.linalg.norm(
-            model.deltas[a]
-        ):
-            group[b], solved_shapes[b] = a, False
-    return solved_shapes, group
+        if representative_of_shape[
+            a
+        ] == a and distance <= MIN_LANDMARK_MOTION * np.linalg.norm(model.deltas[a]):
+            representative_of_shape[b], solved_shapes[b] = a, False
+    return solved_shapes, representative_of_shape
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
@@ -201,21 +214,23 @@ class _Fit:
         self.face, self.camera = face, camera
         self.observed = np.ascontiguousarray(observed, np.float64)
         self.deltas = np.ascontiguousarray(face.deltas)
-        self.start = self._first_poses()
-        self.unit = 1.0 if camera is None else self._pixels()
-        self.noise = self._noise()
+        self.start_poses = self._initial_poses()
+        self.pixels_per_unit = 1.0 if camera is None else self._pixels_per_metre()
+        self.noise = self._measure_noise()
         speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
         self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
-    def _first_poses(self) -> FloatArray:
+    def _initial_poses(self) -> FloatArray:
         """Return initial head poses."""
         if self.camera is None:
-            return head_poses(self.face.neutral, self.observed)
-        middle = np.full(self.observed.shape[1:], np.nan)
+            return estimate_head_poses(self.face.neutral, self.observed)
+        median_points = np.full(self.observed.shape[1:], np.nan)
         has_landmarks = np.isfinite(self.observed[..., 0]).any(axis=0)
-        middle[has_landmarks] = np.nanmedian(self.observed[:, has_landmarks], axis=0)
-        pose = camera_pose(self.face.neutral, middle, self.camera)
+        median_points[has_landmarks] = np.nanmedian(
+            self.observed[:, has_landmarks], axis=0
+        )
+        pose = estimate_camera_pose(self.face.neutral, median_points, self.camera)
         if pose is None or not pose[6] > 0:
             message = "no face in the camera matches the rig's"
             hint = (
@@ -225,23 +240,24 @@ class _Fit:
             raise OptionError(Fault("FAC010", message, hint=hint))
         return np.repeat(pose[None], len(self.observed), axis=0)
 
-    def _pixels(self) -> float:
+    def _pixels_per_metre(self) -> float:
         """Return the pixels per metre of the face."""
         assert self.camera is not None
-        return float(self.camera[0] / np.median(self.start[:, 6]))
+        return float(self.camera[0] / np.median(self.start_poses[:, 6]))
 
-    def _run(
+    def _run_kernel(
         self,
         frames: slice | FloatArray,
         threshold: float,
         smooth: float,
         rounds: int,
         neutral: FloatArray | None = None,
-        begin: tuple[FloatArray, FloatArray] | None = None,
+        initial: tuple[FloatArray, FloatArray] | None = None,
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+        """Run the kernel on frames with a robust threshold and smoothness."""
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
-        weights, poses = begin or (np.zeros(shape), self.start[frames])
+        weights, poses = initial or (np.zeros(shape), self.start_poses[frames])
         neutral_points = self.face.neutral[None] if neutral is None else neutral
         return _kernels.fit_face(
             np.ascontiguousarray(neutral_points),
@@ -255,28 +271,30 @@ class _Fit:
             self.rest,
             CONVERGED_CHANGE,
             rounds,
-            begin is not None,
+            initial is not None,
         )
 
-    def _noise(self) -> float:
+    def _measure_noise(self) -> float:
         """Return the noise's standard deviation, from frames solved separately."""
         usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
-        chosen = usable_frames[
+        sampled_frames = usable_frames[
             np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
         ]
-        chosen = np.unique(chosen)
-        min_noise = MIN_NOISE * self.face.size * self.unit
+        sampled_frames = np.unique(sampled_frames)
+        min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
         self.rest = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
-        threshold = 0.1 * self.face.size * self.unit
+        threshold = 0.1 * self.face.size * self.pixels_per_unit
         noise = min_noise
         for _ in range(3):
-            weights, _, residuals, _, _, _ = self._run(chosen, threshold, 0.0, 6)
+            weights, _, residuals, _, _, _ = self._run_kernel(
+                sampled_frames, threshold, 0.0, 6
+            )
             visible = np.isfinite(residuals)
             width = self.observed.shape[-1]
-            rows = width * visible.sum()
+            residual_count = width * visible.sum()
             # Each pose, and each weight inside its bounds, takes one residual.
-            parameters = 6 * len(chosen) + ((weights > 0) & (weights < 1)).sum()
-            residual_fraction = max(1.0 - parameters / max(rows, 1), 0.05)
+            parameters = 6 * len(sampled_frames) + ((weights > 0) & (weights < 1)).sum()
+            residual_fraction = max(1.0 - parameters / max(residual_count, 1), 0.05)
             median = MEDIAN_3D if width == 3 else MEDIAN_2D
             noise = (
                 float(np.median(residuals[visible]))
@@ -295,40 +313,41 @@ class _Fit:
         weights = np.zeros((count, len(self.face.shapes)))
         poses = np.zeros((count, 7))
         residuals = np.zeros((count, landmarks))
-        shares = np.zeros((count, landmarks))
+        robust_weights = np.zeros((count, landmarks))
         rounds, change = 0, 0.0
         for first in range(0, count, WINDOW):
             begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
-            window = self._window(slice(begin, end))
-            inner_frames = slice(first, min(count, first + WINDOW))
-            inner = slice(first - begin, inner_frames.stop - begin)
-            weights[inner_frames], poses[inner_frames] = (
-                window[0][inner],
-                window[1][inner],
+            window = self._solve_window(slice(begin, end))
+            output_frames = slice(first, min(count, first + WINDOW))
+            window_rows = slice(first - begin, output_frames.stop - begin)
+            weights[output_frames], poses[output_frames] = (
+                window[0][window_rows],
+                window[1][window_rows],
             )
-            residuals[inner_frames], shares[inner_frames] = (
-                window[2][inner],
-                window[3][inner],
+            residuals[output_frames], robust_weights[output_frames] = (
+                window[2][window_rows],
+                window[3][window_rows],
             )
             rounds, change = max(rounds, window[4]), max(change, window[5])
             if progress is not None:
-                progress(inner_frames.stop / count)
-        return weights, poses, residuals, shares, rounds, change
+                progress(output_frames.stop / count)
+        return weights, poses, residuals, robust_weights, rounds, change
 
-    def _window(
+    def _solve_window(
         self, frames: slice
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
+        """Return the kernel's result of one window; nonlinear shapes are iterated."""
         threshold = ROBUST_DEVIATIONS * self.noise
-        result = self._run(frames, threshold, self.smooth, MAX_ROUNDS)
+        result = self._run_kernel(frames, threshold, self.smooth, MAX_ROUNDS)
         if self.face.nonlinear_shapes is None:
             return result
-        for _ in range(MAX_BENT_ROUNDS):
+        for _ in range(MAX_NONLINEAR_ROUNDS):
             weights, poses = result[0], result[1]
-            neutral = self.face.neutral + self.face.offsets(weights)
-            result = self._run(
+            neutral = self.face.neutral + self.face.nonlinear_offsets(weights)
+            result = self._run_kernel(
                 frames, threshold, self.smooth, MAX_ROUNDS, neutral, (weights, poses)
             )
-            if np.abs(result[0] - weights).max() < BENT_CONVERGED_CHANGE:
+            if np.abs(result[0] - weights).max() < NONLINEAR_CONVERGED_CHANGE:
                 break
         return result
 
@@ -336,14 +355,15 @@ class _Fit:
 def _notices(
     model: FaceModel,
     visible: BoolArray,
-    usable: BoolArray,
-    poor: BoolArray,
-    shares: FloatArray,
+    is_usable: BoolArray,
+    is_poor: BoolArray,
+    robust_weights: FloatArray,
 ) -> list[Fault]:
+    """Return warnings about frames and landmarks that do not fit."""
     notices = []
     for frames, code, problem in (
-        (~usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
-        (poor, "FAC104", "landmarks that are mostly outliers"),
+        (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
+        (is_poor, "FAC104", "landmarks that are mostly outliers"),
     ):
         numbers = np.flatnonzero(frames).tolist()
         if numbers:
@@ -352,9 +372,9 @@ def _notices(
                 f"from the first, frames {listed(numbers, MAX_LISTED)}"
             )
             notices.append(Fault(code, message, severity=Severity.WARNING))
-    is_used = visible & usable[:, None]
+    is_used = visible & is_usable[:, None]
     counts = is_used.sum(axis=0)
-    is_misplaced = (is_used & (shares < MISPLACED_FRACTION)).sum(
+    is_misplaced = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(
         axis=0
     ) > MISPLACED_FRACTION * np.maximum(counts, 1)
     for names, problem in (

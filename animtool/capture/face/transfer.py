@@ -71,8 +71,8 @@ def transfer_weights(
     """
     links = link_shapes(source, target, remap)
     if faces is None:
-        return _by_name(weights, links, source, len(target))
-    points = _landmarks(weights, source, *faces)
+        return _transfer_by_name(weights, links, source, len(target))
+    points = _target_landmarks(weights, source, *faces)
     fit = fit_face(faces[1], points, fps, smooth=smooth)
     target_weights = np.zeros((len(weights), len(target)))
     for i, name in enumerate(faces[1].shapes):
@@ -81,7 +81,7 @@ def transfer_weights(
     return TransferredWeights(target_weights, links, fit, fit.notices)
 
 
-def _by_name(
+def _transfer_by_name(
     weights: FloatArray, links: ShapeLinks, source: Sequence[str], count: int
 ) -> TransferredWeights:
     """Return the weights of linked shapes; ``count`` is that of the target's."""
@@ -89,8 +89,12 @@ def _by_name(
         message = "no shape of the source has its name in the target"
         hint = "pair them in a remap file"
         raise OptionError(Fault("FAC009", message, hint=hint))
-    moves = np.abs(weights).max(axis=0, initial=0) > 0
-    moving_shapes = {name for name, m in zip(source, moves.tolist(), strict=True) if m}
+    has_motion = np.abs(weights).max(axis=0, initial=0) > 0
+    moving_shapes = {
+        name
+        for name, has_moved in zip(source, has_motion.tolist(), strict=True)
+        if has_moved
+    }
     unlinked_names = [name for name in links.unlinked_sources if name in moving_shapes]
     notices = []
     if unlinked_names:
@@ -102,7 +106,7 @@ def _by_name(
     return TransferredWeights(linked_weights, links, None, tuple(notices))
 
 
-def _landmarks(
+def _target_landmarks(
     weights: FloatArray,
     source: Sequence[str],
     source_face: FaceModel,
@@ -119,7 +123,7 @@ def _landmarks(
         message = f"the faces share {len(shared_names)} landmarks; 4 are needed"
         raise OptionError(Fault("FAC004", message))
     columns = {name: i for i, name in enumerate(source)}
-    offsets = np.stack(
+    source_weights = np.stack(
         [
             weights[:, columns[name]] if name in columns else np.zeros(len(weights))
             for name in source_face.shapes
@@ -127,22 +131,25 @@ def _landmarks(
         axis=-1,
     )
     indices = [source_face.names.index(name) for name in shared_names]
-    linked_weights = (source_face.points(offsets) - source_face.neutral)[:, indices]
+    moved_offsets = (source_face.points(source_weights) - source_face.neutral)[
+        :, indices
+    ]
     shared_columns = [target_face.names.index(name) for name in shared_names]
-    size = FaceModel(
+    shared_face = FaceModel(
         tuple(shared_names),
         (),
         target_face.neutral[shared_columns],
         np.zeros((0, len(shared_columns), 3)),
     )
-    scale = size.size / max(_rms_size(source_face.neutral[indices]), 1e-300)
+    scale = shared_face.size / max(_rms_size(source_face.neutral[indices]), 1e-300)
     points = np.full((len(weights), len(target_face.names), 3), np.nan)
     points[:, shared_columns] = (
-        target_face.neutral[shared_columns] + scale * linked_weights
+        target_face.neutral[shared_columns] + scale * moved_offsets
     )
     return points
 
 
 def _rms_size(points: FloatArray) -> float:
+    """Return the root mean square distance of points from their mean [m]."""
     offsets = points - points.mean(axis=0)
     return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))

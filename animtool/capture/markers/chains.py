@@ -73,28 +73,31 @@ def chain_runs(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
     count = len(overlap)
     chain = np.arange(count)
     likelihood = chain_likelihoods(moving, overlap)
-    together = overlap > 0
-    likelihood[together] = -np.inf
-    concurrent = together & ~np.eye(count, dtype=bool)
+    is_together = overlap > 0
+    likelihood[is_together] = -np.inf
+    is_concurrent = is_together & ~np.eye(count, dtype=bool)
     # Two runs of one marker are each other's best among those visible at the same time
     # as the other.
-    order = np.argwhere(likelihood > MIN_EVIDENCE)
-    order = order[order[:, 0] < order[:, 1]]
+    candidate_pairs = np.argwhere(likelihood > MIN_EVIDENCE)
+    candidate_pairs = candidate_pairs[candidate_pairs[:, 0] < candidate_pairs[:, 1]]
     scored_pairs = []
-    for a, b in order.tolist():
-        value = likelihood[a, b]
-        rivals_b = likelihood[a][concurrent[b]]  # the runs that could replace a
-        rivals_a = likelihood[b][concurrent[a]]
-        rival = max(rivals_a.max(initial=0.0), rivals_b.max(initial=0.0))
-        if value > rival + MIN_MARGIN:
-            scored_pairs.append((value - rival, a, b))
+    for a, b in candidate_pairs.tolist():
+        pair_likelihood = likelihood[a, b]
+        # the runs that could replace a
+        rival_likelihoods_b = likelihood[a][is_concurrent[b]]
+        rival_likelihoods_a = likelihood[b][is_concurrent[a]]
+        rival_likelihood = max(
+            rival_likelihoods_a.max(initial=0.0), rival_likelihoods_b.max(initial=0.0)
+        )
+        if pair_likelihood > rival_likelihood + MIN_MARGIN:
+            scored_pairs.append((pair_likelihood - rival_likelihood, a, b))
     scored_pairs.sort(reverse=True)
     members = {run: [run] for run in range(count)}
     for _, a, b in scored_pairs:
         chain_a, chain_b = int(chain[a]), int(chain[b])
         if (
             chain_a == chain_b
-            or together[np.ix_(members[chain_a], members[chain_b])].any()
+            or is_together[np.ix_(members[chain_a], members[chain_b])].any()
         ):
             continue
         members[chain_a] += members.pop(chain_b)

@@ -11,9 +11,9 @@ from animtool.capture.markers.geometry import marker_distances
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.predict import (
     Prediction,
-    follow,
     predict_from_markers,
-    predict_in_parent,
+    predict_from_parent_joint,
+    predict_from_skeleton,
 )
 from animtool.capture.markers.spikes import Spike, find_spikes, remove_spikes
 from animtool.capture.markers.swaps import Swap, repair_swaps
@@ -117,10 +117,10 @@ def fill_markers(
     ([4.0, 4.0, 4.0], 'curve')
     """
     with one_thread():
-        return _filled_markers(markers, options or FillOptions(), subject)
+        return _complete_markers(markers, options or FillOptions(), subject)
 
 
-def _filled_markers(
+def _complete_markers(
     markers: Markers, options: FillOptions, subject: MarkerSubject | None
 ) -> tuple[Markers, FillReport]:
     """Return completed markers, and the report."""
@@ -138,9 +138,9 @@ def _filled_markers(
     if not options.keep_gaps:
         skeleton = None
         if subject is not None and not markers.visible[:, is_labelled].all():
-            from animtool.capture.markers.skeleton import skeleton_markers
+            from animtool.capture.markers.skeleton import solve_skeleton_markers
 
-            skeleton = skeleton_markers(markers, subject)
+            skeleton = solve_skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _fill_gaps(markers, options.longest, skeleton)
     visible = markers.visible
@@ -151,8 +151,8 @@ def _filled_markers(
     result = replace(
         markers, positions=positions, filled=is_filled if is_filled.any() else None
     )
-    left = int((~is_known[:, is_labelled]).sum())
-    if left and not options.keep_gaps:
+    left_count = int((~is_known[:, is_labelled]).sum())
+    if left_count and not options.keep_gaps:
         open_gaps = sum(not gap.method for gap in gaps)
         message = f"{counted(open_gaps, 'gap')} could not be filled"
         hint = "fewer than three nearby markers are visible, or the take is too short"
@@ -164,8 +164,8 @@ def _filled_markers(
         *plausibility_warnings(markers),
     ]
     report = FillReport(
-        len(markers), len(markers.names), int((is_known & ~visible).sum()), left, gaps,
-        spikes, swaps, notices,
+        len(markers), len(markers.names), int((is_known & ~visible).sum()), left_count,
+        gaps, spikes, swaps, notices,
     )  # fmt: skip
     return result, report
 
@@ -177,10 +177,10 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
     hint = None if longest is None else frames_hint(longest, rate)
     if longest is None or hint is None or longest <= duration:
         return []
-    limit = argument("longest", plain_number(longest))
+    limit_text = argument("longest", plain_number(longest))
     message = (
-        f"{limit} allows gaps of {longest:g} s, but the take has {duration:.3g} s: "
-        "gaps of any length are filled"
+        f"{limit_text} allows gaps of {longest:g} s, "
+        f"but the take has {duration:.3g} s: gaps of any length are filled"
     )
     return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 
@@ -194,23 +194,25 @@ def _fill_gaps(
     visible = is_measured.copy()
     rate = float(markers.clock.rate)
     spread = marker_distances(positions).spread
-    fills = []
+    filled_gaps = []
     for length, first, marker in _sorted_gaps(markers, visible):
         gap = slice(first, first + length)
         path: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
-            if skeleton is not None and skeleton.predicts(marker, gap):
-                prediction = follow(skeleton, positions, is_measured, marker, gap, rate)
+            if skeleton is not None and skeleton.is_predicted(marker, gap):
+                prediction = predict_from_skeleton(
+                    skeleton, positions, is_measured, marker, gap, rate
+                )
                 method = "skeleton"
                 mostly_visible = is_measured[gap].mean(axis=0) >= MIN_HOLDER_VISIBILITY
                 drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
                 if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
                     arguments = (positions, visible, marker, gap, spread[marker], rate)
-                    prediction, method = _best_prediction(
+                    prediction, method = _most_accurate_prediction(
                         (prediction, "skeleton"),
-                        (predict_in_parent(skeleton, *arguments), "skeleton"),
+                        (predict_from_parent_joint(skeleton, *arguments), "skeleton"),
                         (predict_from_markers(*arguments), "markers"),
                     )
                 path = prediction.positions
@@ -234,13 +236,13 @@ def _fill_gaps(
             visible[gap, marker] = True
         name = markers.names[marker]
         last = first + length - 1
-        fills.append(FilledGap(name, first, last, "" if path is None else method))
+        filled_gaps.append(FilledGap(name, first, last, "" if path is None else method))
     order = {name: i for i, name in enumerate(markers.names)}
-    fills.sort(key=lambda gap: (order[gap.marker], gap.first))
-    return positions, fills
+    filled_gaps.sort(key=lambda gap: (order[gap.marker], gap.first))
+    return positions, filled_gaps
 
 
-def _best_prediction(
+def _most_accurate_prediction(
     *predictions: tuple[Prediction | None, str],
 ) -> tuple[Prediction, str]:
     """Return the prediction with the least error, and its method; the first of ties."""
@@ -269,17 +271,17 @@ def _polynomial_positions(
     path: FloatArray, visible: BoolArray, gap: slice
 ) -> FloatArray | None:
     """Return a polynomial through the frames around a gap; None if too few."""
-    before = _visible_frames_near(visible, gap.start - 1, -1)
-    after = _visible_frames_near(visible, gap.stop, 1)
-    if len(before) < MIN_FRAMES or len(after) < MIN_FRAMES:
+    frames_before = _visible_frames_near(visible, gap.start - 1, -1)
+    frames_after = _visible_frames_near(visible, gap.stop, 1)
+    if len(frames_before) < MIN_FRAMES or len(frames_after) < MIN_FRAMES:
         return None
-    frames = np.array([*before[::-1], *after])
-    middle = 0.5 * (gap.start + gap.stop - 1)
-    scale = float(max(frames[-1] - middle, middle - frames[0]))
+    frames = np.array([*frames_before[::-1], *frames_after])
+    middle_frame = 0.5 * (gap.start + gap.stop - 1)
+    scale = float(max(frames[-1] - middle_frame, middle_frame - frames[0]))
     degree = min(CURVE_DEGREE, len(frames) - 3)
-    powers = np.vander((frames - middle) / scale, degree + 1)
+    powers = np.vander((frames - middle_frame) / scale, degree + 1)
     gap_powers = np.vander(
-        (np.arange(gap.start, gap.stop) - middle) / scale, degree + 1
+        (np.arange(gap.start, gap.stop) - middle_frame) / scale, degree + 1
     )
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 

@@ -42,11 +42,11 @@ def marker_distances(positions: FloatArray) -> MarkerDistances:
     for i in range(count - 1):
         lengths = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
         is_finite = np.isfinite(lengths)
-        has_enough = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
-        if not len(has_enough):
+        columns_with_data = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
+        if not len(columns_with_data):
             continue
-        low, middle, high = _column_quantiles(lengths[:, has_enough])
-        columns = has_enough + i + 1
+        low, middle, high = _column_quantiles(lengths[:, columns_with_data])
+        columns = columns_with_data + i + 1
         mean[i, columns] = mean[columns, i] = middle
         spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
     return MarkerDistances(mean, spread)
@@ -58,13 +58,13 @@ def _column_quantiles(values: FloatArray) -> FloatArray:
     last_row = np.isfinite(values).sum(axis=0) - 1
     position = np.array(PERCENTILES)[:, None] / 100.0 * last_row
     lower_row = position.astype(np.int64)
-    part = position - lower_row
+    fraction = position - lower_row
     columns = np.arange(values.shape[1])
     low = sorted_values[lower_row, columns]
     high = sorted_values[np.minimum(lower_row + 1, last_row), columns]
     step = high - low
     return np.asarray(
-        np.where(part < 0.5, low + step * part, high - step * (1.0 - part))
+        np.where(fraction < 0.5, low + step * fraction, high - step * (1.0 - fraction))
     )
 
 
@@ -94,16 +94,16 @@ def fit_shape(
         weights = np.ones(points.shape[:2])
     weights = weights / weights.sum(axis=1, keepdims=True)
     centre = np.einsum("fk,fki->fi", weights, points)
-    middle = weights @ shape
-    centred_shape = shape - middle[:, None]
-    cross = np.einsum(
+    shape_centre = weights @ shape
+    centred_shape = shape - shape_centre[:, None]
+    covariance = np.einsum(
         "fk,fki,fkj->fij", weights, points - centre[:, None], centred_shape
     )
-    left_vectors, _, right_vectors = np.linalg.svd(cross)
+    left_vectors, _, right_vectors = np.linalg.svd(covariance)
     sign = np.sign(np.linalg.det(left_vectors) * np.linalg.det(right_vectors))
     left_vectors[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
     rotation = left_vectors @ right_vectors
-    return rotation, centre - np.einsum("fij,fj->fi", rotation, middle)
+    return rotation, centre - np.einsum("fij,fj->fi", rotation, shape_centre)
 
 
 # Iterations of fitting all frames to their median; the shape converges in these.

@@ -17,7 +17,7 @@ from animtool.capture.markers.geometry import (
 from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.runs import RunLabels
-from animtool.capture.markers.tracklets import Tracklets, follow
+from animtool.capture.markers.tracklets import Tracklets, track_points
 from animtool.capture.markers.twins import Exchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
@@ -49,29 +49,35 @@ def identify_runs(
     for _ in range(CHAIN_ROUNDS):
         moving = marker_distances(points)
         visible = np.isfinite(points[..., 0]).astype(np.float64)
-        rechained = chain_runs(moving, visible.T @ visible)
-        points, chain = merge_chains(points, rechained), rechained[chain]
+        new_chain = chain_runs(moving, visible.T @ visible)
+        points, chain = merge_chains(points, new_chain), new_chain[chain]
     moving = marker_distances(points)
     visible = np.isfinite(points[..., 0]).astype(np.float64)
-    groups = _rigid_fours(moving)
+    groups = _rigid_groups(moving)
     seeds = _find_seeds(points, groups, moving, shape, rest, SEED_TOLERANCE)
     if not seeds:
         seeds = _find_seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
     initial_naming = PointNaming(moving, visible.T @ visible, rest)
-    best: PointNaming | None = None
-    for seed in [_merge_seeds(seeds, initial_naming.together), *seeds[:MAX_SEEDS]]:
+    best_naming: PointNaming | None = None
+    for seed in [
+        _merge_seeds(seeds, initial_naming.are_concurrent),
+        *seeds[:MAX_SEEDS],
+    ]:
         if not seed:
             continue
         naming = initial_naming.copy()
         for point, marker in seed.items():
             naming.assign(point, marker)
-        naming.grow()
-        if best is None or naming.total() > best.total():
-            best = naming
+        naming.assign_greedily()
+        if (
+            best_naming is None
+            or naming.total_evidence() > best_naming.total_evidence()
+        ):
+            best_naming = naming
     return (
         None
-        if best is None
-        else search_names(best, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
+        if best_naming is None
+        else search_names(best_naming, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
     )
 
 
@@ -112,15 +118,15 @@ def _find_seeds(
     return [pairs for _, pairs in seeds]
 
 
-def _rigid_fours(moving: MarkerDistances) -> list[tuple[int, ...]]:
+def _rigid_groups(moving: MarkerDistances) -> list[tuple[int, ...]]:
     """Return groups of four mutually rigid runs, the most rigid first."""
     spread = np.where(np.isfinite(moving.spread), moving.spread, np.inf)
     np.fill_diagonal(spread, np.inf)
     worst_spread: dict[tuple[int, ...], float] = {}
     for run, row in enumerate(spread):
-        company = np.argsort(row, kind="stable")[:PARTNERS]
-        company = company[row[company] < MAX_RIGID_SPREAD]
-        for partners in combinations(company.tolist(), 3):
+        nearest_runs = np.argsort(row, kind="stable")[:PARTNERS]
+        nearest_runs = nearest_runs[row[nearest_runs] < MAX_RIGID_SPREAD]
+        for partners in combinations(nearest_runs.tolist(), 3):
             group = tuple(sorted((run, *partners)))
             if group not in worst_spread:
                 pairs = combinations(group, 2)
@@ -138,25 +144,35 @@ def _matching_markers(
 ) -> list[tuple[int, ...]]:
     """Return the markers whose rest distances match those of a group of runs."""
     first, second = np.nonzero(np.abs(rest - lengths[group[1], group[0]]) < tolerance)
-    partial = np.stack([first, second], axis=1)
-    partial = partial[first != second]
+    partial_matches = np.stack([first, second], axis=1)
+    partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
-        deviation = np.abs(rest[partial] - lengths[group[k], group[:k]][None, :, None])
-        fits: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
-        fits[np.arange(len(partial))[:, None], partial] = False
-        row, marker = np.nonzero(fits)
-        partial = np.concatenate([partial[row], marker[:, None]], axis=1)
-    return [tuple(markers) for markers in partial.tolist()]
+        deviation = np.abs(
+            rest[partial_matches] - lengths[group[k], group[:k]][None, :, None]
+        )
+        is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
+        is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
+        match_indices, marker = np.nonzero(is_match)
+        partial_matches = np.concatenate(
+            [partial_matches[match_indices], marker[:, None]], axis=1
+        )
+    return [tuple(markers) for markers in partial_matches.tolist()]
 
 
 def _shape_error(points: FloatArray, shape: FloatArray) -> float:
     """Return the error of a shape on points, rejecting mirror images [m]."""
-    complete = points[np.isfinite(points).all(axis=(1, 2))][::8]
-    if not len(complete):
+    complete_frames = points[np.isfinite(points).all(axis=(1, 2))][::8]
+    if not len(complete_frames):
         return np.inf
-    rotation, shift = fit_shape(complete, shape)
-    fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    return float(np.sqrt(np.median(((fit - complete) ** 2).sum(axis=-1).mean(axis=1))))
+    rotation, shift = fit_shape(complete_frames, shape)
+    fitted_points = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
+    return float(
+        np.sqrt(
+            np.median(
+                ((fitted_points - complete_frames) ** 2).sum(axis=-1).mean(axis=1)
+            )
+        )
+    )
 
 
 # Minimum length of the runs that are named first [frame], and of the part of the take
@@ -217,7 +233,7 @@ class LabelReport:
         return self.labelled / max(1, self.points)
 
 
-def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
+def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     """Return a point cloud labelled with the names of a static trial.
 
     Points are joined to runs by their motion. Runs that keep their distance are on one
@@ -231,15 +247,15 @@ def label(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
     """
     names, rest = _static_template(static)
     rate = float(cloud.clock.rate)
-    tracklets = follow(cloud.positions, rate)
-    first = _first_names(cloud, tracklets, rest)
+    tracklets = track_points(cloud.positions, rate)
+    first = _name_first_runs(cloud, tracklets, rest)
     if first is None:
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     run_labels = RunLabels(cloud.positions, tracklets, rate, first, lengths)
-    names_of, exchanges, pairs = distinguish_twins(run_labels.by_marker(), rest)
+    names_of, exchanges, pairs = distinguish_twins(run_labels.marker_paths(), rest)
     run_labels.names_of = np.where(
         run_labels.names_of >= 0, names_of[run_labels.names_of], -1
     )
@@ -268,23 +284,26 @@ def _apply_names(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
-    first: IntArray,
+    first_names: IntArray,
     exchanges: list[Exchange],
 ) -> tuple[Markers, LabelReport]:
     """Return the cloud with labelled markers."""
     frames = len(cloud)
     slots = np.full((frames, len(names)), -1)
     ids = tracklets.ids
-    marker = np.where(ids >= 0, first[ids], -1)
+    marker = np.where(ids >= 0, first_names[ids], -1)
     frame, slot = np.nonzero(marker >= 0)
     slots[frame, marker[frame, slot]] = slot
 
     def chosen(values: Any, empty: float) -> Any:
+        """Return values of the points in marker order, or an empty value."""
         if values is None:
             return None
         slot_index = slots.reshape(slots.shape + (1,) * (values.ndim - 2))
-        picked = np.take_along_axis(values, np.maximum(slot_index, 0), 1)
-        return np.where(slot_index < 0, np.asarray(empty, values.dtype), picked)
+        selected_values = np.take_along_axis(values, np.maximum(slot_index, 0), 1)
+        return np.where(
+            slot_index < 0, np.asarray(empty, values.dtype), selected_values
+        )
 
     labelled = replace(
         cloud,
@@ -295,7 +314,7 @@ def _apply_names(
         filled=chosen(cloud.filled, 0),
     )
     coverage = (slots >= 0).mean(axis=0)
-    points, named_count = int((ids >= 0).sum()), int((slots >= 0).sum())
+    points, labelled_count = int((ids >= 0).sum()), int((slots >= 0).sum())
     coverage_values = dict(zip(names, coverage.tolist(), strict=True))
     missing = [name for name, fraction in coverage_values.items() if not fraction]
     notices = plausibility_warnings(cloud)
@@ -306,7 +325,7 @@ def _apply_names(
     if doubts:
         notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
-        frames, len(names), points, named_count, points - named_count,
+        frames, len(names), points, labelled_count, points - labelled_count,
         len(tracklets.first), missing, coverage_values, doubts, notices,
     )  # fmt: skip
     return labelled, report
@@ -342,7 +361,7 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 
-def _first_names(
+def _name_first_runs(
     cloud: Markers, tracklets: Tracklets, rest: FloatArray
 ) -> IntArray | None:
     """Return the markers of a part's longer runs, -1 for others; None if none fits."""
@@ -365,13 +384,17 @@ def _base_frames(
     length = min(frames, max(MIN_RUN_FRAMES, int(BASE_SECONDS * rate)))
     best_start, best_count = 0, -1
     for start in range(0, frames - length + 1, max(1, length // 4)):
-        shared = np.minimum(last, start + length - 1) - np.maximum(first, start) + 1
-        score = int(shared[shared > MIN_RUN_FRAMES].sum())
+        shared_frames = (
+            np.minimum(last, start + length - 1) - np.maximum(first, start) + 1
+        )
+        score = int(shared_frames[shared_frames > MIN_RUN_FRAMES].sum())
         if score > best_count:
             best_start, best_count = start, score
     end = best_start + length
-    shared = np.minimum(last, end - 1) - np.maximum(first, best_start) + 1
-    return slice(best_start, end), np.flatnonzero(shared >= min(MIN_RUN_FRAMES, length))
+    shared_frames = np.minimum(last, end - 1) - np.maximum(first, best_start) + 1
+    return slice(best_start, end), np.flatnonzero(
+        shared_frames >= min(MIN_RUN_FRAMES, length)
+    )
 
 
 def _run_positions(
@@ -399,11 +422,15 @@ def _exchange_parts(
     first, last = run_labels.tracklets.first, run_labels.tracklets.last
     runs = runs[np.argsort(first[runs], kind="stable")]
     ends = np.maximum.accumulate(last[runs])
-    parts = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
-    if len(parts) < 2:
+    parts_of_take = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
+    if len(parts_of_take) < 2:
         return
-    marker_positions = run_labels.by_marker()
-    for part in parts:
-        frames = slice(int(first[part].min()), int(last[part].max()) + 1)
+    marker_positions = run_labels.marker_paths()
+    for runs_in_part in parts_of_take:
+        frames = slice(
+            int(first[runs_in_part].min()), int(last[runs_in_part].max()) + 1
+        )
         if is_exchanged(marker_positions[frames], rest, pair):
-            run_labels.names_of[part] = sum(pair) - run_labels.names_of[part]
+            run_labels.names_of[runs_in_part] = (
+                sum(pair) - run_labels.names_of[runs_in_part]
+            )

@@ -62,32 +62,39 @@ class PointNaming:
         ``(R, R)``. rest_distances: Distances of the markers ``(M, M)`` [m].
         """
         count, markers = len(overlap), len(rest_distances)
-        self.together: BoolArray = overlap > 0
+        self.are_concurrent: BoolArray = overlap > 0
         # A pair's weight is its visible fraction.
         overlap_fraction = overlap / max(1.0, float(overlap.max()))
-        self.length = np.diag(overlap_fraction).copy()
+        self.visible_fraction = np.diag(overlap_fraction).copy()
         np.fill_diagonal(overlap_fraction, 0.0)
-        self.pair_scores = pair_evidence(moving, overlap_fraction, rest_distances)
+        self.pair_scores = compute_pair_evidence(
+            moving, overlap_fraction, rest_distances
+        )
         # Points never visible together that share a name should be one marker.
-        part = np.minimum(self.length[:, None], self.length) * ~self.together
-        linked = (part * chain_likelihoods(moving, overlap)).astype(np.float32)
+        pair_weights = (
+            np.minimum(self.visible_fraction[:, None], self.visible_fraction)
+            * ~self.are_concurrent
+        )
+        chain_evidence = (pair_weights * chain_likelihoods(moving, overlap)).astype(
+            np.float32
+        )
         for name in range(markers):
-            self.pair_scores[:, :, name, name] += linked
-        self.pairs = _rigid_pairs(moving, overlap_fraction)
-        self.moves = possible_exchanges(rest_distances)
+            self.pair_scores[:, :, name, name] += chain_evidence
+        self.rigid_pairs = _rigid_pairs(moving, overlap_fraction)
+        self.exchanges = find_exchanges(rest_distances)
         self.names_of = np.full(count, -1)
         self.scores = np.zeros((count, markers))
-        self.taken = np.zeros((count, markers), np.int64)
+        self.blocked_counts = np.zeros((count, markers), np.int64)
 
     def copy(self) -> PointNaming:
         """Return a copy that can be changed independently."""
         duplicate = object.__new__(PointNaming)
         duplicate.__dict__.update(self.__dict__)
-        for name in ("names_of", "scores", "taken"):
+        for name in ("names_of", "scores", "blocked_counts"):
             setattr(duplicate, name, getattr(self, name).copy())
         return duplicate
 
-    def total(self) -> float:
+    def total_evidence(self) -> float:
         """Return the log-likelihood of all distances given the names [nat]."""
         is_named = np.flatnonzero(self.names_of >= 0)
         return 0.5 * float(self.scores[is_named, self.names_of[is_named]].sum())
@@ -98,10 +105,10 @@ class PointNaming:
         for name, sign in ((previous, -1), (marker, 1)):
             if name >= 0:
                 self.scores += sign * self.pair_scores[point, :, name]
-                self.taken[self.together[point], name] += sign
+                self.blocked_counts[self.are_concurrent[point], name] += sign
         self.names_of[point] = marker
 
-    def grow(self, bias: FloatArray | float = 0.0) -> None:
+    def assign_greedily(self, bias: FloatArray | float = 0.0) -> None:
         """Name points one by one, or in rigid pairs, the clearest first.
 
         Points visible together are never the same marker.
@@ -110,28 +117,30 @@ class PointNaming:
         """
         rows = np.arange(len(self.names_of))
         while True:
-            score = np.where(self.taken > 0, -np.inf, self.scores + bias)
+            score = np.where(self.blocked_counts > 0, -np.inf, self.scores + bias)
             score[self.names_of >= 0] = -np.inf
-            pair = self._pair(score)
+            pair = self._clearest_pair(score)
             marker = score.argmax(axis=1)
-            best = score[rows, marker]
+            best_score = score[rows, marker]
             score[rows, marker] = -np.inf
-            rival = np.maximum(score.max(axis=1), 0.0)
-            clear = np.full(len(rows), -1.0)
-            worth = np.isfinite(best) & (best > MIN_EVIDENCE * self.length)
-            clear[worth] = (best - rival)[worth]
-            point = int(clear.argmax())
-            if pair and pair[0] > max(0.0, clear[point]):
+            rival_score = np.maximum(score.max(axis=1), 0.0)
+            margin = np.full(len(rows), -1.0)
+            is_eligible = np.isfinite(best_score) & (
+                best_score > MIN_EVIDENCE * self.visible_fraction
+            )
+            margin[is_eligible] = (best_score - rival_score)[is_eligible]
+            point = int(margin.argmax())
+            if pair and pair[0] > max(0.0, margin[point]):
                 self.assign(*pair[1])
                 self.assign(*pair[2])
-            elif clear[point] > 0.0:
+            elif margin[point] > 0.0:
                 self.assign(point, int(marker[point]))
             else:
                 return
 
-    def _pair(self, score: FloatArray) -> Any:
+    def _clearest_pair(self, score: FloatArray) -> Any:
         """Return the clearest rigid pair: its evidence [nat], its points and names."""
-        first, second = self.pairs
+        first, second = self.rigid_pairs
         is_free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
         first, second = first[is_free], second[is_free]
         if not len(first):
@@ -142,18 +151,20 @@ class PointNaming:
         )
         rows = np.arange(len(first))
         best_names = pair_scores.argmax(axis=1)
-        best = pair_scores[rows, best_names].copy()
+        best_score = pair_scores[rows, best_names].copy()
         pair_scores[rows, best_names] = -np.inf
-        rival = np.maximum(pair_scores.max(axis=1), 0.0)
-        clear = np.full(len(first), -1.0)
-        worth = np.isfinite(best)
-        worth[worth] = (
-            best > MIN_EVIDENCE * (self.length[first] + self.length[second])
-        )[worth]
-        clear[worth] = 0.5 * (best - rival)[worth]
-        row = int(clear.argmax())
+        rival_score = np.maximum(pair_scores.max(axis=1), 0.0)
+        margin = np.full(len(first), -1.0)
+        is_eligible = np.isfinite(best_score)
+        is_eligible[is_eligible] = (
+            best_score
+            > MIN_EVIDENCE
+            * (self.visible_fraction[first] + self.visible_fraction[second])
+        )[is_eligible]
+        margin[is_eligible] = 0.5 * (best_score - rival_score)[is_eligible]
+        row = int(margin.argmax())
         i, j = divmod(int(best_names[row]), score.shape[1])
-        return float(clear[row]), (int(first[row]), i), (int(second[row]), j)
+        return float(margin[row]), (int(first[row]), i), (int(second[row]), j)
 
     def improve(self, best_total: float = -np.inf) -> None:
         """Rename points, and exchange markers, while that fits distances better.
@@ -162,7 +173,7 @@ class PointNaming:
         """
         for _ in range(MAX_EXCHANGES):
             changed = self._improve_names()
-            if self.total() < best_total - EXCHANGE_MARGIN:
+            if self.total_evidence() < best_total - EXCHANGE_MARGIN:
                 return
             names = self._better_permutation()
             if names is None:
@@ -170,26 +181,26 @@ class PointNaming:
                     return
                 continue
             for point in np.flatnonzero(self.names_of >= 0).tolist():
-                new = int(names[self.names_of[point]])
-                if new != self.names_of[point]:
-                    self.assign(point, new)
+                new_name = int(names[self.names_of[point]])
+                if new_name != self.names_of[point]:
+                    self.assign(point, new_name)
 
     def _improve_names(self) -> bool:
         """Give points a better free name; return whether any changed."""
         has_changed = False
         for point in range(len(self.names_of)):
             current = int(self.names_of[point])
-            blocked = self.taken[point].copy()
+            blocked_counts = self.blocked_counts[point].copy()
             current_score = 0.0
             if current >= 0:
-                blocked[current] -= 1
+                blocked_counts[current] -= 1
                 current_score = float(self.scores[point, current])
-            score = np.where(blocked > 0, -np.inf, self.scores[point])
+            score = np.where(blocked_counts > 0, -np.inf, self.scores[point])
             candidate = int(score.argmax())
             min_score = (
                 current_score + MIN_GAIN
                 if current >= 0
-                else MIN_EVIDENCE * self.length[point]
+                else MIN_EVIDENCE * self.visible_fraction[point]
             )
             if candidate != current and score[candidate] > min_score:
                 self.assign(point, candidate)
@@ -224,18 +235,20 @@ class PointNaming:
             single_scores = np.zeros((count, count))
             for other in named_markers.tolist():
                 single_scores += pair_scores[:, other, :, names[other]]
-            best, gain = None, MIN_GAIN
-            for old, new in self.moves:
-                value = exchange_gain(pair_scores, single_scores, names, old, new)
+            best_names, gain = None, MIN_GAIN
+            for old, new in self.exchanges:
+                value = compute_exchange_gains(
+                    pair_scores, single_scores, names, old, new
+                )
                 best_exchange = int(value.argmax()) if len(value) else 0
                 if len(value) and value[best_exchange] > gain:
-                    best, gain = (
+                    best_names, gain = (
                         (old[best_exchange], new[best_exchange]),
                         float(value[best_exchange]),
                     )
-            if best is None:
+            if best_names is None:
                 break
-            names[best[0]] = names[best[1]]
+            names[best_names[0]] = names[best_names[1]]
         return names if (names != np.arange(count)).any() else None
 
     def most_doubtful(
@@ -252,17 +265,17 @@ class PointNaming:
         point, marker = divmod(int(regret.argmax()), regret.shape[1])
         return (point, marker) if regret[point, marker] > 0.0 else None
 
-    def eject(self, point: int, marker: int, around: BoolArray) -> None:
+    def force_name(self, point: int, marker: int, is_reassigned: BoolArray) -> None:
         """Name a point, remove conflicting names, and assign those again.
 
-        around: Markers whose names are assigned again too ``(M,)``.
+        is_reassigned: Markers whose names are assigned again too ``(M,)``.
         """
-        barred = self.together[point] & (self.names_of == marker)
-        barred |= (self.names_of >= 0) & around[self.names_of]
-        for other in np.flatnonzero(barred).tolist():
+        is_conflicting = self.are_concurrent[point] & (self.names_of == marker)
+        is_conflicting |= (self.names_of >= 0) & is_reassigned[self.names_of]
+        for other in np.flatnonzero(is_conflicting).tolist():
             self.assign(other, -1)
         self.assign(point, marker)
-        self.grow()
+        self.assign_greedily()
 
     def scarce_markers(self) -> IntArray:
         """Return the markers with no or few points.
@@ -271,23 +284,23 @@ class PointNaming:
         """
         lengths = np.zeros(self.scores.shape[1])
         is_named = self.names_of >= 0
-        np.add.at(lengths, self.names_of[is_named], self.length[is_named])
-        lacking = np.flatnonzero(lengths < MIN_NAMED_FRACTION)
-        if not len(lacking) and (self.length[~is_named] > LONG_FRACTION).any():
+        np.add.at(lengths, self.names_of[is_named], self.visible_fraction[is_named])
+        scarce = np.flatnonzero(lengths < MIN_NAMED_FRACTION)
+        if not len(scarce) and (self.visible_fraction[~is_named] > LONG_FRACTION).any():
             return np.arange(len(lengths))
-        return lacking
+        return scarce
 
     def restart(
-        self, around: BoolArray, seed: dict[int, int], bias: FloatArray
+        self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
         """Remove names of some markers ``(M,)``, and assign them again from a seed."""
         for point in np.flatnonzero(
-            (self.names_of >= 0) & around[self.names_of]
+            (self.names_of >= 0) & is_reassigned[self.names_of]
         ).tolist():
             self.assign(point, -1)
         for point, marker in seed.items():
             self.assign(point, marker)
-        self.grow(bias)
+        self.assign_greedily(bias)
 
 
 def search_names(
@@ -299,18 +312,18 @@ def search_names(
     markers.
     """
     best = _retry_doubtful(best, rest_distances)
-    best_total = best.total()
+    best_total = best.total_evidence()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTARTS):
-        lacking = best.scarce_markers()
-        if not len(lacking):
+        scarce = best.scarce_markers()
+        if not len(scarce):
             break
-        centre = int(rng.choice(lacking))
+        centre = int(rng.choice(scarce))
         is_near = rest_distances[centre] < rng.uniform(*RESTART_RADIUS)
-        if len(lacking) < len(rest_distances) and rng.random() < 0.5:
-            is_near |= (rest_distances[lacking] < DOUBT_RADIUS).any(axis=0)
-        offsets = rng.uniform(*RANDOM_BIAS) * best.length[:, None]
+        if len(scarce) < len(rest_distances) and rng.random() < 0.5:
+            is_near |= (rest_distances[scarce] < DOUBT_RADIUS).any(axis=0)
+        offsets = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
@@ -319,17 +332,17 @@ def search_names(
         )
         candidate.restart(is_near | bool(seed), seed, bias)
         candidate.improve(-np.inf if seed else best_total)
-        candidate_total = candidate.total()
+        candidate_total = candidate.total_evidence()
         if candidate_total > best_total + MIN_GAIN:
             best = _retry_doubtful(candidate, rest_distances)
-            best_total = best.total()
+            best_total = best.total_evidence()
     return best
 
 
 def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNaming:
     """Return names after trying the most doubtful ones again."""
     best.improve()
-    best_total = best.total()
+    best_total = best.total_evidence()
     tried_moves: set[tuple[int, int]] = set()
     for _ in range(MAX_TRIALS):
         move = best.most_doubtful(tried_moves)
@@ -337,21 +350,23 @@ def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNamin
             break
         tried_moves.add(move)
         point, marker = move
-        nearby = rest_distances[marker] < DOUBT_RADIUS
+        is_nearby = rest_distances[marker] < DOUBT_RADIUS
         if best.names_of[point] >= 0:
-            nearby = nearby | (rest_distances[best.names_of[point]] < DOUBT_RADIUS)
-        for is_reassigned in (np.zeros(len(rest_distances), bool), nearby):
+            is_nearby = is_nearby | (
+                rest_distances[best.names_of[point]] < DOUBT_RADIUS
+            )
+        for is_reassigned in (np.zeros(len(rest_distances), bool), is_nearby):
             candidate = best.copy()
-            candidate.eject(point, marker, is_reassigned)
+            candidate.force_name(point, marker, is_reassigned)
             candidate.improve(best_total)
-            candidate_total = candidate.total()
+            candidate_total = candidate.total_evidence()
             if candidate_total > best_total + MIN_GAIN:
                 best, best_total = candidate, candidate_total
                 break
     return best
 
 
-def pair_evidence(
+def compute_pair_evidence(
     moving: MarkerDistances, overlap: FloatArray, rest_distances: FloatArray
 ) -> FloatArray:
     """Return the evidence of point pairs for name pairs ``(R, R, M, M)`` [nat]."""
@@ -388,7 +403,7 @@ def _rigid_pairs(
     return pair_array[:, 0], pair_array[:, 1]
 
 
-def exchange_gain(
+def compute_exchange_gains(
     pair_scores: FloatArray,
     single_scores: FloatArray,
     names: IntArray,
@@ -407,22 +422,28 @@ def exchange_gain(
     return np.asarray(value)
 
 
-def possible_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
+def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
-    near = rest_distances < EXCHANGE_DISTANCE
+    is_near = rest_distances < EXCHANGE_DISTANCE
     first, second = np.triu_indices(len(rest_distances), 1)
-    two = np.stack([first, second], axis=1)
-    close = two[near[first, second]]
-    one, other = np.triu_indices(len(close), 1)
-    four = np.concatenate([close[one], close[other]], axis=1)
-    disjoint = (close[one][:, :, None] != close[other][:, None, :]).all(axis=(1, 2))
-    four = four[disjoint]
-    row, third = np.nonzero(near[close].any(axis=1))
-    three = np.concatenate([close[row], third[:, None]], axis=1)
-    three = three[(three[:, 2] != three[:, 0]) & (three[:, 2] != three[:, 1])]
+    pairs_of_markers = np.stack([first, second], axis=1)
+    close_pairs = pairs_of_markers[is_near[first, second]]
+    first_pair, second_pair = np.triu_indices(len(close_pairs), 1)
+    double_pairs = np.concatenate(
+        [close_pairs[first_pair], close_pairs[second_pair]], axis=1
+    )
+    disjoint = (
+        close_pairs[first_pair][:, :, None] != close_pairs[second_pair][:, None, :]
+    ).all(axis=(1, 2))
+    double_pairs = double_pairs[disjoint]
+    row, third = np.nonzero(is_near[close_pairs].any(axis=1))
+    triples = np.concatenate([close_pairs[row], third[:, None]], axis=1)
+    triples = triples[
+        (triples[:, 2] != triples[:, 0]) & (triples[:, 2] != triples[:, 1])
+    ]
     return [
-        (two, two[:, ::-1]),
-        (three, three[:, [1, 2, 0]]),
-        (three, three[:, [2, 0, 1]]),
-        (four, four[:, [1, 0, 3, 2]]),
+        (pairs_of_markers, pairs_of_markers[:, ::-1]),
+        (triples, triples[:, [1, 2, 0]]),
+        (triples, triples[:, [2, 0, 1]]),
+        (double_pairs, double_pairs[:, [1, 0, 3, 2]]),
     ]

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 # Training window on either side of a gap [s].
 TRAINING_SECONDS = 6.0
-# Training frames, next to the gap and in total.
+# Maximum number of training frames in total, and on each side next to the gap.
 MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
 MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
@@ -35,9 +35,9 @@ MARKER_NOISE = 0.0005
 # factor the matrix.
 MIN_NOISE_RATIO = 1e-12
 # Amplitude [m] and time scale [s] of a marker's deviation from the pose.
-STRAY_KERNELS = ((0.004, 0.12), (0.03, 0.35))
+DEVIATION_KERNELS = ((0.004, 0.12), (0.03, 0.35))
 # The same if no marker determines the joint.
-LOOSE_KERNELS = (*STRAY_KERNELS, (0.05, 1.0))
+LOOSE_KERNELS = (*DEVIATION_KERNELS, (0.05, 1.0))
 # The same for a skeleton's prediction: none, or as skin moves.
 SKIN_KERNELS = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # Length scale of the pose kernel relative to the pose's spread [1]; 0 is infinite: the
@@ -88,11 +88,11 @@ def predict_from_markers(
     predictions = []
     for count in FRAME_MARKERS:
         if count <= len(neighbours):
-            local, pose, to_world = _to_neighbour_frame(
+            local, pose, to_world = _in_neighbour_frame(
                 positions, frames, marker, neighbours, count
             )
             best_prediction = _best_prediction(
-                local, pose, frames, gap, rate, STRAY_KERNELS, count
+                local, pose, frames, gap, rate, DEVIATION_KERNELS, count
             )
             predictions.append(
                 Prediction(to_world(best_prediction.positions), best_prediction.error)
@@ -106,7 +106,7 @@ def _best_prediction(
     frames: IntArray,
     gap: slice,
     rate: float,
-    strays: tuple[tuple[float, float], ...],
+    deviation_kernels: tuple[tuple[float, float], ...],
     min_markers: int = 1,
 ) -> Prediction:
     """Return the prediction of the kernel with the least cross-validation error.
@@ -117,25 +117,34 @@ def _best_prediction(
     are any.
     """
     known_count = len(frames) - (gap.stop - gap.start)
-    best: Prediction | None = None
+    best_prediction: Prediction | None = None
     for pose_markers in POSE_MARKERS:
         if pose_markers > pose.shape[1]:
             continue
-        part = pose[:, : max(pose_markers, min_markers)].reshape(len(frames), -1)
-        for length_scale, (stray, time) in product(LENGTH_SCALES, strays):
+        pose_features = pose[:, : max(pose_markers, min_markers)].reshape(
+            len(frames), -1
+        )
+        for length_scale, (deviation, time) in product(
+            LENGTH_SCALES, deviation_kernels
+        ):
             if not pose_markers and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                part, frames / rate, length_scale, stray, time, local[:known_count]
+                pose_features,
+                frames / rate,
+                length_scale,
+                deviation,
+                time,
+                local[:known_count],
             )
-            error, values = _regress(local[:known_count], kernel, frames, gap)
-            if best is None or error < best.error:
-                best = Prediction(values, error)
-    assert best is not None
-    return best
+            error, values = _predict_gap(local[:known_count], kernel, frames, gap)
+            if best_prediction is None or error < best_prediction.error:
+                best_prediction = Prediction(values, error)
+    assert best_prediction is not None
+    return best_prediction
 
 
-def predict_in_parent(
+def predict_from_parent_joint(
     skeleton: SkeletonMarkers,
     positions: FloatArray,
     visible: BoolArray,
@@ -162,33 +171,37 @@ def predict_in_parent(
     )
     rotations = [parent_rotations]
     visible_throughout = np.asarray(visible[gap].all(axis=0))
-    for mate in skeleton.markers_on_joint(marker, visible_throughout):
-        if np.isin(training, np.flatnonzero(visible[:, mate])).all():
+    for marker_on_joint in skeleton.markers_on_joint(marker, visible_throughout):
+        if np.isin(training, np.flatnonzero(visible[:, marker_on_joint])).all():
             rotations.append(
-                _rotate_towards(parent_rotations, positions[frames, mate] - origin)
+                _rotate_towards(
+                    parent_rotations, positions[frames, marker_on_joint] - origin
+                )
             )
     predictions = []
     for rotation in rotations:
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best_prediction(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        best_prediction = _best_prediction(
+            local, pose, frames, gap, rate, LOOSE_KERNELS
+        )
         world_positions = np.einsum(
-            "fij,fj->fi", rotation[known_count:], best.positions
+            "fij,fj->fi", rotation[known_count:], best_prediction.positions
         )
         predictions.append(
-            Prediction(world_positions + origin[known_count:], best.error)
+            Prediction(world_positions + origin[known_count:], best_prediction.error)
         )
-    return min(predictions, key=lambda each: each.error)
+    return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
     """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
     local = np.einsum("fji,fj->fi", parent_rotations, arms)
     local /= np.linalg.norm(local, axis=1, keepdims=True)
-    home = local.mean(axis=0)
-    home /= np.linalg.norm(home)
-    axis = np.cross(home, local)
+    mean_direction = local.mean(axis=0)
+    mean_direction /= np.linalg.norm(mean_direction)
+    axis = np.cross(mean_direction, local)
     frames = np.zeros((len(local), 3, 3))
     frames[:, 0, 1], frames[:, 0, 2], frames[:, 1, 2] = (
         -axis[:, 2],
@@ -196,12 +209,12 @@ def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArra
         -axis[:, 0],
     )
     frames -= frames.transpose(0, 2, 1)
-    cosine = np.maximum(local @ home, -0.99)
+    cosine = np.maximum(local @ mean_direction, -0.99)
     swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
     return np.asarray(parent_rotations @ swing)
 
 
-def follow(
+def predict_from_skeleton(
     skeleton: SkeletonMarkers,
     positions: FloatArray,
     visible: BoolArray,
@@ -220,25 +233,26 @@ def follow(
     training = _training_frames(visible, marker, gap, np.zeros(0, np.int64), rate)
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     rotations, points = skeleton.rotations[frames, marker], skeleton.positions[frames]
-    path, known_count = points[:, marker], len(training)
+    skeleton_path, known_count = points[:, marker], len(training)
     offsets = np.einsum(
         "fji,fj->fi",
         rotations[:known_count],
-        positions[training, marker] - path[:known_count],
+        positions[training, marker] - skeleton_path[:known_count],
     )
     correction = np.zeros((gap.stop - gap.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
-    for stray, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
+    for deviation, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
         kernel = _covariance(
-            no_pose, frames / rate, LENGTH_SCALES[0], stray, time, offsets
+            no_pose, frames / rate, LENGTH_SCALES[0], deviation, time, offsets
         )
-        error, values = _regress(offsets, kernel, frames, gap)
+        error, values = _predict_gap(offsets, kernel, frames, gap)
         if error < least_error:
             least_error, correction = error, values
     world_correction = np.einsum("fij,fj->fi", rotations[known_count:], correction)
     return Prediction(
-        np.asarray(path[known_count:] + world_correction, np.float64), least_error
+        np.asarray(skeleton_path[known_count:] + world_correction, np.float64),
+        least_error,
     )
 
 
@@ -258,8 +272,10 @@ def _training_frames(
     """Return the training frames: all near the gap, and some farther away."""
     window = int(TRAINING_SECONDS * rate)
     first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
-    usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(axis=1)
-    frames = np.flatnonzero(usable) + first
+    is_usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(
+        axis=1
+    )
+    frames = np.flatnonzero(is_usable) + first
     frames = frames[(frames < gap.start) | (frames >= gap.stop)]
     distance = np.where(frames < gap.start, gap.start - frames, frames - gap.stop + 1)
     dense_frames = frames[distance <= DENSE_FRAMES]
@@ -272,7 +288,7 @@ def _training_frames(
     return np.sort(np.concatenate([dense_frames, other_frames]))
 
 
-def _to_neighbour_frame(
+def _in_neighbour_frame(
     positions: FloatArray,
     frames: IntArray,
     marker: int,
@@ -296,7 +312,7 @@ def _to_neighbour_frame(
     return local, pose, to_world
 
 
-def _regress(
+def _predict_gap(
     local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return predictions for the unknown frames, and their error.
@@ -312,20 +328,20 @@ def _regress(
         MARKER_NOISE**2,
         MIN_NOISE_RATIO * float(np.trace(kernel[:known_count])) / known_count,
     )
-    factor = cho_factor(kernel[:known_count] + noise * np.eye(known_count))
-    inverse = cho_solve(factor, np.eye(known_count))
+    cholesky_factor = cho_factor(kernel[:known_count] + noise * np.eye(known_count))
+    inverse = cho_solve(cholesky_factor, np.eye(known_count))
     weights = inverse @ (local - mean)
     values = kernel[known_count:] @ weights + mean
     length = gap.stop - gap.start
     training_frames = frames[:known_count]
     errors = []
     for begin in _validation_spans(training_frames, gap):
-        left_out = np.flatnonzero(
+        left_out_rows = np.flatnonzero(
             (training_frames >= begin) & (training_frames < begin + length)
         )
-        if 0 < len(left_out) < known_count - MIN_TRAINING_FRAMES:
-            block = inverse[np.ix_(left_out, left_out)]
-            residuals = np.linalg.solve(block, weights[left_out])
+        if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
+            inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
+            residuals = np.linalg.solve(inverse_block, weights[left_out_rows])
             errors.append((residuals**2).sum(axis=1).mean())
     return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
 
@@ -333,26 +349,34 @@ def _regress(
 def _validation_spans(training: IntArray, gap: slice) -> list[int]:
     """Return the starts of spans to leave out, on both sides of a gap."""
     length = gap.stop - gap.start
-    begins = []
+    starts = []
     for k in range(VALIDATION_SPANS // 2):
-        begins.append(gap.start - (k + 1) * (length + 2))
-        begins.append(gap.stop + k * (length + 2) + 2)
-    return [b for b in begins if b + length > training[0] and b <= training[-1]]
+        starts.append(gap.start - (k + 1) * (length + 2))
+        starts.append(gap.stop + k * (length + 2) + 2)
+    return [
+        start
+        for start in starts
+        if start + length > training[0] and start <= training[-1]
+    ]
 
 
 def _covariance(
     pose: FloatArray,
     times: FloatArray,
     length_scale: float,
-    stray: float,
-    stray_time: float,
+    deviation: float,
+    deviation_time: float,
     local: FloatArray,
 ) -> FloatArray:
     """Return the covariance of all frames with the known ones ``(F, known)`` [m^2]."""
     known_count = len(local)
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
-    lag = np.sqrt(5.0) * np.abs(times[:, None] - times[None, :known_count]) / stray_time
-    over_time = stray**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
+    lag = (
+        np.sqrt(5.0)
+        * np.abs(times[:, None] - times[None, :known_count])
+        / deviation_time
+    )
+    time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     features = centred_pose / (
         np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean()) + 1e-9
@@ -364,4 +388,4 @@ def _covariance(
             square[:, None] + square[None, :known_count] - 2.0 * products, 0.0
         )
         products = products + np.exp(-0.5 * squares / length_scale**2)
-    return np.asarray(variance * products + over_time)
+    return np.asarray(variance * products + time_covariance)

@@ -30,7 +30,7 @@ LEARNING_ROUNDS = 2
 # and its largest cost.
 NOISE, ACCELERATION, SPEED_ERROR, MAX_STEP_COST = 0.004, 60.0, 0.3, 2.0
 # Assumed relative spread of markers never visible together.
-UNSEEN_SPREAD = 0.25
+UNKNOWN_SPREAD = 0.25
 
 
 class RunLabels:
@@ -38,7 +38,7 @@ class RunLabels:
 
     Attributes:
         names_of: Marker of each run ``(T,)``; -1 for none.
-        marked: Positions of the markers ``(F, M, 3)`` from named runs.
+        marker_positions: Positions of the markers ``(F, M, 3)`` from named runs.
     """
 
     def __init__(
@@ -57,9 +57,9 @@ class RunLabels:
         self.rest = rest
         self.runs = len(tracklets.first)
         self.names_of = names_of.copy()
-        self.marked = self.by_marker()
+        self.marker_positions = self.marker_paths()
 
-    def by_marker(self) -> FloatArray:
+    def marker_paths(self) -> FloatArray:
         """Return the named positions ``(F, M, 3)``."""
         ids = self.tracklets.ids
         marker = np.where(ids >= 0, self.names_of[ids], -1)
@@ -72,20 +72,24 @@ class RunLabels:
         """Name the remaining runs, the clearest first."""
         for _ in range(LEARNING_ROUNDS):
             self._update_distances()
-            self._reject()
-            while self._name_step(forced=False) or self._name_step(forced=True):
+            self._reject_outliers()
+            while self._name_clear_runs(forced=False) or self._name_clear_runs(
+                forced=True
+            ):
                 pass
         self._update_distances()
-        self._reject()
+        self._reject_outliers()
 
     def _update_distances(self) -> None:
         """Update the distances from the named runs, and reset the costs."""
-        self.marked = self.by_marker()
-        self.learnt = _learnt_distances(self.rest, marker_distances(self.marked))
+        self.marker_positions = self.marker_paths()
+        self.distances = _merge_known_distances(
+            self.rest, marker_distances(self.marker_positions)
+        )
         self.costs = np.full((self.runs, len(self.rest)), np.inf)
-        self.stale = np.ones(self.runs, bool)
+        self.is_stale = np.ones(self.runs, bool)
 
-    def _reject(self) -> None:
+    def _reject_outliers(self) -> None:
         """Remove names from runs that are not at their marker's position."""
         for run in np.flatnonzero(self.names_of >= 0).tolist():
             marker = int(self.names_of[run])
@@ -93,26 +97,26 @@ class RunLabels:
             costs = self._shape_costs(path, begin, end)
             if costs[marker] > min(GHOST_COST, costs.min() + MIN_MARGIN):
                 self.names_of[run] = -1
-                self.marked[begin:end, marker] = np.nan
+                self.marker_positions[begin:end, marker] = np.nan
 
-    def _name_step(self, *, forced: bool) -> bool:
+    def _name_clear_runs(self, *, forced: bool) -> bool:
         """Name runs from named ones; return whether any were named."""
-        for run in np.flatnonzero(self.stale & (self.names_of < 0)).tolist():
+        for run in np.flatnonzero(self.is_stale & (self.names_of < 0)).tolist():
             self.costs[run] = self._marker_costs(run)
-        self.stale[:] = False
+        self.is_stale[:] = False
         runs = np.flatnonzero(self.names_of < 0)
         if not len(runs):
             return False
-        order = np.partition(self.costs[runs], 1, axis=1)
-        best_cost, rival = order[:, 0], order[:, 1]
-        clear = best_cost < GHOST_COST
+        smallest_costs = np.partition(self.costs[runs], 1, axis=1)
+        best_cost, rival_cost = smallest_costs[:, 0], smallest_costs[:, 1]
+        is_clear = best_cost < GHOST_COST
         if not forced:
-            clear &= rival > np.where(clear, best_cost, 0.0) + MIN_MARGIN
+            is_clear &= rival_cost > np.where(is_clear, best_cost, 0.0) + MIN_MARGIN
         candidates = np.zeros((0, 2), np.int64)
         first, last = self.tracklets.first, self.tracklets.last
         max_gap = int(BRIDGE_SECONDS * self.rate)
         for row in np.argsort(best_cost, kind="stable").tolist():
-            if not clear[row]:
+            if not is_clear[row]:
                 continue
             run = int(runs[row])
             marker = int(self.costs[run].argmin())
@@ -123,15 +127,16 @@ class RunLabels:
                 continue
             self.names_of[run] = marker
             begin, end, path = self._run_positions(run)
-            self.marked[begin:end, marker] = path
+            self.marker_positions[begin:end, marker] = path
             candidates = np.vstack([candidates, (begin - max_gap, end + max_gap)])
         for begin, end in candidates.tolist():
-            self.stale |= (first <= end) & (last >= begin)
+            self.is_stale |= (first <= end) & (last >= begin)
         return len(candidates) > 0
 
     def _is_free(self, run: int, marker: int) -> bool:
+        """Return whether a marker has no position in the frames of a run."""
         begin, end = int(self.tracklets.first[run]), int(self.tracklets.last[run]) + 1
-        return not np.isfinite(self.marked[begin:end, marker, 0]).any()
+        return not np.isfinite(self.marker_positions[begin:end, marker, 0]).any()
 
     def _run_positions(self, run: int) -> tuple[int, int, FloatArray]:
         """Return the frames and positions of a run."""
@@ -142,7 +147,7 @@ class RunLabels:
         """Return the cost of a run being each marker; infinite if it is taken."""
         begin, end, path = self._run_positions(run)
         cost = self._shape_costs(path, begin, end) + self._step_costs(path, begin, end)
-        cost[np.isfinite(self.marked[begin:end, :, 0]).any(axis=0)] = np.inf
+        cost[np.isfinite(self.marker_positions[begin:end, :, 0]).any(axis=0)] = np.inf
         return cost
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
@@ -150,32 +155,32 @@ class RunLabels:
         sample = np.unique(
             np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
         )
-        marker_positions = self.marked[begin + sample]
+        marker_positions = self.marker_positions[begin + sample]
         lengths = np.linalg.norm(
             marker_positions - path[sample][:, None], axis=-1
         )  # (S, M)
         # The run itself may already have a name.
         is_known = np.isfinite(lengths) & (lengths > 0.0)
-        spread = self.learnt.spread
+        spread = self.distances.spread
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
         tolerance = DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
         deviation = (
-            np.nan_to_num(lengths)[:, None] - self.learnt.mean[None]
+            np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
         ) / tolerance[None]
-        worth = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
+        pair_costs = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
         weights = weight[None] * is_known[:, None]
         weight_sum = weights.sum(axis=(0, 2))
-        summed = (worth * weights).sum(axis=(0, 2))
-        return np.where(weight_sum > 0, summed / np.maximum(weight_sum, 1e-9), np.inf)
+        cost_sum = (pair_costs * weights).sum(axis=(0, 2))
+        return np.where(weight_sum > 0, cost_sum / np.maximum(weight_sum, 1e-9), np.inf)
 
     def _step_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distance from each marker before and after it."""
         max_gap = int(BRIDGE_SECONDS * self.rate)
-        before = self.marked[max(begin - max_gap, 0) : begin][::-1]
-        after = self.marked[end : end + max_gap]
+        positions_before = self.marker_positions[max(begin - max_gap, 0) : begin][::-1]
+        positions_after = self.marker_positions[end : end + max_gap]
         cost = np.zeros(len(self.rest))
-        for window, point in ((before, path[0]), (after, path[-1])):
+        for window, point in ((positions_before, path[0]), (positions_after, path[-1])):
             visible = np.isfinite(window[..., 0])
             for marker in np.flatnonzero(visible.any(axis=0)).tolist():
                 gap = int(visible[:, marker].argmax())
@@ -189,10 +194,12 @@ class RunLabels:
         return np.minimum(cost, MAX_STEP_COST)
 
 
-def _learnt_distances(rest: FloatArray, moving: MarkerDistances) -> MarkerDistances:
+def _merge_known_distances(
+    rest: FloatArray, moving: MarkerDistances
+) -> MarkerDistances:
     """Return the distances of the take, or of the trial where unknown."""
     is_known = np.isfinite(moving.mean)
     mean = np.where(is_known, moving.mean, rest)
     return MarkerDistances(
-        mean, np.where(is_known, moving.spread, UNSEEN_SPREAD * rest)
+        mean, np.where(is_known, moving.spread, UNKNOWN_SPREAD * rest)
     )

@@ -49,8 +49,8 @@ class SkeletonMarkers:
         origins: Origins of those joints ``(F, M, 3)`` [m].
         parent_rotations: Rotations of the parents of those joints ``(F, M, 3, 3)``.
         joints: Joint of each marker ``(M,)``; -1 for markers that the template lacks.
-        above_joint: Parent of each joint ``(J,)``; -1 for the root.
-        free: Which joints rotate about any axis ``(J,)``.
+        parent_joint: Parent of each joint ``(J,)``; -1 for the root.
+        has_free_rotation: Which joints rotate about any axis ``(J,)``.
         determined_frames: Frames with enough markers for the pose ``(F,)``.
         notices: Notices of calibration and solve.
     """
@@ -60,12 +60,12 @@ class SkeletonMarkers:
     origins: FloatArray
     parent_rotations: FloatArray
     joints: IntArray
-    above_joint: IntArray
-    free: BoolArray
+    parent_joint: IntArray
+    has_free_rotation: BoolArray
     determined_frames: BoolArray
     notices: tuple[Fault, ...]
 
-    def predicts(self, marker: int, frames: slice) -> bool:
+    def is_predicted(self, marker: int, frames: slice) -> bool:
         """Return whether the skeleton predicts a marker in all given frames."""
         is_known = np.isfinite(self.positions[frames, marker]).all()
         return bool(is_known and self.determined_frames[frames].all())
@@ -73,13 +73,13 @@ class SkeletonMarkers:
     def has_parent(self, marker: int) -> bool:
         """Return whether a marker's joint has a parent."""
         joint = int(self.joints[marker])
-        return joint >= 0 and int(self.above_joint[joint]) >= 0
+        return joint >= 0 and int(self.parent_joint[joint]) >= 0
 
     def markers_on_joint(self, marker: int, visible: BoolArray) -> list[int]:
         """Return the visible markers on the same joint ``(M,)``."""
-        is_mate = (self.joints == self.joints[marker]) & visible
-        is_mate[marker] = False
-        return [int(mate) for mate in np.flatnonzero(is_mate)]
+        is_on_joint = (self.joints == self.joints[marker]) & visible
+        is_on_joint[marker] = False
+        return [int(other_marker) for other_marker in np.flatnonzero(is_on_joint)]
 
     def drift_speed(self, marker: int, visible: BoolArray) -> float:
         """Return how fast a marker strays from its position on the skeleton [m/s].
@@ -88,17 +88,23 @@ class SkeletonMarkers:
         a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        mates = len(self.markers_on_joint(marker, visible))
+        marker_count = len(self.markers_on_joint(marker, visible))
         joints = self.joints[visible & (self.joints >= 0)]
-        below = int((self.above_joint[joints] == joint).sum())
-        if mates >= 2 or (not self.free[joint] and mates + below):
+        markers_below = int((self.parent_joint[joints] == joint).sum())
+        if marker_count >= 2 or (
+            not self.has_free_rotation[joint] and marker_count + markers_below
+        ):
             return 0.0
-        if mates and below:
+        if marker_count and markers_below:
             return DRIFT_PER_SECOND[0]
-        return DRIFT_PER_SECOND[1] if mates or below > 1 else DRIFT_PER_SECOND[2]
+        return (
+            DRIFT_PER_SECOND[1]
+            if marker_count or markers_below > 1
+            else DRIFT_PER_SECOND[2]
+        )
 
 
-def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
+def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
     """Return the markers of a take on a subject's skeleton.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
@@ -131,8 +137,8 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
             points = so3.rotate(inverse_rotation, points)
             rotations = so3.multiply(inverse_rotation, rotations)
         return (
-            _spread(points, model.columns, count),
-            _spread(so3.to_matrix(rotations), model.columns, count),
+            _to_all_markers(points, model.columns, count),
+            _to_all_markers(so3.to_matrix(rotations), model.columns, count),
         )
 
     joint_positions = world.positions[:, model.joints]
@@ -161,8 +167,8 @@ def skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarker
     )
 
 
-def _spread(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
+def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
     """Return values of some columns for ``count`` of them; the others are NaN."""
-    spread = np.full((len(values), count, *values.shape[2:]), np.nan)
-    spread[:, columns] = values
-    return spread
+    all_columns = np.full((len(values), count, *values.shape[2:]), np.nan)
+    all_columns[:, columns] = values
+    return all_columns

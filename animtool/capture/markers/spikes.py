@@ -90,51 +90,51 @@ def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     if int(visible.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
     path = np.where(visible[:, None], path, 0.0)
-    rough, noise = _noise_model(path, visible)
+    roughness, noise = _noise_model(path, visible)
     spikes: list[tuple[int, int, float]] = []
     for _ in range(MAX_ROUNDS):
-        new = _clearest_spikes(path, visible, rough, noise)
-        if not new:
+        new_spikes = _clearest_spikes(path, visible, roughness, noise)
+        if not new_spikes:
             break
-        spikes += new
-        for first, last, _ in new:
+        spikes += new_spikes
+        for first, last, _ in new_spikes:
             visible[first : last + 1] = False
     return sorted(spikes)
 
 
 def _clearest_spikes(
-    path: FloatArray, visible: BoolArray, rough: float, noise: FloatArray
+    path: FloatArray, visible: BoolArray, roughness: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
     """Return separate spikes, the clearest of overlapping ones."""
     candidates = []
-    level: FloatArray | None = None
+    local_level: FloatArray | None = None
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, deviation, gain, residual = _span_deviations(
-            path, visible, length, rough
+            path, visible, length, roughness
         )
         if not len(starts):
             continue
         factor = np.where(_is_one_sided(visible, starts, length), ONE_SIDED_FACTOR, 1.0)
         scale = noise[length - 1]
-        if level is None:
-            level = _local_level(starts, gain / (3.0 * scale**2), len(path))
-        local_scale = level[starts]
+        if local_level is None:
+            local_level = _local_level(starts, gain / (3.0 * scale**2), len(path))
+        local_scale = local_level[starts]
         limit = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
-        clear = gain / (scale**2 * local_scale)
-        flags = (deviation >= factor * MIN_SPIKE_SIZE) & (clear > limit)
+        clearness = gain / (scale**2 * local_scale)
+        flags = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > limit)
         flags &= residual < MAX_REST_RATIO**2 * gain / length
         for k in np.flatnonzero(flags).tolist():
-            score = float(clear[k]) - LENGTH_PENALTY * length
+            score = float(clearness[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
     scale = noise[0] ** 2
-    is_taken = np.zeros(len(path), bool)
+    is_used_frame = np.zeros(len(path), bool)
     spikes = []
     for _, first, length, size in candidates:
-        if is_taken[first : first + length].any():
+        if is_used_frame[first : first + length].any():
             continue
-        if not _is_gap_artifact(path, visible, first, length, rough, scale):
-            is_taken[
+        if not _is_gap_artifact(path, visible, first, length, roughness, scale):
+            is_used_frame[
                 max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
             ] = True
             spikes.append((first, first + length - 1, size))
@@ -146,20 +146,20 @@ def _is_gap_artifact(
     visible: BoolArray,
     first: int,
     length: int,
-    rough: float,
+    roughness: float,
     scale: float,
 ) -> bool:
     """Return whether a span deviates only because of the few frames before a gap."""
     begin, end = max(first - SUPPORT_FRAMES, 0), first + length
     frames_before = begin + np.flatnonzero(visible[begin:first])
     frames_after = end + np.flatnonzero(visible[end : end + SUPPORT_FRAMES])
-    for side in (frames_before, frames_after):
-        if not 0 < len(side) < length:
+    for frames_on_side in (frames_before, frames_after):
+        if not 0 < len(frames_on_side) < length:
             continue
-        reduced = visible[begin : end + SUPPORT_FRAMES].copy()
-        reduced[side - begin] = False
+        is_visible_without = visible[begin : end + SUPPORT_FRAMES].copy()
+        is_visible_without[frames_on_side - begin] = False
         starts, deviation, gain, _ = _span_deviations(
-            path[begin : end + SUPPORT_FRAMES], reduced, length, rough
+            path[begin : end + SUPPORT_FRAMES], is_visible_without, length, roughness
         )
         span_index = np.flatnonzero(starts == first - begin)
         if len(span_index) and (
@@ -182,16 +182,20 @@ def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArra
     return np.asarray((count_before == 0) | (count_after == 0))
 
 
-def _local_level(starts: IntArray, square: FloatArray, frames: int) -> FloatArray:
+def _local_level(
+    starts: IntArray, squared_residuals: FloatArray, frames: int
+) -> FloatArray:
     """Return the local noise level of single frames over the typical one ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
     window_start = np.maximum(order - FIT_WINDOW, 0)
     window_end = np.minimum(order + FIT_WINDOW, len(starts))
-    padded = np.concatenate([square, [np.inf]])
+    padded = np.concatenate([squared_residuals, [np.inf]])
     window_length = 2 * FIT_WINDOW
     window_rows = window_start[:, None] + np.arange(window_length)
-    window_rows = np.where(window_rows < window_end[:, None], window_rows, len(square))
+    window_rows = np.where(
+        window_rows < window_end[:, None], window_rows, len(squared_residuals)
+    )
     windows = np.sort(padded[window_rows], axis=1)
     quantile_index = (FIT_QUANTILE * (window_end - window_start)).astype(np.int64)
     level = windows[np.arange(frames), np.minimum(quantile_index, window_length - 1)]
@@ -205,10 +209,12 @@ def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArra
     It is the roughness that predicts most positions best from those around.
     """
     best = (np.inf, ROUGHNESS_LEVELS[0])
-    for rough in ROUGHNESS_LEVELS:
-        _, deviation, _, _ = _span_deviations(path, visible, 2, rough, complete=True)
+    for roughness in ROUGHNESS_LEVELS:
+        _, deviation, _, _ = _span_deviations(
+            path, visible, 2, roughness, complete=True
+        )
         if len(deviation):
-            best = min(best, (float(np.median(deviation)), rough))
+            best = min(best, (float(np.median(deviation)), roughness))
     noise = np.zeros(MAX_SPIKE_FRAMES)
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, _, gain, _ = _span_deviations(
@@ -227,7 +233,7 @@ def _span_deviations(
     path: FloatArray,
     visible: BoolArray,
     length: int,
-    rough: float,
+    roughness: float,
     *,
     complete: bool = False,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
@@ -242,20 +248,26 @@ def _span_deviations(
     padded = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
     padded[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = visible
     windows = np.lib.stride_tricks.sliding_window_view(padded, size)
-    spans = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
+    is_span = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
     is_visible_around = np.concatenate(
         [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
     )
-    support = is_visible_around.sum(axis=1)
-    spans &= support == 2 * SUPPORT_FRAMES if complete else support >= MIN_SUPPORT
-    starts = np.flatnonzero(spans)
+    support_count = is_visible_around.sum(axis=1)
+    is_span &= (
+        support_count == 2 * SUPPORT_FRAMES
+        if complete
+        else support_count >= MIN_SUPPORT
+    )
+    starts = np.flatnonzero(is_span)
     values = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
     values[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
     codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
     for code in np.unique(codes).tolist():
         rows = np.flatnonzero(codes == code)
-        offsets, weights, inverse, form = _prediction_weights(code, length, rough)
+        offsets, weights, inverse, quadratic_form = _prediction_weights(
+            code, length, roughness
+        )
         support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
         span_positions = values[
             starts[rows][:, None] + SUPPORT_FRAMES + np.arange(length)
@@ -263,16 +275,16 @@ def _span_deviations(
         prediction_error = span_positions - weights @ support_positions
         gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
         deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
-        remaining_squares = (support_positions * (form @ support_positions)).sum(
-            axis=(1, 2)
-        )
+        remaining_squares = (
+            support_positions * (quadratic_form @ support_positions)
+        ).sum(axis=(1, 2))
         residuals[rows] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
     return starts, deviations, gain, residuals
 
 
 @lru_cache(maxsize=4096)
 def _prediction_weights(
-    code: int, length: int, rough: float
+    code: int, length: int, roughness: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return how positions around a span predict it.
 
@@ -299,14 +311,18 @@ def _prediction_weights(
         + earlier_frame**4 * frame_distance / 8.0
         + earlier_frame**3 * frame_distance**2 / 12.0
     )
-    kernel = rough * curve + np.eye(len(frames))
-    terms = np.vander((frames - frames.mean()) / SUPPORT_FRAMES, CURVE_DEGREE + 1)
+    kernel = roughness * curve + np.eye(len(frames))
+    polynomial_terms = np.vander(
+        (frames - frames.mean()) / SUPPORT_FRAMES, CURVE_DEGREE + 1
+    )
     support_count = len(offsets)
     inverse = np.linalg.inv(kernel)
-    outer = inverse - inverse @ terms @ np.linalg.solve(
-        terms.T @ inverse @ terms, terms.T @ inverse
+    projection = inverse - inverse @ polynomial_terms @ np.linalg.solve(
+        polynomial_terms.T @ inverse @ polynomial_terms, polynomial_terms.T @ inverse
     )
-    block = outer[support_count:, support_count:]
-    weights = -np.linalg.solve(block, outer[support_count:, :support_count])
-    form = outer[:support_count, :support_count] - weights.T @ block @ weights
-    return offsets, weights, block, form
+    block = projection[support_count:, support_count:]
+    weights = -np.linalg.solve(block, projection[support_count:, :support_count])
+    quadratic_form = (
+        projection[:support_count, :support_count] - weights.T @ block @ weights
+    )
+    return offsets, weights, block, quadratic_form

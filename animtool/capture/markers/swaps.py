@@ -70,37 +70,43 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
         return markers, swaps
     rate = float(markers.clock.rate)
     positions = markers.positions.copy()
-    source = np.tile(np.arange(count), (len(markers), 1))
+    source_column = np.tile(np.arange(count), (len(markers), 1))
     lengths: MarkerDistances | None = None
-    crossings: dict[tuple[int, int], tuple[float, BoolArray]] = {}
+    crossing_by_pair: dict[tuple[int, int], tuple[float, BoolArray]] = {}
     tested_pairs: set[tuple[int, int]] = set()
     while True:
         for a, b in _jump_pairs(positions, rate):
-            if (a, b) not in crossings and (a, b) not in tested_pairs:
+            if (a, b) not in crossing_by_pair and (a, b) not in tested_pairs:
                 lengths = lengths or marker_distances(positions)
-                crossings[a, b] = _crossed_frames(positions, a, b, rate, lengths)
+                crossing_by_pair[a, b] = _find_crossed_frames(
+                    positions, a, b, rate, lengths
+                )
         # The clearest pair first: among three markers it decides about the others.
-        clearest = max(
-            crossings, key=lambda pair: (crossings[pair][0], pair), default=None
+        clearest_pair = max(
+            crossing_by_pair,
+            key=lambda pair: (crossing_by_pair[pair][0], pair),
+            default=None,
         )
-        if clearest is None or crossings[clearest][0] < MIN_GAIN:
+        if clearest_pair is None or crossing_by_pair[clearest_pair][0] < MIN_GAIN:
             break
-        pair = list(clearest)
-        for first, last in _swap_spans(crossings[clearest][1], positions[:, pair]):
+        pair = list(clearest_pair)
+        for first, last in _swap_spans(
+            crossing_by_pair[clearest_pair][1], positions[:, pair]
+        ):
             swaps.append(
                 Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
             )
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
-            source[span, pair] = source[span, pair[::-1]]
-        tested_pairs.add(clearest)
-        crossings = {
+            source_column[span, pair] = source_column[span, pair[::-1]]
+        tested_pairs.add(clearest_pair)
+        crossing_by_pair = {
             other_pair: candidate
-            for other_pair, candidate in crossings.items()
-            if not set(other_pair) & set(clearest)
+            for other_pair, candidate in crossing_by_pair.items()
+            if not set(other_pair) & set(clearest_pair)
         }
     swaps.sort(key=lambda swap: (swap.first, swap.markers))
-    return (_take_columns(markers, source) if swaps else markers), swaps
+    return (_permute_columns(markers, source_column) if swaps else markers), swaps
 
 
 def _expected_positions(
@@ -147,15 +153,17 @@ def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
     expected, tolerance, is_known = _expected_positions(positions, rate)
     visible = np.isfinite(positions[..., 0])
     deviation = np.linalg.norm(positions - expected, axis=-1)
-    continues = visible & is_known & (deviation <= tolerance)
+    is_continuous = visible & is_known & (deviation <= tolerance)
     counts: dict[tuple[int, int], int] = {}
-    frame, marker = np.nonzero(visible & ~continues)
+    frame, marker = np.nonzero(visible & ~is_continuous)
     points = positions[frame, marker]
     offsets = np.linalg.norm(points[:, None] - expected[frame], axis=-1)
-    miss = np.where(is_known, deviation, np.inf)[frame, marker]
-    reach = tolerance * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
-    is_reached = is_known[frame] & (offsets <= reach[frame]) & ~continues[frame]
-    is_reached &= NEARER_RATIO * offsets < miss[:, None]
+    deviation_from_expected = np.where(is_known, deviation, np.inf)[frame, marker]
+    max_distance = tolerance * (MAX_ACCELERATION / DEFAULT_ACCELERATION)
+    is_reached = (
+        is_known[frame] & (offsets <= max_distance[frame]) & ~is_continuous[frame]
+    )
+    is_reached &= NEARER_RATIO * offsets < deviation_from_expected[:, None]
     is_reached[np.arange(len(marker)), marker] = False
     for k, target in np.argwhere(is_reached).tolist():
         pair = tuple(sorted((int(marker[k]), target)))
@@ -169,18 +177,18 @@ class _SwapPath:
 
     Attributes:
         cost: Negative log-likelihood.
-        state: 1 if the names are exchanged at its end, else 0.
+        is_swapped: 1 if the names are exchanged at its end, else 0.
         changes: Frames in which the state changes.
-        past: Last visible frames and positions of both markers.
+        past_positions: Last visible frames and positions of both markers.
     """
 
     cost: float
-    state: int
+    is_swapped: int
     changes: tuple[int, ...]
-    past: tuple[list[Any], list[Any]]
+    past_positions: tuple[list[Any], list[Any]]
 
 
-def _crossed_frames(
+def _find_crossed_frames(
     positions: FloatArray, a: int, b: int, rate: float, lengths: MarkerDistances
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
@@ -203,7 +211,7 @@ def _crossed_frames(
     is_unchanged = np.vstack([np.zeros((1, 2), bool), visible[1:] == visible[:-1]])
     events = np.flatnonzero(~(is_smooth & is_unchanged).all(axis=1)).tolist()
     events = sorted({0, *events})
-    ends = [*events[1:], len(pair_positions)]
+    event_ends = [*events[1:], len(pair_positions)]
     initial_path = _SwapPath(0.0, 0, (), ([], []))
     paths = [initial_path, _SwapPath(CHANGE_COST, 1, (0,), ([], []))]
     points: list[list[Any]] = [
@@ -215,22 +223,30 @@ def _crossed_frames(
             pair_positions.tolist(), visible.tolist(), strict=True
         )
     ]
-    for start, end in zip(events, ends, strict=True):
-        shape = _shape_gain(positions, a, b, start, end, lengths)
+    for start, end in zip(events, event_ends, strict=True):
+        shape_gain = _shape_gain(positions, a, b, start, end, lengths)
         length = int(visible[start:end].any(axis=1).sum())
-        worth = max(0.0, shape), max(0.0, -shape) + FRAME_COST * length
+        costs_by_state = (
+            max(0.0, shape_gain),
+            max(0.0, -shape_gain) + FRAME_COST * length,
+        )
 
         def later(
             path: _SwapPath,
             state: int,
             start: int = start,
             end: int = end,
-            worth: tuple[float, float] = worth,
+            costs_by_state: tuple[float, float] = costs_by_state,
         ) -> _SwapPath:
-            cost, changes, past = path.cost + worth[state], path.changes, path.past
-            if state != path.state:
+            """Return a path extended by a span of frames in a state."""
+            cost, changes, past = (
+                path.cost + costs_by_state[state],
+                path.changes,
+                path.past_positions,
+            )
+            if state != path.is_swapped:
                 cost, changes = cost + CHANGE_COST, (*changes, start)
-            pasts = []
+            past_of_markers = []
             for marker in (0, 1):
                 point = points[start][marker ^ state]
                 if start and point is not None:
@@ -242,22 +258,24 @@ def _crossed_frames(
                     for frame in range(max(start, end - PAST_SAMPLES), end)
                     if points[frame][marker ^ state] is not None
                 ]
-                pasts.append([*past[marker], *new_state][-PAST_SAMPLES:])
-            return _SwapPath(cost, state, changes, (pasts[0], pasts[1]))
+                past_of_markers.append([*past[marker], *new_state][-PAST_SAMPLES:])
+            return _SwapPath(
+                cost, state, changes, (past_of_markers[0], past_of_markers[1])
+            )
 
         initial_path = later(initial_path, 0)
         if start == 0:
-            paths = [later(path, path.state) for path in paths]
+            paths = [later(path, path.is_swapped) for path in paths]
         else:
             paths = [
                 min((later(path, state) for path in paths), key=lambda path: path.cost)
                 for state in (0, 1)
             ]
     best_path = min(paths, key=lambda path: path.cost)
-    crossed = np.zeros(len(pair_positions), np.int64)
+    is_crossed = np.zeros(len(pair_positions), np.int64)
     for change in best_path.changes:
-        crossed[change:] ^= 1
-    return initial_path.cost - best_path.cost, crossed.astype(bool)
+        is_crossed[change:] ^= 1
+    return initial_path.cost - best_path.cost, is_crossed.astype(bool)
 
 
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
@@ -284,20 +302,22 @@ def _position_cost(
     """
     if not past:
         return ARBITRARY_COST
-    last, last_position = past[-1]
-    age = frame - last
+    last_frame, last_position = past[-1]
+    age = frame - last_frame
     first_frame, first_position = next(
-        entry for entry in past if last - entry[0] < PAST_SAMPLES
+        entry for entry in past if last_frame - entry[0] < PAST_SAMPLES
     )
-    run = last - first_frame
-    step_ratio = age / run if run else 0.0
+    frames_between = last_frame - first_frame
+    step_ratio = age / frames_between if frames_between else 0.0
     square: float = sum(
         (p - x - step_ratio * (x - y)) ** 2
         for p, x, y in zip(point, last_position, first_position, strict=True)
     )
     time = age / rate
     tolerance = (
-        NOISE + 0.5 * acceleration * time**2 + (0.0 if run else SPEED_ERROR * time)
+        NOISE
+        + 0.5 * acceleration * time**2
+        + (0.0 if frames_between else SPEED_ERROR * time)
     )
     volume = 3.0 * math.log(tolerance / NOISE)
     cost: float = 0.5 * square / tolerance**2 + volume
@@ -323,20 +343,20 @@ def _shape_gain(
             positions[frames][:, other_markers] - positions[frames, pair][:, None],
             axis=-1,
         )
-        worth = []
+        costs = []
         for marker in (pair, exchanged_pair):
             spread = known_lengths.spread[marker, other_markers]
             mean = known_lengths.mean[marker, other_markers]
             deviation = (lengths - mean) / (TOLERANCE + SPREAD_FACTOR * spread)
-            worth.append(np.minimum(deviation**2, 9.0))
-        is_known = np.isfinite(worth[0] - worth[1])
+            costs.append(np.minimum(deviation**2, 9.0))
+        is_known = np.isfinite(costs[0] - costs[1])
         if is_known.any():
             scale = TOLERANCE + np.minimum(
                 known_lengths.spread[pair, other_markers],
                 known_lengths.spread[exchanged_pair, other_markers],
             )
             weight = np.where(is_known, (TOLERANCE / scale) ** 2, 0.0)
-            gain = np.where(is_known, worth[0] - worth[1], 0.0)
+            gain = np.where(is_known, costs[0] - costs[1], 0.0)
             if weight.sum() > 0:
                 gains.append(float((weight * gain).sum() / weight.sum()))
     return (
@@ -347,7 +367,7 @@ def _shape_gain(
 
 
 def _swap_spans(
-    crossed: BoolArray, pair_positions: FloatArray
+    is_crossed: BoolArray, pair_positions: FloatArray
 ) -> list[tuple[int, int]]:
     """Return first and last frames of crossed spans that are long enough.
 
@@ -356,7 +376,7 @@ def _swap_spans(
     visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
     # A few normal frames between exchanged ones are a spike.
-    for first, end in merge_runs(runs(crossed), MIN_SWAP_FRAMES):
+    for first, end in merge_runs(runs(is_crossed), MIN_SWAP_FRAMES):
         frames = first + np.flatnonzero(visible[first:end])
         if len(frames) < MIN_SWAP_FRAMES:
             continue
@@ -375,10 +395,11 @@ def _swap_spans(
     return spans
 
 
-def _take_columns(markers: Markers, source: IntArray) -> Markers:
+def _permute_columns(markers: Markers, source: IntArray) -> Markers:
     """Return markers with their columns permuted per frame ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:
+        """Return per-marker values permuted like the names."""
         return None if values is None else np.take_along_axis(values, source, 1)
 
     return replace(

@@ -38,7 +38,7 @@ class Tracklets:
         return np.asarray(positions[frames][np.arange(len(slots)), slots])
 
 
-def follow(positions: FloatArray, rate: float) -> Tracklets:
+def track_points(positions: FloatArray, rate: float) -> Tracklets:
     """Return the runs of points, tracked frame by frame.
 
     A point continues a run if each is the other's nearest, within the reach of a
@@ -54,52 +54,66 @@ def follow(positions: FloatArray, rate: float) -> Tracklets:
     ids = np.full((frames, count), -1)
     first: list[int] = []
     last: list[int] = []
-    reach = NOISE + MAX_ACCELERATION / rate**2
-    new_reach = NOISE + MAX_SPEED / rate
-    past = np.zeros(
+    max_step = NOISE + MAX_ACCELERATION / rate**2
+    max_first_step = NOISE + MAX_SPEED / rate
+    past_positions = np.zeros(
         (0, PAST_FRAMES, 3)
     )  # latest positions of the open runs, newest first
     age = np.zeros(0, np.int64)
-    open_runs = np.zeros(0, np.int64)
+    open_run_ids = np.zeros(0, np.int64)
     for frame in range(frames):
         slots = np.flatnonzero(visible[frame])
         points = positions[frame, slots]
-        expected, radius = _expected_positions(past, age, reach, new_reach)
+        expected, radius = _expected_positions(
+            past_positions, age, max_step, max_first_step
+        )
         relative_distance = cdist(expected, points) / radius[:, None]
         run, point = _mutual_nearest(relative_distance)
-        run_of_slot = np.full(len(slots), -1)
-        run_of_slot[point] = run
-        continued = run_of_slot >= 0
-        new_runs = np.arange(int((~continued).sum())) + len(first)
-        numbers = np.empty(len(slots), np.int64)
-        numbers[continued] = open_runs[run_of_slot[continued]]
-        numbers[~continued] = new_runs
+        row_of_slot = np.full(len(slots), -1)
+        row_of_slot[point] = run
+        is_continued = row_of_slot >= 0
+        new_runs = np.arange(int((~is_continued).sum())) + len(first)
+        run_ids = np.empty(len(slots), np.int64)
+        run_ids[is_continued] = open_run_ids[row_of_slot[is_continued]]
+        run_ids[~is_continued] = new_runs
         first += [frame] * len(new_runs)
         last += [frame] * len(new_runs)
-        for number in numbers[continued].tolist():
-            last[number] = frame
-        ids[frame, slots] = numbers
-        new_past = np.zeros((len(slots), PAST_FRAMES, 3))
-        new_past[:, 0] = points
-        new_past[continued, 1:] = past[run_of_slot[continued], :-1]
+        for run_id in run_ids[is_continued].tolist():
+            last[run_id] = frame
+        ids[frame, slots] = run_ids
+        next_positions = np.zeros((len(slots), PAST_FRAMES, 3))
+        next_positions[:, 0] = points
+        next_positions[is_continued, 1:] = past_positions[
+            row_of_slot[is_continued], :-1
+        ]
         new_age = np.ones(len(slots), np.int64)
-        new_age[continued] = np.minimum(age[run_of_slot[continued]] + 1, PAST_FRAMES)
-        past, age, open_runs = new_past, new_age, numbers
+        new_age[is_continued] = np.minimum(
+            age[row_of_slot[is_continued]] + 1, PAST_FRAMES
+        )
+        past_positions, age, open_run_ids = next_positions, new_age, run_ids
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
 def _expected_positions(
-    past: FloatArray, age: IntArray, reach: float, new_reach: float
+    past_positions: FloatArray, age: IntArray, max_step: float, max_first_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return each run's expected next position, and its tolerance [m]."""
-    current, previous, before_previous = past[:, 0], past[:, 1], past[:, 2]
-    linear = 2.0 * current - previous
-    # Halfway to a parabola: a full parabola has seven times the noise.
-    curved = 0.5 * (linear + 3.0 * current - 3.0 * previous + before_previous)
-    expected = np.where(
-        (age >= 3)[:, None], curved, np.where((age == 2)[:, None], linear, current)
+    current, previous, before_previous = (
+        past_positions[:, 0],
+        past_positions[:, 1],
+        past_positions[:, 2],
     )
-    return expected, np.where(age == 1, new_reach, reach)
+    linear_prediction = 2.0 * current - previous
+    # Halfway to a parabola: a full parabola has seven times the noise.
+    quadratic_prediction = 0.5 * (
+        linear_prediction + 3.0 * current - 3.0 * previous + before_previous
+    )
+    expected = np.where(
+        (age >= 3)[:, None],
+        quadratic_prediction,
+        np.where((age == 2)[:, None], linear_prediction, current),
+    )
+    return expected, np.where(age == 1, max_first_step, max_step)
 
 
 # A second candidate is no rival if it is this many times farther away.
@@ -120,17 +134,18 @@ def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
     run = np.flatnonzero(by_point[by_run] == np.arange(len(relative_distance)))
     point = by_run[run]
     nearest = relative_distance[run, point]
-    rival = np.minimum(
+    second_distance = np.minimum(
         _second_smallest(relative_distance)[run],
         _second_smallest(relative_distance.T)[point],
     )
     is_sure = (nearest <= 1.0) & (
-        rival > RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
+        second_distance > RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
     )
     return run[is_sure], point[is_sure]
 
 
 def _second_smallest(relative_distance: FloatArray) -> FloatArray:
+    """Return the second smallest distance of each row; infinite without one."""
     if relative_distance.shape[1] < 2:
         return np.full(len(relative_distance), np.inf)
     return np.partition(relative_distance, 1, axis=1)[:, 1]

@@ -8,9 +8,9 @@ import numpy as np
 
 from animtool.capture.markers.geometry import fit_shape, marker_distances
 from animtool.capture.markers.naming import (
-    exchange_gain,
-    pair_evidence,
-    possible_exchanges,
+    compute_exchange_gains,
+    compute_pair_evidence,
+    find_exchanges,
 )
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
@@ -65,24 +65,24 @@ def distinguish_twins(
     overlap = visible.T @ visible
     fraction = overlap / max(1.0, float(overlap.max()))
     np.fill_diagonal(fraction, 0.0)
-    pair_scores = pair_evidence(marker_distances(positions), fraction, rest)
-    moves = _drop_unrelated(possible_exchanges(rest), rest)
+    pair_scores = compute_pair_evidence(marker_distances(positions), fraction, rest)
+    exchanges = _drop_unrelated(find_exchanges(rest), rest)
     names = np.arange(len(shape))
     shape_cache: dict[tuple[int, ...], float] = {}
-    doubts: list[Exchange] = []
-    pairs: list[tuple[int, int]] = []
+    doubtful_exchanges: list[Exchange] = []
+    doubtful_pairs: list[tuple[int, int]] = []
     for _ in range(MAX_EXCHANGES):
         single_scores = np.zeros(rest.shape)
         for marker, name in enumerate(names.tolist()):
             single_scores += pair_scores[:, marker, :, name]
         best_move, best_gain = None, MIN_GAIN
-        doubts, pairs = [], []
-        for old, new in moves:
-            gains = exchange_gain(pair_scores, single_scores, names, old, new)
+        doubtful_exchanges, doubtful_pairs = [], []
+        for old, new in exchanges:
+            gains = compute_exchange_gains(pair_scores, single_scores, names, old, new)
             for row in np.flatnonzero(gains > -MAX_OPPOSITION).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
-                    pairs.append((a, b))
+                    doubtful_pairs.append((a, b))
                 changed_names = names.copy()
                 changed_names[old[row]] = names[new[row]]
                 score = float(gains[row])
@@ -99,11 +99,11 @@ def distinguish_twins(
                     best_move, best_gain = changed_names, score
                 elif score > MIN_DOUBT_GAIN:
                     markers = tuple(sorted(names[old[row]].tolist()))
-                    doubts.append(Exchange(markers, min(score, 0.0)))
+                    doubtful_exchanges.append(Exchange(markers, min(score, 0.0)))
         if best_move is None:
             break
         names = best_move
-    return names, doubts, pairs
+    return names, doubtful_exchanges, doubtful_pairs
 
 
 def is_exchanged(
@@ -124,35 +124,35 @@ def is_exchanged(
 
 
 def _drop_unrelated(
-    moves: list[tuple[IntArray, IntArray]], rest: FloatArray
+    exchanges: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Return the exchanges, except those of two unrelated pairs."""
-    nearby = []
-    for old, new in moves:
+    near_exchanges = []
+    for old, new in exchanges:
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
             pair_distances = rest[old[:, :2, None], old[:, None, 2:]]
             is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
-        nearby.append((old[is_near], new[is_near]))
-    return nearby
+        near_exchanges.append((old[is_near], new[is_near]))
+    return near_exchanges
 
 
 def _shape_evidence(
     positions: FloatArray,
     shape: FloatArray,
     rest: FloatArray,
-    changed: list[int],
+    changed_markers: list[int],
     current_names: IntArray,
     other_names: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
     """Return the shape evidence for other names, a mean over neighbours [nat]."""
-    distance = rest[current_names[changed]][:, current_names].min(axis=0)
-    distance[changed] = np.inf
+    distance = rest[current_names[changed_markers]][:, current_names].min(axis=0)
+    distance[changed_markers] = np.inf
     nearest = np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]
     ratios = []
     for pair in combinations(nearest.tolist(), 2):
-        group = [*changed, *pair]
+        group = [*changed_markers, *pair]
         errors = []
         for names in (current_names, other_names):
             key = (*group, *names[group].tolist())
@@ -167,12 +167,12 @@ def _shape_evidence(
 def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
     """Return the error of a shape on points in the frames that fit it best [m]."""
     points = positions[:, group]
-    complete = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(complete) < MIN_SAMPLES:
+    complete_frames = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    if len(complete_frames) < MIN_SAMPLES:
         return np.inf
-    points = points[complete[:: max(1, len(complete) // SAMPLED_FRAMES)]]
+    points = points[complete_frames[:: max(1, len(complete_frames) // SAMPLED_FRAMES)]]
     rotation, shift = fit_shape(points, shape)
-    fit = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    error = np.sqrt(((fit - points) ** 2).sum(axis=-1).mean(axis=1))
+    fitted_points = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
+    error = np.sqrt(((fitted_points - points) ** 2).sum(axis=-1).mean(axis=1))
     count = max(1, int(BEST_FRACTION * len(error)))
     return float(np.partition(error, count - 1)[:count].mean())

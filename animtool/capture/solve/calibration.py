@@ -22,7 +22,7 @@ from animtool.capture.solve.model import (
     marker_model,
     visible_markers,
 )
-from animtool.capture.solve.run import check_units, to_world_of
+from animtool.capture.solve.run import check_units, positions_in_rig_axes
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
     marker_residuals,
@@ -136,7 +136,7 @@ def calibrate(
     options = options or SolveOptions()
     solver = _CalibrationState(markers, rig, template, static, options)
     rounds, converged = solver.run()
-    return solver.result(rounds, converged)
+    return solver.build_result(rounds, converged)
 
 
 class _CalibrationState:
@@ -153,12 +153,14 @@ class _CalibrationState:
         self.template, self.options = template, options
         match = match_markers(template, markers.names, options.subject)
         model = marker_model(rig, template, match.columns)
-        self.model = model.changed(unlimited_rig(model), model.offsets)
+        self.model = model.with_bones(unlimited_rig(model), model.offsets)
         self.source_rig = rig
-        motion = to_world_of(rig, markers)[:, self.model.columns]
+        motion = positions_in_rig_axes(rig, markers)[:, self.model.columns]
         parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            static_frames = self._in_model_order(to_world_of(rig, static), static.names)
+            static_frames = self._to_model_order(
+                positions_in_rig_axes(rig, static), static.names
+            )
             parts.insert(0, static_frames[sampled_frames(static_frames, STATIC_FRAMES)])
         self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
@@ -169,17 +171,19 @@ class _CalibrationState:
             hint = f"a calibration needs {MIN_FRAMES}"
             raise OptionError(Fault("SOL006", message, hint=hint))
         check_units(self.model, self.positions, self.model.template)
-        self.bones = _scalable_bones(self.model.rig)
-        self.base = self.model.rig.rest_translations
-        self.offsets0 = self.model.offsets
-        self.scales = np.full(len(self.bones), self._size_ratio())
-        self.fixed = np.array([m.fixed for m in self.model.template.markers], np.bool_)
-        size = np.where(self.fixed, 1.0, self.scales[0])
-        self.offsets = size[:, None] * self.offsets0
+        self.bone_groups = _scalable_bones(self.model.rig)
+        self.base_translations = self.model.rig.rest_translations
+        self.initial_offsets = self.model.offsets
+        self.scales = np.full(len(self.bone_groups), self._size_ratio())
+        self.is_fixed_offset = np.array(
+            [m.fixed for m in self.model.template.markers], np.bool_
+        )
+        size = np.where(self.is_fixed_offset, 1.0, self.scales[0])
+        self.offsets = size[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
-        self.surety = np.zeros(len(self.bones))
+        self.surety = np.zeros(len(self.bone_groups))
 
-    def _in_model_order(
+    def _to_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
     ) -> FloatArray:
         """Return another take's markers in the order of the model."""
@@ -192,7 +196,7 @@ class _CalibrationState:
     def _size_ratio(self) -> float:
         """Return the ratio of the subject's size to the rig's."""
         frames = self.positions[: max(self.static_frames, 1)]
-        rest_points = self.model.points(self.model.starts(frames))
+        rest_points = self.model.points(self.model.start_poses(frames))
         visible = visible_markers(frames)[:, :, None]
         if self.static_frames == 0:
             return 1.0
@@ -208,9 +212,9 @@ class _CalibrationState:
         self._rebuild_model()
         poses = sampled_poses(self.model, self.positions, self.noise)
         for round_ in range(MAX_STEPS):
-            poses = self._fitted_poses(poses)
-            step = self._step(poses)
-            bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
+            poses = self._fit_poses(poses)
+            step = self._solve_step(poses)
+            bones, shifts = step[: len(self.bone_groups)], step[len(self.bone_groups) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
             self._rebuild_model()
@@ -222,12 +226,15 @@ class _CalibrationState:
         return MAX_STEPS, False
 
     def _rebuild_model(self) -> None:
-        self.model = self.model.changed(
-            scale_bones(self.model.rig, self.bones, self.scales, self.base),
+        """Rebuild the model from the current bone scales and offsets."""
+        self.model = self.model.with_bones(
+            scale_bones(
+                self.model.rig, self.bone_groups, self.scales, self.base_translations
+            ),
             self.offsets,
         )
 
-    def _fitted_poses(self, poses: FloatArray) -> FloatArray:
+    def _fit_poses(self, poses: FloatArray) -> FloatArray:
         """Return poses fitted to the current bones, and update the noise."""
         options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
@@ -238,7 +245,7 @@ class _CalibrationState:
         self.noise = np.minimum(self.noise, np.maximum(typical, self.noise / 2))
         return pose_fit.coordinates
 
-    def _step(self, poses: FloatArray) -> FloatArray:
+    def _solve_step(self, poses: FloatArray) -> FloatArray:
         """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
         problem, model = self.model.problem, self.model
         targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
@@ -262,29 +269,32 @@ class _CalibrationState:
         normal += np.eye(degrees) * pose_precision[:, :, None]
         transposed_slopes = np.swapaxes(slopes, 1, 2)
         # Parameters and residuals with the poses eliminated.
-        eliminated = np.linalg.solve(normal, transposed_slopes @ columns)
-        pose_pull = pose_precision * self._rest_deviation(poses)
+        eliminated_columns = np.linalg.solve(normal, transposed_slopes @ columns)
+        pose_prior_gradient = pose_precision * self._deviation_from_rest(poses)
         pose_step = np.linalg.solve(
             normal,
             (transposed_slopes @ residuals[:, :, None])[:, :, 0][:, :, None]
-            - pose_pull[:, :, None],
+            - pose_prior_gradient[:, :, None],
         )[:, :, 0]
         mixed_slopes = columns.reshape(-1, columns.shape[2])
-        mixed = (transposed_slopes @ columns).reshape(-1, columns.shape[2])
-        matrix = mixed_slopes.T @ mixed_slopes - mixed.T @ eliminated.reshape(
-            mixed.shape
+        mixed_terms = (transposed_slopes @ columns).reshape(-1, columns.shape[2])
+        matrix = (
+            mixed_slopes.T @ mixed_slopes
+            - mixed_terms.T @ eliminated_columns.reshape(mixed_terms.shape)
         )
-        right_side = mixed_slopes.T @ residuals.ravel() - mixed.T @ pose_step.ravel()
+        gradient = (
+            mixed_slopes.T @ residuals.ravel() - mixed_terms.T @ pose_step.ravel()
+        )
         prior, prior_gradient = self._prior_equations()
-        self.surety = np.diag(matrix)[: len(self.bones)] / (
-            np.diag(matrix)[: len(self.bones)] + BONE_DEVIATION**-2.0
+        self.surety = np.diag(matrix)[: len(self.bone_groups)] / (
+            np.diag(matrix)[: len(self.bone_groups)] + BONE_DEVIATION**-2.0
         )
-        return np.linalg.solve(matrix + prior, right_side + prior_gradient)
+        return np.linalg.solve(matrix + prior, gradient + prior_gradient)
 
-    def _rest_deviation(self, poses: FloatArray) -> FloatArray:
+    def _deviation_from_rest(self, poses: FloatArray) -> FloatArray:
         """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
         chain = self.model.problem.chain
-        start = chain.from_rig(self.model.starts(self.positions))
+        start = chain.from_rig(self.model.start_poses(self.positions))
         coordinates = chain.from_rig(poses)
         deviation = difference(chain, start, coordinates)
         # The root is free.
@@ -294,19 +304,19 @@ class _CalibrationState:
     def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
         """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
-        local = model.local(poses)
+        local = model.local_transforms(poses)
         world = forward_kinematics(rig, local.translations, local.rotations)
         count, markers = len(poses), len(model.joints)
-        derivatives = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
+        derivatives = np.zeros((count, markers, 3, len(self.bone_groups) + 3 * markers))
         is_above = np.zeros((markers, len(rig.joints)), np.bool_)
         for e, j in enumerate(model.joints.tolist()):
             is_above[e, rig.upwards(j)] = True
-        for b, group in enumerate(self.bones):
+        for b, group in enumerate(self.bone_groups):
             for j in group:
-                bone = world.linear[:, rig.joints[j].parent] @ self.base[j]
+                bone = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
                 derivatives[:, is_above[:, j], :, b] += bone
         for e, j in enumerate(model.joints.tolist()):
-            first = len(self.bones) + 3 * e
+            first = len(self.bone_groups) + 3 * e
             if not model.template.markers[e].fixed:
                 derivatives[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
@@ -316,7 +326,7 @@ class _CalibrationState:
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return the prior of scales and offsets: normal matrix and right side."""
-        bones, size = len(self.bones), len(self.bones) + self.offsets.size
+        bones, size = len(self.bone_groups), len(self.bone_groups) + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
         precision = np.eye(bones) / BONE_DEVIATION**2
@@ -335,11 +345,15 @@ class _CalibrationState:
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
         offset_map = np.zeros((self.offsets.size, size))
         offset_map[:, bones:] = np.eye(self.offsets.size)
-        of_bones = self._bone_weights()[:, None, :] * self.offsets0[:, :, None]
-        offset_map[:, :bones] = -of_bones.reshape(-1, bones)
-        deviation = self.offsets.ravel() - of_bones.reshape(-1, bones) @ self.scales
+        bone_offset_terms = (
+            self._bone_weights()[:, None, :] * self.initial_offsets[:, :, None]
+        )
+        offset_map[:, :bones] = -bone_offset_terms.reshape(-1, bones)
+        deviation = (
+            self.offsets.ravel() - bone_offset_terms.reshape(-1, bones) @ self.scales
+        )
         # Fixed markers do not scale with bones.
-        is_fixed = np.repeat(self.fixed, 3)
+        is_fixed = np.repeat(self.is_fixed_offset, 3)
         offset_map[is_fixed, :bones] = 0.0
         deviation[is_fixed] = 0.0
         matrix += offset_map.T @ offset_map / OFFSET_DEVIATION**2
@@ -353,9 +367,9 @@ class _CalibrationState:
         it, else with all bones.
         """
         rig = self.model.rig
-        bone_joints = np.array([group[0] for group in self.bones])
-        parents = np.array([rig.joints[group[0]].parent for group in self.bones])
-        weights = np.zeros((len(self.model.joints), len(self.bones)))
+        bone_joints = np.array([group[0] for group in self.bone_groups])
+        parents = np.array([rig.joints[group[0]].parent for group in self.bone_groups])
+        weights = np.zeros((len(self.model.joints), len(self.bone_groups)))
         for e, j in enumerate(self.model.joints.tolist()):
             children = parents == j if (parents == j).any() else bone_joints == j
             weights[e, children if children.any() else slice(None)] = 1.0
@@ -366,7 +380,7 @@ class _CalibrationState:
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
-        bone_of = {j: b for b, group in enumerate(self.bones) for j in group}
+        bone_of = {j: b for b, group in enumerate(self.bone_groups) for j in group}
         return [
             (bone_of[j], bone_of[int(k)])
             for j, k in enumerate(partners)
@@ -376,38 +390,44 @@ class _CalibrationState:
             and bone_of[j] != bone_of[int(k)]
         ]
 
-    def result(self, rounds: int, converged: bool) -> Calibration:
+    def build_result(self, rounds: int, converged: bool) -> Calibration:
         """Return the calibration."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
-        for b, group in enumerate(self.bones):
+        for b, group in enumerate(self.bone_groups):
             scales[list(group)] = self.scales[b]
-        markers_by_name = {m.name: m for m in self.model.template.markers}
+        markers_by_name = {
+            marker_.name: marker_ for marker_ in self.model.template.markers
+        }
         shifts = np.full(len(self.template.markers), np.nan)
         markers = []
-        for m, marker in enumerate(self.template.markers):
-            match = markers_by_name.get(marker.name)
-            if match is not None:
-                shifts[m] = np.linalg.norm(np.subtract(match.offset, marker.offset))
+        for marker_, marker in enumerate(self.template.markers):
+            calibrated_marker = markers_by_name.get(marker.name)
+            if calibrated_marker is not None:
+                shifts[marker_] = np.linalg.norm(
+                    np.subtract(calibrated_marker.offset, marker.offset)
+                )
             markers.append(
-                marker if match is None else replace(marker, offset=match.offset)
+                marker
+                if calibrated_marker is None
+                else replace(marker, offset=calibrated_marker.offset)
             )
         notices = []
         if not converged:
             message = f"the calibration did not converge in {MAX_STEPS} steps"
             hint = "a longer take, or a static one, gives more data"
             notices.append(Fault("SOL104", message, None, (), hint, Severity.WARNING))
-        unseen = [
+        uncertain_bones = [
             rig.names[group[0]]
-            for b, group in enumerate(self.bones)
+            for b, group in enumerate(self.bone_groups)
             if self.surety[b] < UNCERTAIN_SCALE_RATIO
         ]
-        if unseen:
+        if uncertain_bones:
             message = (
                 "no marker determines the length of these bones; they scale with the "
                 "others: "
             )
-            message += listed(unseen, 8)
+            message += listed(uncertain_bones, 8)
             notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
         return Calibration(
             scale_rig_bones(self.source_rig, scales),
@@ -437,14 +457,14 @@ def unlimited_rig(model: MarkerProblem) -> Rig:
     At its limit, a joint cannot distinguish a displaced marker from its own rotation.
     """
     rig = model.rig
-    moves = np.zeros(len(rig.joints), np.int64)
+    marker_counts = np.zeros(len(rig.joints), np.int64)
     for j in model.joints.tolist():
-        moves[rig.upwards(j)] += 1
+        marker_counts[rig.upwards(j)] += 1
     joints = tuple(
         replace(joint, limits=None)
         if joint.type is JointType.PIN and count >= MIN_MARKERS
         else joint
-        for joint, count in zip(rig.joints, moves.tolist(), strict=True)
+        for joint, count in zip(rig.joints, marker_counts.tolist(), strict=True)
     )
     return replace(rig, joints=joints)
 

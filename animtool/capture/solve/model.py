@@ -64,7 +64,7 @@ class MarkerProblem:
         weights[:, :, 0] = visible * self.template.weights * self.problem.length / noise
         return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
 
-    def starts(self, positions: FloatArray) -> FloatArray:
+    def start_poses(self, positions: FloatArray) -> FloatArray:
         """Return rest poses rigidly aligned to markers ``(F, E, 3)``: ``(F, Q)``.
 
         Markers near the root count most.
@@ -89,17 +89,17 @@ class MarkerProblem:
         rest_pose = forward_kinematics(
             rig, rig.rest_translations[None], rig.rest_rotations[None]
         )
-        rest_at, rest_rotation = (
+        rest_position, rest_rotation = (
             rest_pose.positions[0, root],
             rest_pose.rotations[0, root],
         )
         # world = T(rest) R(rest) motion: the remaining rotation.
         world_rotation = so3.multiply(rotation, rest_rotation)
-        world_at = so3.rotate(rotation, rest_at) + translation
+        world_position = so3.rotate(rotation, rest_position) + translation
         inverse_rest = so3.conjugate(rest_rotation)
         columns = slices[root]
         q[:, columns.start : columns.start + 3] = so3.rotate(
-            inverse_rest, world_at - rest_at
+            inverse_rest, world_position - rest_position
         )
         q[:, columns.start + 3 : columns.stop] = so3.multiply(
             inverse_rest, world_rotation
@@ -111,19 +111,19 @@ class MarkerProblem:
         roots = [j for j in self.rig.roots if self.rig.joints[j].type is JointType.FREE]
         return roots[0] if len(roots) == 1 else None
 
-    def local(self, coordinates: FloatArray) -> LocalTransforms:
+    def local_transforms(self, coordinates: FloatArray) -> LocalTransforms:
         """Return the local transforms of poses ``(F, Q)``."""
         return local_from_coordinates(self.rig, coordinates)
 
     def points(self, coordinates: FloatArray) -> FloatArray:
         """Return marker positions in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
-        local = self.local(coordinates)
+        local = self.local_transforms(coordinates)
         world = forward_kinematics(self.rig, local.translations, local.rotations)
         linear = world.linear[:, self.joints]
         rotated_offsets = np.einsum("feij,ej->fei", linear, self.offsets)
         return np.asarray(world.positions[:, self.joints] + rotated_offsets)
 
-    def changed(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
+    def with_bones(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
         """Return the model with new bones and offsets ``(E, 3)``."""
         markers = tuple(
             replace(marker, offset=tuple(offset))
@@ -169,6 +169,7 @@ def marker_model(
 def _build_problem(
     rig: Rig, template: MarkerTemplate, columns: IntArray
 ) -> MarkerProblem:
+    """Return the IK problem with a position goal for each marker."""
     goals = [Goal(marker.joint, marker.offset) for marker in template.markers]
     problem = build(rig, goals)
     return MarkerProblem(problem, template, columns, template.joints(rig))
@@ -188,19 +189,19 @@ def fit_rigid_motions(
     """
     weight_sums = np.maximum(weights.sum(axis=1, keepdims=True), 1e-12)
     fractions = weights / weight_sums
-    middle = fractions @ points
-    centre = np.einsum("fe,fei->fi", fractions, positions)
+    point_centre = fractions @ points
+    position_centre = np.einsum("fe,fei->fi", fractions, positions)
     covariance = np.einsum(
         "fe,fei,fej->fij",
         fractions,
-        points - middle[:, None],
-        positions - centre[:, None],
+        points - point_centre[:, None],
+        positions - position_centre[:, None],
     )
     left_vectors, _, right_vectors = np.linalg.svd(covariance)
     mirror = np.sign(np.linalg.det(left_vectors @ right_vectors))
     left_vectors[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
     rotation = so3.from_matrix(np.swapaxes(left_vectors @ right_vectors, 1, 2))
-    return rotation, centre - so3.rotate(rotation, middle)
+    return rotation, position_centre - so3.rotate(rotation, point_centre)
 
 
 def visible_markers(positions: FloatArray) -> BoolArray:

@@ -80,64 +80,65 @@ class SolveScore:
     exchanged: list[ExchangedLabels] = field(init=False, default_factory=list)
     total: float = field(init=False, default=float("nan"))
     _misses: FloatArray = field(init=False, repr=False)
-    _taken: IntArray = field(init=False, repr=False)
+    _target_indices: IntArray = field(init=False, repr=False)
     _visible: BoolArray = field(init=False, repr=False)
-    _begun: BoolArray = field(init=False, repr=False)
+    _is_restarted: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         """Allocate arrays for the frames."""
         shape = self.frames, len(self.names)
         self._misses = np.zeros(shape)
-        self._taken = np.broadcast_to(np.arange(shape[1]), shape).copy()
+        self._target_indices = np.broadcast_to(np.arange(shape[1]), shape).copy()
         self._visible = np.zeros(shape, np.bool_)
-        self._begun = np.zeros(shape[0], np.bool_)
+        self._is_restarted = np.zeros(shape[0], np.bool_)
 
     def add(
         self,
         first: int,
         misses: FloatArray,
-        taken: IntArray,
-        searched: BoolArray,
+        target_indices: IntArray,
+        is_restarted: BoolArray,
         visible: BoolArray,
     ) -> None:
         """Record the fit of frames ``(N, E)`` from frame ``first`` on."""
         rows = slice(first, first + len(misses))
-        self._misses[rows], self._taken[rows] = misses, taken
-        self._begun[rows], self._visible[rows] = searched, visible
+        self._misses[rows], self._target_indices[rows] = misses, target_indices
+        self._is_restarted[rows], self._visible[rows] = is_restarted, visible
 
     def finish(self) -> None:
         """Compute the totals."""
         indices = np.arange(len(self.names))
         # A marker with the position of another label counts as visible.
         is_visible = np.where(
-            self._taken == indices,
+            self._target_indices == indices,
             self._visible,
-            (self._taken >= 0) & (self._taken != indices),
+            (self._target_indices >= 0) & (self._target_indices != indices),
         )
-        fits = is_visible & (self._misses <= ROBUST_DEVIATIONS * self.noise)
-        squares = np.where(fits, self._misses**2, 0.0)
+        is_fitting = is_visible & (self._misses <= ROBUST_DEVIATIONS * self.noise)
+        squares = np.where(is_fitting, self._misses**2, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            self.rms = np.sqrt(squares.sum(axis=1) / fits.sum(axis=1))
-            by_marker = np.sqrt(squares.sum(axis=0) / fits.sum(axis=0))
-            self.total = float(np.sqrt(squares.sum() / fits.sum()))
+            self.rms = np.sqrt(squares.sum(axis=1) / is_fitting.sum(axis=1))
+            by_marker = np.sqrt(squares.sum(axis=0) / is_fitting.sum(axis=0))
+            self.total = float(np.sqrt(squares.sum() / is_fitting.sum()))
         counts = is_visible.sum(axis=1)
         self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        is_poor = fits.sum(axis=1) < MIN_FITTED_FRACTION * counts
+        is_poor = is_fitting.sum(axis=1) < MIN_FITTED_FRACTION * counts
         self.poor = np.flatnonzero((counts >= MIN_MARKERS) & is_poor)
-        self.searched = np.flatnonzero(self._begun)
+        self.searched = np.flatnonzero(self._is_restarted)
         self.markers = [
             MarkerScore(
                 name,
                 float(by_marker[e]),
                 float(self._visible[:, e].mean()),
-                1.0 - float(fits[:, e].sum()) / max(int(is_visible[:, e].sum()), 1),
+                1.0
+                - float(is_fitting[:, e].sum()) / max(int(is_visible[:, e].sum()), 1),
             )
             for e, name in enumerate(self.names)
         ]
         self.exchanged = [
             ExchangedLabels(self.names[e], self.names[label], first, end - 1)
             for e in indices.tolist()
-            for label in np.unique(self._taken[:, e]).tolist()
+            for label in np.unique(self._target_indices[:, e]).tolist()
             if label not in (e, -1)
-            for first, end in runs(self._taken[:, e] == label)
+            for first, end in runs(self._target_indices[:, e] == label)
         ]

@@ -25,7 +25,7 @@ from animtool.capture.solve.sampling import (
     sampled_poses,
     typical_noise,
 )
-from animtool.capture.solve.swapped import swapped_notices
+from animtool.capture.solve.swapped import swapped_side_notices
 from animtool.capture.templates.match import MarkerMatch, match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
@@ -111,15 +111,15 @@ class MarkerSolve:
         count = len(self.positions)
         for first in range(0, count, WINDOW_FRAMES):
             end = min(first + WINDOW_FRAMES, count)
-            coordinates = self._window(first, end, previous)
+            coordinates = self._solve_window(first, end, previous)
             previous = coordinates[-BEHIND_FRAMES:]
-            motion = self._motion(coordinates, rotations)
+            motion = self._to_motion(coordinates, rotations)
             rotations = motion.rotations.values[-1]
             yield motion
             if progress is not None:
                 progress(end / count)
         self.score.finish()
-        self._name_frames()
+        self._warn_of_frames()
 
     def take(self, progress: Progress = None) -> Take:
         """Return the full take."""
@@ -128,12 +128,14 @@ class MarkerSolve:
         rig, clock = self.model.rig, self.markers.clock
         return drive_take(Take(rig, clock, motion, tuple(self.notices)))
 
-    def _window(self, first: int, end: int, previous: FloatArray | None) -> FloatArray:
+    def _solve_window(
+        self, first: int, end: int, previous: FloatArray | None
+    ) -> FloatArray:
         """Return the poses of frames that continue those before them."""
         past_frames = 0 if previous is None else len(previous)
         lookahead = min(end + LOOKAHEAD_FRAMES, len(self.positions))
         positions = self.positions[first - past_frames : lookahead]
-        starts = self.model.starts(positions)
+        starts = self.model.start_poses(positions)
         if previous is not None:
             starts[:past_frames] = previous
         result = fit(
@@ -158,11 +160,12 @@ class MarkerSolve:
         )
         return result.coordinates[window_rows]
 
-    def _motion(
+    def _to_motion(
         self, coordinates: FloatArray, quaternions: FloatArray | None
     ) -> Motion:
+        """Return the motion of poses, with signs continuous with ``quaternions``."""
         rig = self.model.rig
-        local = self.model.local(coordinates)
+        local = self.model.local_transforms(coordinates)
         goal_joints = sorted({rig.index(name) for name in self.model.problem.joints})
         slides = [j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}]
         rotations = so3.align_signs(local.rotations[:, goal_joints], quaternions)
@@ -175,7 +178,7 @@ class MarkerSolve:
             Channel(rig.rest_rotations, np.array(goal_joints, np.int64), rotations),
         )
 
-    def _name_frames(self) -> None:
+    def _warn_of_frames(self) -> None:
         """Warn about frames with too few markers, or none that fit."""
         clock = self.markers.clock
         for code, frames, problem in (
@@ -224,7 +227,7 @@ def solve_markers(
     with with_notices(markers.notices):
         match = match_markers(template, markers.names, options.subject)
     model = marker_model(rig, template, match.columns)
-    positions = to_world_of(model.rig, markers)[:, model.columns]
+    positions = positions_in_rig_axes(model.rig, markers)[:, model.columns]
     sample = positions[sampled_frames(positions, NOISE_SAMPLES)]
     if not len(sample):
         message = f"no frame has {MIN_MARKERS} markers of the template"
@@ -237,10 +240,12 @@ def solve_markers(
         hint = _renamed_hint(match)
         notices.append(Fault("SOL103", message, hint=hint, severity=Severity.WARNING))
     notices += static_notices(model.template.names, positions)
-    noise = sampled_noise(model, sample, options.noise)
-    swapped = swapped_notices(model, sample, noise, options.noise, sampled_noise)
+    noise = estimate_noise(model, sample, options.noise)
+    side_notices = swapped_side_notices(
+        model, sample, noise, options.noise, estimate_noise
+    )
     if all(notice.code != "MKT003" for notice in notices):
-        notices += swapped or _residual_notices(model.template.names, noise)
+        notices += side_notices or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 
@@ -266,10 +271,12 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
     """
     median = float(np.median(noise))
     is_far = (noise > FAR_FACTOR * median) & (noise > MIN_STRANGE_RESIDUAL)
-    far = sorted(np.flatnonzero(is_far).tolist(), key=lambda i: -noise[i])
-    if far:
-        shown = listed([f"{names[i]} by {length_text(noise[i])}" for i in far], 6)
-        message = f"markers are off their positions on the rig: {shown}; the others "
+    far_markers = sorted(np.flatnonzero(is_far).tolist(), key=lambda i: -noise[i])
+    if far_markers:
+        far_text = listed(
+            [f"{names[i]} by {length_text(noise[i])}" for i in far_markers], 6
+        )
+        message = f"markers are off their positions on the rig: {far_text}; the others "
         message += f"by {length_text(median)}"
         hint = "are their names swapped, or their offsets wrong? correct that first: "
         hint += f"{argument('calibrate', True)} would keep it"
@@ -290,18 +297,18 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
         np.where(is_known[..., None], positions, fill) for fill in (np.inf, -np.inf)
     )
     extents = np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0), axis=1)
-    is_judged = is_known.sum(axis=0) >= MIN_MOVING_FRAMES
-    is_static = is_judged & (extents < STATIC_EXTENT)
+    is_tested = is_known.sum(axis=0) >= MIN_MOVING_FRAMES
+    is_static = is_tested & (extents < STATIC_EXTENT)
     if not is_static.any():
         return []
     hint = "delete them or label them again: they may be on a fixed object"
-    if is_static.sum() == is_judged.sum():
+    if is_static.sum() == is_tested.sum():
         message = (
             f"no marker moves by more than {length_text(STATIC_EXTENT)} in "
             f"{counted(len(positions), 'frame')}"
         )
         hint = "is this the static trial? solve the take in which the subject moves"
-    elif np.median(extents[is_judged]) < MOVING_EXTENT:
+    elif np.median(extents[is_tested]) < MOVING_EXTENT:
         return []
     else:
         static_names = [
@@ -309,13 +316,13 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
         ]
         message = (
             f"these markers never move, while others move by "
-            f"{length_text(float(np.median(extents[is_judged])))}: "
+            f"{length_text(float(np.median(extents[is_tested])))}: "
             f"{listed(static_names, 8)}"
         )
     return [Fault("SOL108", message, hint=hint, severity=Severity.WARNING)]
 
 
-def sampled_noise(
+def estimate_noise(
     model: MarkerProblem, sample: FloatArray, min_noise: float
 ) -> FloatArray:
     """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
@@ -334,7 +341,7 @@ def sampled_noise(
     return noise
 
 
-def to_world_of(rig: Rig, markers: Markers) -> FloatArray:
+def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
     """Return positions ``(F, M, 3)`` with the up axis of a rig [m]."""
     rotation = up_from_up(rig.up, markers.up)
     if rotation is None:
@@ -362,7 +369,7 @@ def check_units(
 
     The template is to blame if its offsets are suspicious (MKT003).
     """
-    rest_points_all = model.points(model.starts(sample[:1]))[0]
+    rest_points_all = model.points(model.start_poses(sample[:1]))[0]
     ratios = []
     for frame in sample:
         visible = np.isfinite(frame).all(axis=1)
@@ -377,10 +384,11 @@ def check_units(
     ratio = float(np.median(ratios))
     if 1 / MIN_UNIT_RATIO < ratio < MIN_UNIT_RATIO:
         return
-    times, comparison = (
+    size_factor, comparison = (
         (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
     )
-    message = f"the markers are {times:.3g} times {comparison} than those on the rig"
+    message = (
+        f"the markers are {size_factor:.3g} times {comparison} than those on the rig"
     document = None if template is None else template.document
     for notice in () if document is None else document.notices:
         if notice.code == "MKT003":
@@ -390,11 +398,13 @@ def check_units(
                 notice, code="SOL005", message=message, severity=Severity.ERROR
             )
             raise OptionError(error)
-    written, read = _confused_units(ratio)
+    written, unit_read = _confused_units(ratio)
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
     )
-    if abs(math.log(ratio * written.meters / read.meters)) < MAX_SIZE_RATIO:
-        hint = f"the numbers look like {written} that are read as {read}: set "
-        hint += argument("source.unit", str(written))
+    if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_SIZE_RATIO:
+        hint = (
+            f"the numbers look like {unit_written} that are read as {unit_read}: set "
+        )
+        hint += argument("source.unit", str(unit_written))
     raise OptionError(Fault("SOL005", message, hint=hint))

@@ -32,7 +32,7 @@ def sampled_poses(
     model: MarkerProblem, positions: FloatArray, noise: FloatArray
 ) -> FloatArray:
     """Return poses ``(F, Q)`` of frames solved independently."""
-    starts = model.starts(positions)
+    starts = model.start_poses(positions)
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
     options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS)

@@ -103,10 +103,10 @@ def triangulate_source(
     result = triangulate(
         read_observations(path, fps=fps), load_all_cameras([cameras], unit=unit, up=up)
     )
-    error = f"reprojection {result.error_px:.3g} px ({result.error_mm:.3g} mm)"
-    message = f"{counted(len(result.cameras), 'camera')}: {error}"
-    note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
-    return replace(result.markers, notices=(*result.notices, note))
+    error_text = f"reprojection {result.error_px:.3g} px ({result.error_mm:.3g} mm)"
+    message = f"{counted(len(result.cameras), 'camera')}: {error_text}"
+    summary_note = Fault("SOL106", message, str(path), severity=Severity.NOTE)
+    return replace(result.markers, notices=(*result.notices, summary_note))
 
 
 def solve_stream(

@@ -19,12 +19,12 @@ MIN_RESIDUAL, MAX_FRACTION = 0.02, 0.4
 Noise = Callable[[MarkerProblem, FloatArray, float], FloatArray]
 
 
-def swapped_notices(
+def swapped_side_notices(
     model: MarkerProblem,
     sample: FloatArray,
     noise: FloatArray,
     min_noise: float,
-    noise_of: Noise,
+    estimate_noise_of: Noise,
 ) -> list[Fault]:
     """Return a warning about sides that are swapped, all of them or some (SOL109).
 
@@ -33,7 +33,7 @@ def swapped_notices(
         sample: Positions of markers in some frames ``(F, E, 3)`` [m].
         noise: Their noise ``(E,)`` [m].
         min_noise: Its lower bound [m].
-        noise_of: Function that returns the noise of other positions.
+        estimate_noise_of: Function that returns the noise of other positions.
     """
     names = model.template.names
     pairs = pair_sides(names)
@@ -42,33 +42,40 @@ def swapped_notices(
     exchanged = sample[:, pairs.partners]
     median = float(np.median(noise))
     if median >= MIN_RESIDUAL / 2:
-        other = float(np.median(noise_of(model, exchanged, min_noise)))
-        if other < MAX_FRACTION * median:
+        exchanged_noise = float(
+            np.median(estimate_noise_of(model, exchanged, min_noise))
+        )
+        if exchanged_noise < MAX_FRACTION * median:
             message = (
                 "left and right look swapped: with all their markers exchanged, "
-                f"they are {length_text(other)} off their positions on the rig, not "
-                f"{length_text(median)}"
+                f"they are {length_text(exchanged_noise)} off their positions "
+                f"on the rig, not {length_text(median)}"
             )
             return [_warning(message)]
     coordinates = sampled_poses(model, sample, noise)
-    misses, others = (
+    misses, exchanged_misses = (
         _medians(marker_residuals(model, coordinates, positions))
         for positions in (sample, exchanged)
     )
-    swapped = []
+    swapped_pairs = []
     for left in pairs.left:
-        both = [left, int(pairs.partners[left])]
-        is_far = misses[both].min() > MIN_RESIDUAL
-        if is_far and others[both].max() < MAX_FRACTION * misses[both].min():
-            swapped.append(both)
-    if not swapped:
+        both_markers = [left, int(pairs.partners[left])]
+        is_far = misses[both_markers].min() > MIN_RESIDUAL
+        if (
+            is_far
+            and exchanged_misses[both_markers].max()
+            < MAX_FRACTION * misses[both_markers].min()
+        ):
+            swapped_pairs.append(both_markers)
+    if not swapped_pairs:
         return []
-    shown = listed([f"{names[a]} and {names[b]}" for a, b in swapped], 4)
-    both = swapped[0]
+    pairs_text = listed([f"{names[a]} and {names[b]}" for a, b in swapped_pairs], 4)
+    both_markers = swapped_pairs[0]
     message = (
-        f"markers look swapped: {shown}; exchanged, {names[both[0]]} is "
-        f"{length_text(float(others[both[0]]))} off its position on the rig, not "
-        f"{length_text(float(misses[both[0]]))}"
+        f"markers look swapped: {pairs_text}; exchanged, {names[both_markers[0]]} is "
+        f"{length_text(float(exchanged_misses[both_markers[0]]))} off its position "
+        "on the rig, not "
+        f"{length_text(float(misses[both_markers[0]]))}"
     )
     return [_warning(message)]
 
@@ -80,5 +87,6 @@ def _medians(misses: FloatArray) -> FloatArray:
 
 
 def _warning(message: str) -> Fault:
+    """Return the warning about swapped sides (SOL109)."""
     hint = "exchange their names in the capture, or their entries in the template"
     return Fault("SOL109", message, hint=hint, severity=Severity.WARNING)

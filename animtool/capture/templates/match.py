@@ -59,10 +59,14 @@ def match_markers(
     """
     labelled_names = [name for name in names if not name.startswith("*")]
     matches = {
-        match: _marker_columns(template, names, match)
-        for match in _subject_prefixes(labelled_names)
+        prefix: _marker_columns(template, names, prefix)
+        for prefix in _subject_prefixes(labelled_names)
     }
-    matching = {match: c for match, c in matches.items() if (c >= 0).any()}
+    matching = {
+        prefix: column_indices
+        for prefix, column_indices in matches.items()
+        if (column_indices >= 0).any()
+    }
     if subject is not None:
         if subject not in matches:
             message = f"no marker is of the subject {subject!r}"
@@ -80,7 +84,11 @@ def match_markers(
         raise OptionError(_unmatched_fault(template, labelled_names, names))
     ((subject, columns),) = matching.items()
     used_columns = set(columns[columns >= 0].tolist())
-    missing_markers = [m for m, c in zip(template.names, columns, strict=True) if c < 0]
+    missing_markers = [
+        m
+        for m, column_indices in zip(template.names, columns, strict=True)
+        if column_indices < 0
+    ]
     unused_names = [
         name
         for i, name in enumerate(names)
@@ -95,8 +103,9 @@ def _subject_prefixes(names: Iterable[str]) -> list[str]:
 
 
 def _split_prefix(name: str) -> tuple[str, str]:
-    subject, _, bare = name.rpartition(":")
-    return subject.strip(), bare.strip()
+    """Return the subject prefix of a name, and the rest of the name."""
+    subject, _, bare_name = name.rpartition(":")
+    return subject.strip(), bare_name.strip()
 
 
 def _marker_columns(
@@ -139,9 +148,11 @@ def _unmatched_fault(
         for name in template.names
         if (guess := most_similar(name, bare_names))
     ]
-    shown_names = ", ".join(suggestions[:MAX_LISTED_NAMES])
-    hint = f"{shown_names}: rename them in the template, or add aliases"
+    suggestions_text = ", ".join(suggestions[:MAX_LISTED_NAMES])
+    hint = f"{suggestions_text}: rename them in the template, or add aliases"
     if not suggestions:
-        shown_names = listed(labelled_names, MAX_LISTED_NAMES)
-        hint = f"the capture has {shown_names}; add them to aliases of the template"
+        suggestions_text = listed(labelled_names, MAX_LISTED_NAMES)
+        hint = (
+            f"the capture has {suggestions_text}; add them to aliases of the template"
+        )
     return Fault("SOL001", message, hint=hint)

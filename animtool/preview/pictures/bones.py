@@ -10,8 +10,8 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.camera import EyeMatrices
 from animtool.preview.pictures.device import Device, TextureTable
-from animtool.preview.pictures.lines import DrawnLines, Sprites, VertexBuffer
-from animtool.preview.pictures.pose import DrawnPose
+from animtool.preview.pictures.lines import LineRenderer, SpriteRenderer, VertexBuffer
+from animtool.preview.pictures.pose import PosedTake
 
 # Maximum number of joints drawn with thick bones; crowds have thin lines.
 MAX_THICK_JOINTS = 1500
@@ -19,7 +19,7 @@ AXIS_COLORS = ((222, 82, 82), (92, 176, 88), (76, 130, 224))
 Color = tuple[int, int, int]
 
 
-class DrawnBones:
+class BoneRenderer:
     """Renderer of the skeletons of takes."""
 
     def __init__(self, device: Device) -> None:
@@ -27,15 +27,15 @@ class DrawnBones:
         self._program = device.program("bones.js")
         self._thin = device.program("bones.js", "THIN_VERTEX", "THIN_FRAGMENT")
         self._table = TextureTable(device)
-        self._balls = Sprites(device)
-        self._axes = DrawnLines(device)
+        self._balls = SpriteRenderer(device)
+        self._axes = LineRenderer(device)
         self._ends = VertexBuffer(device)
         self._array: Any = None
 
     def draw(
         self,
         eye: EyeMatrices,
-        poses: Sequence[DrawnPose],
+        poses: Sequence[PosedTake],
         color: Callable[[int], Color],
         *,
         bones: bool,
@@ -56,37 +56,43 @@ class DrawnBones:
     def _draw_octahedra(
         self,
         eye: EyeMatrices,
-        poses: Sequence[DrawnPose],
+        poses: Sequence[PosedTake],
         color: Callable[[int], Color],
     ) -> None:
-        size = max(pose.extent for pose in poses)
-        cells, balls, tints = [], [], []
+        size = max(pose.bounds_radius for pose in poses)
+        octahedra, balls, colors_of_joints = [], [], []
         for pose in poses:
             child = np.flatnonzero(pose.parents >= 0)
             joints, ends = pose.tip_ends()
-            at = pose.positions
-            heads = np.concatenate([at[pose.parents[child]], at[joints]])
-            tails = np.concatenate([at[child], ends])
-            has_length = np.linalg.norm(tails - heads, axis=1) > pose.extent * 1e-4
+            positions = pose.positions
+            heads = np.concatenate([positions[pose.parents[child]], positions[joints]])
+            tails = np.concatenate([positions[child], ends])
+            has_length = (
+                np.linalg.norm(tails - heads, axis=1) > pose.bounds_radius * 1e-4
+            )
             cell = np.zeros((int(has_length.sum()), 3, 4))
             cell[:, 0, :3], cell[:, 1, :3] = heads[has_length], tails[has_length]
             cell[:, 2, :3] = np.array(color(pose.index)) / 255
-            cells.append(cell)
-            balls.append(at)
-            tints.append(np.tile(np.array(color(pose.index), np.uint8), (len(at), 1)))
-        table = np.concatenate(cells)
+            octahedra.append(cell)
+            balls.append(positions)
+            colors_of_joints.append(
+                np.tile(np.array(color(pose.index), np.uint8), (len(positions), 1))
+            )
+        table = np.concatenate(octahedra)
         if len(table):
-            self._table.send(table.reshape(-1, 4))
+            self._table.upload(table.reshape(-1, 4))
             max_width = size * 0.03
-            self._device.use(self._program, eye, bones=self._table, thickest=max_width)
+            self._device.set_uniforms(
+                self._program, eye, bones=self._table, thickest=max_width
+            )
             self._device.draw_generated(self._program, len(table) * 24)
-        self._balls.set(np.concatenate(balls), np.concatenate(tints))
+        self._balls.set_points(np.concatenate(balls), np.concatenate(colors_of_joints))
         self._balls.draw(eye, size * 0.008, 2.5)
 
     def _draw_lines(
         self,
         eye: EyeMatrices,
-        poses: Sequence[DrawnPose],
+        poses: Sequence[PosedTake],
         color: Callable[[int], Color],
     ) -> None:
         """Draw many skeletons as thin lines."""
@@ -100,12 +106,12 @@ class DrawnBones:
             rows.append(vertices)
         values = np.concatenate(rows)
         if self._ends.write(values):
-            part = self._ends.buffer, "3f 3f", "point", "color"
-            self._array = self._device.gl.vertex_array(self._thin, [part])
-        self._device.use(self._thin, eye)
+            buffer_layout = self._ends.buffer, "3f 3f", "point", "color"
+            self._array = self._device.gl.vertex_array(self._thin, [buffer_layout])
+        self._device.set_uniforms(self._thin, eye)
         self._array.render(self._device.module.LINES, vertices=len(values))
 
-    def _draw_axes(self, eye: EyeMatrices, poses: Sequence[DrawnPose]) -> None:
+    def _draw_axes(self, eye: EyeMatrices, poses: Sequence[PosedTake]) -> None:
         """Draw the axes of each joint, red, green and blue."""
         begins: list[FloatArray] = []
         ends: list[FloatArray] = []
@@ -113,10 +119,12 @@ class DrawnBones:
         for pose in poses:
             axes = pose.world[:, :3, :3]
             lengths = np.linalg.norm(axes, axis=1, keepdims=True)
-            axes = axes / np.where(lengths > 0, lengths, 1.0) * pose.extent * 0.06
+            axes = (
+                axes / np.where(lengths > 0, lengths, 1.0) * pose.bounds_radius * 0.06
+            )
             for k in range(3):
                 begins.append(pose.positions)
                 ends.append(pose.positions + axes[:, :, k])
                 colors.append(np.tile([*AXIS_COLORS[k], 255.0], (pose.count, 1)))
-        self._axes.set(*map(np.concatenate, (begins, ends, colors)))
+        self._axes.set_segments(*map(np.concatenate, (begins, ends, colors)))
         self._axes.draw(eye, width=1.5)

@@ -40,7 +40,7 @@ from animtool.preview.pictures.request import (
     picture_size,
     sheet_layout,
 )
-from animtool.preview.pictures.scene import DrawnScene
+from animtool.preview.pictures.scene import SceneRenderer
 from animtool.preview.pictures.sources import theme_colors
 
 # Gap between the pictures of a sheet [px].
@@ -65,7 +65,7 @@ class PictureReport:
         pixels: Width and height.
         frames: Time codes of the frames shown, in order for a film.
         rate: Frames per second of a film; 0 for a still.
-        about: Format of the file, with the licence of its encoder.
+        description: Format of the file, with the licence of its encoder.
         page: The page that it shows.
     """
 
@@ -74,11 +74,11 @@ class PictureReport:
     pixels: tuple[int, int]
     frames: tuple[float, ...]
     rate: Fraction
-    about: str
+    description: str
     page: PreviewPage
 
     json_keys: ClassVar[str] = (
-        "'preview' output=path bytes=size format=about width height frames=count "
+        "'preview' output=path bytes=size format=description width height frames=count "
         "first last fps=rate not_shown=page.manifest.notices notices=page.notices"
     )
 
@@ -181,6 +181,7 @@ def save_pictures(
 
 @contextmanager
 def _open_device() -> Iterator[Device]:
+    """Context with an off-screen device."""
     device = Device()
     try:
         yield device
@@ -204,15 +205,15 @@ def _check_options(
         "frames": frames,
         "camera": pictures.camera[1:],
     }
-    several = [name for name, value in requested_options.items() if value]
-    if several and not kind.picture:
+    options_of_several = [name for name, value in requested_options.items() if value]
+    if options_of_several and not kind.is_image:
         message = "a film shows frames one after another, from one camera"
         hint = "a sheet, or listed frames, need .png or .webp; 1-240x2 plays a range"
-        raise option_error(several[0], message, hint)
+        raise option_error(options_of_several[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
         message = f"{len(frames)} frames do not fit on a sheet of {pictures.sheet}"
         raise option_error("frames", message, "list fewer frames, or enlarge the sheet")
-    if pictures.turntable and (several or not kind.codec):
+    if pictures.turntable and (options_of_several or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
         raise option_error("turntable", "a still has no turntable", hint)
 
@@ -237,22 +238,23 @@ class PictureRenderer:
         self._cameras = [camera_choice(text, names) for text in cameras]
         self._frames = frames
         layers = drawn_layers(options)
-        self._scene = DrawnScene(device, page.manifest, page.blocks, layers)
+        self._scene = SceneRenderer(device, page.manifest, page.blocks, layers)
         self._colors = theme_colors()
 
     def write(self, output: Path) -> PictureReport:
         """Write the picture or the film."""
-        single = not self._kind.codec or self._is_sheet
-        if not single:
+        is_single_image = not self._kind.codec or self._is_sheet
+        if not is_single_image:
             return self._write_film(output)
-        pixels, samples = self._draw_pictures()
+        pixels, samples = self._render_pictures()
         write_picture(output, pixels)
         return self._report(output, pixels.shape, samples, Fraction(0))
 
     @property
     def _is_sheet(self) -> bool:
-        several = len(self._cameras) > 1
-        return bool(self._options.sheet or self._frames) or several
+        """Whether several pictures are put on one sheet."""
+        has_several_cameras = len(self._cameras) > 1
+        return bool(self._options.sheet or self._frames) or has_several_cameras
 
     def _report(
         self,
@@ -261,10 +263,11 @@ class PictureRenderer:
         samples: Sequence[int],
         rate: Fraction,
     ) -> PictureReport:
+        """Return the report of a written file."""
         codes = tuple(float(self._scene.codes[i]) for i in samples)
         size = output.stat().st_size
         pixels = shape[1], shape[0]
-        info = self._kind.about
+        info = self._kind.description
         return PictureReport(output, size, pixels, codes, rate, info, self._page)
 
     def _picture_samples(self) -> list[int]:
@@ -287,12 +290,13 @@ class PictureRenderer:
         cells = sheet[0] * sheet[1] // len(self._cameras)
         return [int(i) for i in evenly_spaced(len(codes), max(cells, 1))]
 
-    def _draw_pictures(self) -> tuple[Array, list[int]]:
+    def _render_pictures(self) -> tuple[Array, list[int]]:
+        """Return the pixels of a picture or sheet, and the samples it shows."""
         samples = self._picture_samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
-        several = len(cells) > 1
-        size = picture_size(self._options, self._kind, sheet=several)
-        captions = self._captions(len(cells), size)
+        has_several_cells = len(cells) > 1
+        size = picture_size(self._options, self._kind, sheet=has_several_cells)
+        captions = self._wrap_captions(len(cells), size)
         picture = Framebuffer(self._device, *size)
         shows_numbers = self._options.numbers
         if shows_numbers is None:
@@ -304,13 +308,13 @@ class PictureRenderer:
         ):
             if view is None or k % len(samples) == 0:
                 view = self._framing_view(camera, size, caption, sample)
-            view.inset = caption.height
+            view.top_inset = caption.height
             pixels = self._scene.draw(view, sample, picture, camera.shot)
             pictures.append(
-                self._with_text(pixels, caption, sample if shows_numbers else None)
+                self._add_text(pixels, caption, sample if shows_numbers else None)
             )
             self._progress((k + 1) / len(cells))
-        if not several:
+        if not has_several_cells:
             return pictures[0], samples
         columns = self._sheet_columns(len(samples), len(cells))
         rows = [pictures[k : k + columns] for k in range(0, len(pictures), columns)]
@@ -321,6 +325,7 @@ class PictureRenderer:
         return pixels, samples
 
     def _sheet_columns(self, samples: int, cells: int) -> int:
+        """Return the number of columns of a sheet."""
         sheet = sheet_layout(self._options)
         if sheet is not None:
             return min(sheet[0], cells)
@@ -328,7 +333,7 @@ class PictureRenderer:
             return samples
         return math.ceil(cells / math.ceil(cells / DEFAULT_COLUMNS))
 
-    def _captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
+    def _wrap_captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
         """Return the captions of all pictures."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
@@ -355,7 +360,8 @@ class PictureRenderer:
         camera.position(view)
         return view
 
-    def _with_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
+    def _add_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
+        """Return pixels with the caption and, if requested, the frame number."""
         number = ""
         if sample is not None:
             number = f"frame {frame_label(self._scene.codes[sample])}"
@@ -363,9 +369,10 @@ class PictureRenderer:
         return with_caption(pixels, caption, number, ink, background)
 
     def _write_film(self, output: Path) -> PictureReport:
+        """Write a film, frame by frame."""
         samples, rate = self._film_samples()
         size = picture_size(self._options, self._kind, sheet=False)
-        (caption,) = self._captions(1, size)
+        (caption,) = self._wrap_captions(1, size)
         (camera,) = self._cameras
         picture = Framebuffer(self._device, *size)
         view = self._framing_view(camera, size, caption, samples[0])
@@ -378,7 +385,7 @@ class PictureRenderer:
             if self._options.turntable:
                 view.yaw = yaw + 2 * math.pi * k / len(samples)
             pixels = self._scene.draw(view, samples[k], picture, camera.shot)
-            return self._with_text(
+            return self._add_text(
                 pixels, caption, samples[k] if shows_numbers else None
             )
 

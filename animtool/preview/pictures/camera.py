@@ -50,18 +50,18 @@ class Bounds:
 
     def join(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
         """Grow to contain other bounds, shifted."""
-        if not other.empty:
+        if not other.is_empty:
             self.add(np.stack([other.low, other.high]) + shift)
 
     @property
-    def empty(self) -> bool:
+    def is_empty(self) -> bool:
         """Whether it contains nothing."""
         return not self.low[0] <= self.high[0]
 
     @property
     def center(self) -> FloatArray:
         """Center of the bounds."""
-        if self.empty:
+        if self.is_empty:
             return np.array([0.0, 0.5, 0.0])
         center: FloatArray = (self.low + self.high) / 2
         return center
@@ -69,7 +69,7 @@ class Bounds:
     @property
     def radius(self) -> float:
         """Half of the diagonal."""
-        if self.empty:
+        if self.is_empty:
             return 1.0
         return max(float(np.linalg.norm(self.high - self.low)) / 2, 1e-3)
 
@@ -96,8 +96,10 @@ class EyeMatrices:
     light: FloatArray
     opacity: float = 1.0
 
-    def between(self, near: float, far: float, opacity: float = 1.0) -> EyeMatrices:
-        """Return the camera with its depth range mapped to a part of 0 to 1."""
+    def with_depth_range(
+        self, near: float, far: float, opacity: float = 1.0
+    ) -> EyeMatrices:
+        """Return the camera with its depth mapped to a range within 0 to 1."""
         matrix = self.view_projection.copy()
         matrix[2] = (far - near) * matrix[2] + (far + near - 1) * matrix[3]
         return EyeMatrices(
@@ -118,41 +120,46 @@ class CameraView:
     Attributes:
         width: Width of the picture [px].
         height: Height of the picture [px].
-        inset: Height covered by text at the top [px]; the view is centred below.
+        top_inset: Height covered by text at the top [px]; the view is centred below.
         yaw: Angle around the vertical axis [rad].
         pitch: Angle above the horizon [rad].
         distance: Distance from the target [m].
         target: Point that it looks at [m].
         radius: Radius of the framed bounds [m].
         floor: Height of the lowest point of the bounds [m].
-        follow: Whether it follows a joint.
+        is_following: Whether it follows a joint.
         followed: Last position of the followed joint [m].
         light: Direction to the key light, in view space.
     """
 
     width: int
     height: int
-    inset: int = 0
+    top_inset: int = 0
     yaw: float = VIEW_ANGLES["home"][0]
     pitch: float = VIEW_ANGLES["home"][1]
     distance: float = 4.0
     target: FloatArray = field(default_factory=lambda: np.array([0.0, 0.9, 0.0]))
     radius: float = 1.0
     floor: float = 0.0
-    follow: bool = False
+    is_following: bool = False
     followed_position: FloatArray | None = None
     light: FloatArray = field(
         default_factory=lambda: KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
     )
 
-    def _back(self, distance: float) -> FloatArray:
-        level = math.cos(self.pitch) * distance
-        x, z = math.sin(self.yaw) * level, math.cos(self.yaw) * level
+    def _offset_to_camera(self, distance: float) -> FloatArray:
+        """Return the offset from the target to the camera at a distance [m]."""
+        horizontal_distance = math.cos(self.pitch) * distance
+        x, z = (
+            math.sin(self.yaw) * horizontal_distance,
+            math.cos(self.yaw) * horizontal_distance,
+        )
         return np.array([x, math.sin(self.pitch) * distance, z])
 
     @property
     def _covered_fraction(self) -> float:
-        return min(self.inset / self.height, 0.5)
+        """Fraction of the picture's height that text covers."""
+        return min(self.top_inset / self.height, 0.5)
 
     def _half_size(self) -> tuple[float, float]:
         """Return half of the unobstructed width and height at distance 1."""
@@ -160,14 +167,14 @@ class CameraView:
         half_height = HALF_FOV_TANGENT * max(1.0, uncovered / aspect)
         return half_height / uncovered * aspect, half_height
 
-    def frame(self, box: Bounds) -> None:
+    def frame_bounds(self, box: Bounds) -> None:
         """Frame the given bounds."""
         self.target, self.radius = box.center, box.radius
         self.floor = float(box.low[1])
         self.distance = self.radius * 0.2
-        if box.empty:
+        if box.is_empty:
             return
-        world = _look_at_matrix(self._back(1.0), np.zeros(3))
+        world = _look_at_matrix(self._offset_to_camera(1.0), np.zeros(3))
         half_width, half_height = self._half_size()
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, box.low, box.high) - self.target
@@ -177,9 +184,13 @@ class CameraView:
                     self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
                 )
 
-    def track(self, position: FloatArray | None) -> None:
+    def follow_position(self, position: FloatArray | None) -> None:
         """Follow a joint horizontally."""
-        if self.follow and position is not None and self.followed_position is not None:
+        if (
+            self.is_following
+            and position is not None
+            and self.followed_position is not None
+        ):
             self.target = self.target + (position - self.followed_position) * [
                 1.0,
                 0.0,
@@ -187,29 +198,39 @@ class CameraView:
             ]
         self.followed_position = position
 
-    def eye(self) -> EyeMatrices:
+    def eye_matrices(self) -> EyeMatrices:
         """Return the camera matrices."""
         half_wide, half_high = self._half_size()
         half_high /= 1 - self._covered_fraction
-        world = _look_at_matrix(self.target + self._back(self.distance), self.target)
+        world = _look_at_matrix(
+            self.target + self._offset_to_camera(self.distance), self.target
+        )
         distance = self.distance
         projection = _perspective_matrix(
             half_wide, half_high, distance * 0.01, distance + self.radius * 100
         )
         projection[1, 2] = self._covered_fraction
-        return self._eye(world, projection, half_high)
+        return self._eye_matrices_of(world, projection, half_high)
 
-    def through(
+    def view_through(
         self, camera: Mapping[str, Any], streams: StreamReader, sample: int
     ) -> EyeMatrices | None:
         """Return the view through a shot camera; None if its transform is missing."""
-        t, r = (streams.at(camera[part], sample) for part in "tr")
-        if not (len(t) and len(r)):
+        translation, rotation = (
+            streams.sample_values(camera[part], sample) for part in "tr"
+        )
+        if not (len(translation) and len(rotation)):
             return None
-        world = compose_matrices(t.astype(np.float64), r.astype(np.float64), None)
+        world = compose_matrices(
+            translation.astype(np.float64), rotation.astype(np.float64), None
+        )
         aperture_width, aperture_height = camera["aperture_mm"]
         focal = camera.get("focal")
-        length = camera["focal_mm"] if focal is None else streams.at(focal, sample)[0]
+        length = (
+            camera["focal_mm"]
+            if focal is None
+            else streams.sample_values(focal, sample)[0]
+        )
         aspect = self.width / self.height
         # The picture contains the whole film gate, and more if the aspect ratios
         # differ.
@@ -218,11 +239,12 @@ class CameraView:
         projection = _perspective_matrix(
             half_high * aspect, half_high, distance * 0.01, distance + self.radius * 100
         )
-        return self._eye(world, projection, half_high)
+        return self._eye_matrices_of(world, projection, half_high)
 
-    def _eye(
+    def _eye_matrices_of(
         self, world: FloatArray, projection: FloatArray, half_high: float
     ) -> EyeMatrices:
+        """Return the matrices of a camera with a transform and projection."""
         rotation = world[:3, :3].T
         view = np.eye(4)
         view[:3, :3], view[:3, 3] = rotation, -rotation @ world[:3, 3]

@@ -27,18 +27,18 @@ class Caption:
 
     Attributes:
         lines: Lines of text.
-        letters: Text height [px].
+        font_size_: Text height [px].
     """
 
     lines: tuple[str, ...]
-    letters: int
+    font_size_: int
 
     @property
     def height(self) -> int:
         """Height of the caption area [px]."""
         if not self.lines:
             return 0
-        return round(self.letters * (2 * MARGIN + LINE_SPACING * len(self.lines)))
+        return round(self.font_size_ * (2 * MARGIN + LINE_SPACING * len(self.lines)))
 
 
 def font_size(height: int) -> int:
@@ -54,11 +54,13 @@ def wrap_caption(text: str, width: int, height: int) -> Caption:
     """Return text wrapped for a picture, in a smaller font if it is long."""
     if not text.strip():
         return Caption((), MIN_TEXT_HEIGHT)
-    for letters in range(font_size(height), MIN_TEXT_HEIGHT - 1, -1):
+    for text_height in range(font_size(height), MIN_TEXT_HEIGHT - 1, -1):
         lines = tuple(
-            _wrapped_lines(text, width - 2 * MARGIN * letters, _load_font(letters))
+            _wrapped_lines(
+                text, width - 2 * MARGIN * text_height, _load_font(text_height)
+            )
         )
-        caption = Caption(lines, letters)
+        caption = Caption(lines, text_height)
         if caption.height <= MAX_CAPTION_FRACTION * height:
             return caption
     message = f"the caption needs {len(lines)} lines on {width}x{height} pixels"
@@ -94,35 +96,42 @@ def with_caption(
     """Return pixels with a caption at the top and a number at the bottom left."""
     if not (caption.lines or number):
         return pixels
-    image_of, draw_on = import_package("PIL.Image"), import_package("PIL.ImageDraw")
-    image = image_of.fromarray(np.ascontiguousarray(pixels))
-    pen = draw_on.Draw(image)
-    letters = caption.letters
+    image_module, draw_module = (
+        import_package("PIL.Image"),
+        import_package("PIL.ImageDraw"),
+    )
+    image = image_module.fromarray(np.ascontiguousarray(pixels))
+    pen = draw_module.Draw(image)
+    text_height = caption.font_size_
     for i, line in enumerate(caption.lines):
-        at = MARGIN * letters, letters * (MARGIN + LINE_SPACING * i)
-        _draw_text(pen, at, line, _load_font(letters), ink, background)
+        line_position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
+        _draw_text(pen, line_position, line, _load_font(text_height), ink, background)
     if number:
-        letters = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))
-        at = MARGIN * letters, image.height - letters * (MARGIN + LINE_SPACING)
-        _draw_text(pen, at, number, _load_font(letters), ink, background)
+        text_height = max(MIN_TEXT_HEIGHT, round(font_size(image.height) * 0.8))
+        line_position = (
+            MARGIN * text_height,
+            image.height - text_height * (MARGIN + LINE_SPACING),
+        )
+        _draw_text(pen, line_position, number, _load_font(text_height), ink, background)
     return np.asarray(image)
 
 
 def _draw_text(
     pen: Any,
-    at: tuple[float, float],
+    position: tuple[float, float],
     text: str,
     font: Any,
     ink: Color,
     background: Color,
 ) -> None:
-    corner = tuple(map(round, at))
+    """Draw text with an outline in the background color."""
+    corner = tuple(map(round, position))
     pen.text(corner, text, fill=ink, font=font, stroke_width=2, stroke_fill=background)
 
 
-def _load_font(letters: int) -> Any:
+def _load_font(text_height: int) -> Any:
     """Return Pillow's built-in font, identical on all machines."""
-    return import_package("PIL.ImageFont").load_default(letters)
+    return import_package("PIL.ImageFont").load_default(text_height)
 
 
 def picture_sheet(
@@ -149,6 +158,7 @@ def picture_sheet(
 
 
 def _sheet_span(count: int, size: int, gap: int) -> int:
+    """Return the size of several cells with gaps [px]."""
     return count * size + (count - 1) * gap
 
 

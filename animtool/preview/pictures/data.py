@@ -24,7 +24,7 @@ class StreamReader:
         self._entries = {entry["id"]: entry for entry in entries}
         self._texts = blocks
         self._contents: dict[int, list[tuple[dict[str, Any], int]]] = {}
-        for entry in sorted(entries, key=lambda each: int(each["id"])):
+        for entry in sorted(entries, key=lambda entry_: int(entry_["id"])):
             for block, _, samples in entry["block"]:
                 self._contents.setdefault(block, []).append((entry, samples))
         self._decoded: OrderedDict[int, dict[int, Array]] = OrderedDict()
@@ -35,11 +35,13 @@ class StreamReader:
         """Return the number of values per sample of a stream."""
         return int(self._entries[number]["width"])
 
-    def array(self, number: int | None) -> Array:
+    def static_values(self, number: int | None) -> Array:
         """Return the values of a one-sample stream."""
-        return np.zeros(0, np.float32) if number is None else self.at(number, 0)
+        return (
+            np.zeros(0, np.float32) if number is None else self.sample_values(number, 0)
+        )
 
-    def at(self, number: int, sample: int) -> Array:
+    def sample_values(self, number: int, sample: int) -> Array:
         """Return the values at a sample, clamped to the nearest one."""
         if number in self._constant:
             return self._constant[number]
@@ -48,11 +50,12 @@ class StreamReader:
             return np.zeros(0, np.float32)
         matches = (span for span in spans if sample < span[1] + span[2])
         block, first, samples = next(matches, spans[-1])
-        values = self._block(block)[number]
+        values = self._decoded_block(block)[number]
         value: Array = values[min(max(sample - first, 0), samples - 1)]
         return value
 
-    def _block(self, number: int) -> dict[int, Array]:
+    def _decoded_block(self, number: int) -> dict[int, Array]:
+        """Return the decoded streams of a block by index; cached."""
         if number in self._decoded:
             self._decoded.move_to_end(number)
             return self._decoded[number]
@@ -60,7 +63,7 @@ class StreamReader:
         values, begin = {}, 0
         for entry, samples in self._contents[number]:
             size = entry["width"] * samples * np.dtype(TYPES[entry["kind"]]).itemsize
-            stream_values = _unpacked_stream(raw[begin : begin + size], entry, samples)
+            stream_values = _unpack_stream(raw[begin : begin + size], entry, samples)
             begin += size
             values[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
@@ -73,10 +76,11 @@ class StreamReader:
 
 
 def _size_of(values: dict[int, Array]) -> int:
+    """Return the size of arrays [byte]."""
     return sum(array.nbytes for array in values.values())
 
 
-def _unpacked_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
+def _unpack_stream(raw: bytes, entry: dict[str, Any], samples: int) -> Array:
     """Return the values of one stream of a block ``(samples, width)``."""
     dtype, width = np.dtype(TYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if samples == 1 else (width, samples)

@@ -48,7 +48,7 @@ class TextureTable:
         self._width = self._height = 0
         self.texture: Any = None
 
-    def send(self, cells: Array) -> None:
+    def upload(self, cells: Array) -> None:
         """Upload cells ``(N, 4)`` to the texture, replacing its content."""
         count = len(cells)
         row_cells = min(MAX_ROW_CELLS, max(count, 64))
@@ -97,7 +97,7 @@ class Device:
             )
         return self._programs[key]
 
-    def use(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
+    def set_uniforms(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
         """Set the uniforms of a program, including the camera's."""
         values = {
             "viewProjection": eye.view_projection,

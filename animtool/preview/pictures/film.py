@@ -24,11 +24,11 @@ PALETTE_SIZE = 256
 
 def write_picture(path: Path, pixels: Array) -> None:
     """Write a picture atomically (else OUT002)."""
-    image_of = import_package("PIL.Image")
+    image_module = import_package("PIL.Image")
     settings: dict[str, Any] = {"format": "PNG", "optimize": True}
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
-    image = image_of.fromarray(np.ascontiguousarray(pixels))
+    image = image_module.fromarray(np.ascontiguousarray(pixels))
     with replacement_path(path) as temporary:
         try:
             image.save(temporary, **settings)
@@ -96,9 +96,9 @@ def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
         return frame.reformat(format="yuv420p", dst_colorspace=_BT709)
-    image_of = import_package("PIL.Image")
-    image = image_of.fromarray(pixels)
-    indexed = image.quantize(palette=palette, dither=image_of.Dither.NONE)
+    image_module = import_package("PIL.Image")
+    image = image_module.fromarray(pixels)
+    indexed = image.quantize(palette=palette, dither=image_module.Dither.NONE)
     colors = np.zeros((PALETTE_SIZE, 4), np.uint8)
     palette_colors = np.array(palette.getpalette(), np.uint8).reshape(-1, 3)
     # libav palettes have alpha first.
@@ -108,7 +108,9 @@ def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
 
 def _palette_image(samples: Sequence[Array]) -> Any:
     """Return a palette image for some frames."""
-    image_of = import_package("PIL.Image")
-    all_pixels = image_of.fromarray(np.ascontiguousarray(np.concatenate(samples)))
-    method = image_of.Quantize.MEDIANCUT
-    return all_pixels.quantize(PALETTE_SIZE, method=method, dither=image_of.Dither.NONE)
+    image_module = import_package("PIL.Image")
+    all_pixels = image_module.fromarray(np.ascontiguousarray(np.concatenate(samples)))
+    method = image_module.Quantize.MEDIANCUT
+    return all_pixels.quantize(
+        PALETTE_SIZE, method=method, dither=image_module.Dither.NONE
+    )

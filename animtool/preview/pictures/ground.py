@@ -11,8 +11,8 @@ from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import Color
 from animtool.preview.pictures.camera import CameraView, EyeMatrices
 from animtool.preview.pictures.device import Device
-from animtool.preview.pictures.lines import DrawnLines
-from animtool.preview.pictures.pose import DrawnPose, is_in_spans
+from animtool.preview.pictures.lines import LineRenderer
+from animtool.preview.pictures.pose import PosedTake, is_in_spans
 
 GRID_CELLS, SEGMENT_CELLS = 28, 4
 # Samples of a trail before and after the current one.
@@ -32,11 +32,11 @@ def round_to_1_2_5(x: float) -> float:
     return next((k for k in (1, 2, 5) if k * power >= x * 0.99), 10) * power
 
 
-class DrawnGround:
+class GroundRenderer:
     """The ground grid."""
 
     def __init__(self, device: Device, radius: float) -> None:
-        self._lines = DrawnLines(device)
+        self._lines = LineRenderer(device)
         self._cell = round_to_1_2_5(max(radius, 1e-6) * 0.3)
         self._key: tuple[int, int] | None = None
 
@@ -54,6 +54,7 @@ class DrawnGround:
         self._lines.draw(eye, width=1, fade=fade)
 
     def _set_lines(self, cx: int, cz: int, line: Color, strong: Color) -> None:
+        """Set the grid lines around a cell."""
         half, cell = GRID_CELLS // 2, self._cell
         segments = []
         for i in range(-half, half + 1):
@@ -72,56 +73,73 @@ class DrawnGround:
         ends[0][:, [0, 2]], ends[1][:, [0, 2]] = table[:, :2], table[:, 2:4]
         alpha = np.full((len(table), 1), 255.0)
         colors = np.concatenate([table[:, 4:], alpha], axis=1)
-        self._lines.set(ends[0], ends[1], colors)
+        self._lines.set_segments(ends[0], ends[1], colors)
 
 
-class DrawnTrails:
+class TrailRenderer:
     """Trails of roots and feet around the frame, with ground contacts."""
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
         self._codes = codes
-        self._trails, self._rings = DrawnLines(device), DrawnLines(device)
+        self._trails, self._rings = LineRenderer(device), LineRenderer(device)
 
     def update(
         self,
-        poses: Sequence[DrawnPose],
+        poses: Sequence[PosedTake],
         sample: int,
         color: Callable[[int], Color],
         contact: Color,
-        shown: frozenset[str],
+        shown_layers: frozenset[str],
     ) -> None:
         """Set the trails at a sample."""
         trails = [np.zeros((0, 10))]
         rings = [np.zeros((0, 10))]
         for pose in poses:
-            if "trails" in shown and pose.trailed:
-                trails.append(self._trail(pose, sample, color(pose.index), contact))
+            if "trails" in shown_layers and pose.trail_joints:
+                trails.append(
+                    self._trail_segments(pose, sample, color(pose.index), contact)
+                )
             for contact_entry in pose.record.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
-                if "contacts" in shown and is_in_spans(code, contact_entry["spans"])[0]:
-                    at = pose.positions[contact_entry["joint"]]
-                    rings.append(_ring_lines(at, pose.extent * 0.045, contact))
+                if (
+                    "contacts" in shown_layers
+                    and is_in_spans(code, contact_entry["spans"])[0]
+                ):
+                    contact_position = pose.positions[contact_entry["joint"]]
+                    rings.append(
+                        _ring_lines(
+                            contact_position, pose.bounds_radius * 0.045, contact
+                        )
+                    )
         for lines, segments in ((self._trails, trails), (self._rings, rings)):
             table = np.concatenate(segments)
-            lines.set(table[:, :3], table[:, 3:6], table[:, 6:])
+            lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
 
-    def _trail(
-        self, pose: DrawnPose, sample: int, color: Color, contact: Color
+    def _trail_segments(
+        self, pose: PosedTake, sample: int, color: Color, contact: Color
     ) -> FloatArray:
         first = max(0, sample - TRAIL_SAMPLES)
         last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
-        paths = pose.path(first, last)
+        paths = pose.trail_positions(first, last)
         samples = np.arange(first, last + 1)
         closeness = 1 - np.abs(samples - sample) / (TRAIL_SAMPLES + 1)
         alpha = 255 * closeness * np.where(samples <= sample, 0.95, 0.4)
         contacts_at = pose.contacts_at(self._codes[samples])
         segments = []
         # Joint by joint, the order in which the page draws them.
-        for column in range(len(pose.trailed)):
-            tints = np.where(contacts_at[1:, column, None], contact, color)
-            at = paths[:, column]
+        for column in range(len(pose.trail_joints)):
+            segment_colors = np.where(contacts_at[1:, column, None], contact, color)
+            trail_positions = paths[:, column]
             segments.append(
-                np.concatenate([at[:-1], at[1:], tints, alpha[1:, None]], axis=1)
+                np.concatenate(
+                    [
+                        trail_positions[:-1],
+                        trail_positions[1:],
+                        segment_colors,
+                        alpha[1:, None],
+                    ],
+                    axis=1,
+                )
             )
         return np.concatenate(segments)
 
@@ -131,12 +149,13 @@ class DrawnTrails:
         self._rings.draw(eye, width=3)
 
 
-def _ring_lines(at: FloatArray, radius: float, color: Color) -> FloatArray:
+def _ring_lines(centre: FloatArray, radius: float, color: Color) -> FloatArray:
+    """Return the segments of a ring around a contact."""
     angles = np.arange(25) * np.pi / 12
     circle = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
-    points = at + radius * circle
-    tints = np.tile([*color, 255.0], (24, 1))
-    return np.concatenate([points[:-1], points[1:], tints], axis=1)
+    points = centre + radius * circle
+    segment_colors = np.tile([*color, 255.0], (24, 1))
+    return np.concatenate([points[:-1], points[1:], segment_colors], axis=1)
 
 
 class ContactShadow:
@@ -183,7 +202,7 @@ class ContactShadow:
         for frame, source, step, heights in passes:
             frame.use()
             source.use(0)
-            self._device.use(self._blur, eye, reach=step, heights=heights)
+            self._device.set_uniforms(self._blur, eye, reach=step, heights=heights)
             self._blur["source"].value = 0
             self._device.draw_generated(self._blur, 3)
         return True
@@ -191,13 +210,15 @@ class ContactShadow:
     def draw(self, eye: EyeMatrices) -> None:
         """Darken the ground."""
         self._maps[1].use(0)
-        self._device.use(self._ground, eye, area=self._area)
+        self._device.set_uniforms(self._ground, eye, area=self._area)
         self._ground["map"].value = 0
         strip = self._device.module.TRIANGLE_STRIP
         self._device.draw_generated(self._ground, 4, strip)
 
 
-def _upward_view(view: CameraView, x: float, z: float, half: float) -> EyeMatrices:
+def _upward_view(
+    view: CameraView, x: float, z: float, half_width: float
+) -> EyeMatrices:
     """Return an orthographic camera that looks up from below the ground."""
     height = SHADOW_HEIGHT * view.radius
     depth = -SHADOW_DEPTH * height
@@ -207,8 +228,8 @@ def _upward_view(view: CameraView, x: float, z: float, half: float) -> EyeMatric
     )
     matrix = np.array(
         [
-            [1 / half, 0, 0, -x / half],
-            [0, 0, 1 / half, -z / half],
+            [1 / half_width, 0, 0, -x / half_width],
+            [0, 0, 1 / half_width, -z / half_width],
             [0, k, 0, -1 - depth * k],
             [0, 0, 0, 1],
         ]
@@ -218,6 +239,6 @@ def _upward_view(view: CameraView, x: float, z: float, half: float) -> EyeMatric
         matrix,
         SHADOW_PIXELS,
         SHADOW_PIXELS,
-        SHADOW_PIXELS / (2 * half),
+        SHADOW_PIXELS / (2 * half_width),
         view.light,
     )

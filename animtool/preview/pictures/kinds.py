@@ -19,8 +19,8 @@ class PictureKind:
     """A picture or film format.
 
     Attributes:
-        about: Description of the format, with the licence of its encoder.
-        picture: Whether it can be a still, encoded by Pillow.
+        description: Description of the format, with the licence of its encoder.
+        is_image: Whether it can be a still, encoded by Pillow.
         codec: libav's name of the video codec; empty if it cannot be a film.
         container: libav's name of the container format.
         pixels: libav's name of the pixel format.
@@ -30,8 +30,8 @@ class PictureKind:
         file_settings: Options of the container.
     """
 
-    about: str
-    picture: bool = False
+    description: str
+    is_image: bool = False
     codec: str = ""
     container: str = ""
     pixels: str = "yuv420p"
@@ -53,7 +53,7 @@ _MP4 = PictureKind(
     file_settings=(("fflags", "+bitexact"),),
 )
 KINDS: dict[str, PictureKind] = {
-    ".png": PictureKind("PNG, lossless", picture=True),
+    ".png": PictureKind("PNG, lossless", is_image=True),
     ".gif": PictureKind(
         "GIF of 256 colours, LZW, free of patents",
         codec="gif",
@@ -65,7 +65,7 @@ KINDS: dict[str, PictureKind] = {
     ),
     ".webp": PictureKind(
         "WebP by libwebp (BSD)",
-        picture=True,
+        is_image=True,
         codec="libwebp_anim",
         container="webp",
         size=_SMALL_SIZE,
@@ -73,7 +73,7 @@ KINDS: dict[str, PictureKind] = {
         file_settings=(("loop", "0"),),
     ),
     ".mp4": _MP4,
-    ".webm": replace(_MP4, about="VP9 by libvpx (BSD) in WebM", container="webm"),
+    ".webm": replace(_MP4, description="VP9 by libvpx (BSD) in WebM", container="webm"),
 }
 
 

@@ -32,7 +32,7 @@ def repeat_color(count: int, color: FloatArray) -> Bytes:
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
 
-class DrawnLines:
+class LineRenderer:
     """Line segments drawn in one call."""
 
     def __init__(self, device: Device) -> None:
@@ -40,7 +40,9 @@ class DrawnLines:
         self._program = device.program("lines.js")
         self.count = 0
 
-    def set(self, begins: FloatArray, ends: FloatArray, colors: FloatArray) -> None:
+    def set_segments(
+        self, begins: FloatArray, ends: FloatArray, colors: FloatArray
+    ) -> None:
         """Set the segments.
 
         Args:
@@ -53,24 +55,24 @@ class DrawnLines:
         cells[:, 0, :3], cells[:, 1, :3] = begins, ends
         cells[:, 2] = np.asarray(colors) / 255
         if self.count:
-            self._table.send(cells.reshape(-1, 4))
+            self._table.upload(cells.reshape(-1, 4))
 
     def draw(
         self,
         eye: EyeMatrices,
         width: float = 1.5,
-        world: float = 0.0,
+        world_width: float = 0.0,
         fade: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0),
     ) -> None:
         """Draw the segments with widths in pixels or metres, faded around a point."""
         if not self.count:
             return
-        self._device.use(
+        self._device.set_uniforms(
             self._program,
             eye,
             size=(eye.width, eye.height),
             width=width,
-            world=world,
+            world=world_width,
             perMetre=eye.per_metre,
             fade=fade,
             segments=self._table,
@@ -97,7 +99,7 @@ class VertexBuffer:
         return True
 
 
-class Sprites:
+class SpriteRenderer:
     """Camera-facing balls: particles, markers and joints."""
 
     def __init__(self, device: Device) -> None:
@@ -107,7 +109,9 @@ class Sprites:
         self._array: Any = None
         self._count = 0
 
-    def set(self, positions: Array, colors: Bytes, radii: Array | None = None) -> None:
+    def set_points(
+        self, positions: Array, colors: Bytes, radii: Array | None = None
+    ) -> None:
         """Set the points ``(N, 3)``, with colors and radii."""
         self._count = len(positions)
         sizes = np.zeros(self._count) if radii is None else radii
@@ -116,24 +120,26 @@ class Sprites:
             return
         pairs = zip(self._buffers, arrays, strict=True)
         if any([buffer.write(array) for buffer, array in pairs]):
-            forms = ("3f", "point"), ("3f1", "color"), ("1f", "own")
+            buffer_formats = ("3f", "point"), ("3f1", "color"), ("1f", "own")
             self._array = self._device.gl.vertex_array(
                 self._program,
                 [
-                    (buffer.buffer, *form)
-                    for buffer, form in zip(self._buffers, forms, strict=True)
+                    (buffer.buffer, *buffer_format)
+                    for buffer, buffer_format in zip(
+                        self._buffers, buffer_formats, strict=True
+                    )
                 ],
             )
 
-    def draw(self, eye: EyeMatrices, radius: float, least: float) -> None:
-        """Draw the balls with a radius [m], and a minimum radius ``least`` [px]."""
+    def draw(self, eye: EyeMatrices, radius: float, min_radius: float) -> None:
+        """Draw the balls with a radius [m], at least ``min_radius`` [px]."""
         if not self._count:
             return
-        self._device.use(
+        self._device.set_uniforms(
             self._program,
             eye,
             radius=radius,
-            least=least * 2,
+            least=min_radius * 2,
             perMetre=eye.per_metre,
         )
         self._array.render(self._device.module.POINTS, vertices=self._count)

@@ -17,29 +17,29 @@ def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> Floa
     """Return T·R·S ``(..., 4, 4)``; rotations need not be normalized."""
     norm = np.linalg.norm(r, axis=-1, keepdims=True)
     x, y, z, w = np.moveaxis(r / np.where(norm > 0, norm, 1.0), -1, 0)
-    out = np.zeros((*x.shape, 4, 4))
-    out[..., 0, 0] = 1 - 2 * (y * y + z * z)
-    out[..., 1, 0], out[..., 2, 0] = 2 * (x * y + z * w), 2 * (x * z - y * w)
-    out[..., 0, 1], out[..., 2, 1] = 2 * (x * y - z * w), 2 * (y * z + x * w)
-    out[..., 1, 1] = 1 - 2 * (x * x + z * z)
-    out[..., 0, 2], out[..., 1, 2] = 2 * (x * z + y * w), 2 * (y * z - x * w)
-    out[..., 2, 2] = 1 - 2 * (x * x + y * y)
+    matrices = np.zeros((*x.shape, 4, 4))
+    matrices[..., 0, 0] = 1 - 2 * (y * y + z * z)
+    matrices[..., 1, 0], matrices[..., 2, 0] = 2 * (x * y + z * w), 2 * (x * z - y * w)
+    matrices[..., 0, 1], matrices[..., 2, 1] = 2 * (x * y - z * w), 2 * (y * z + x * w)
+    matrices[..., 1, 1] = 1 - 2 * (x * x + z * z)
+    matrices[..., 0, 2], matrices[..., 1, 2] = 2 * (x * z + y * w), 2 * (y * z - x * w)
+    matrices[..., 2, 2] = 1 - 2 * (x * x + y * y)
     if s is not None:
-        out[..., :3, :3] *= s[..., None, :]
-    out[..., :3, 3] = t
-    out[..., 3, 3] = 1
-    return out
+        matrices[..., :3, :3] *= s[..., None, :]
+    matrices[..., :3, 3] = t
+    matrices[..., 3, 3] = 1
+    return matrices
 
 
-class DrawnPose:
+class PosedTake:
     """A take of a page, posed at a sample.
 
     Attributes:
         world: World matrices of its joints ``(J, 4, 4)``.
-        visible: Whether it is drawn at the sample.
-        extent: Radius of its bounds [m].
+        is_visible: Whether it is drawn at the sample.
+        bounds_radius: Radius of its bounds [m].
         root: The first joint with animated translation, else the first joint.
-        trailed: Joints with trails.
+        trail_joints: Joints with trails.
     """
 
     def __init__(
@@ -71,12 +71,13 @@ class DrawnPose:
         self.shift = np.array(record.get("offset") or [0.0] * 3)
         self.tips = [(int(j), np.array(at)) for j, *at in skeleton.get("tips") or []]
         self.world = np.zeros((self.count, 4, 4))
-        self.visible, self.extent = True, 1.0
-        self.root = self._root()
-        self.trailed = self._trail_joints()
+        self.is_visible, self.bounds_radius = True, 1.0
+        self.root = self._find_root()
+        self.trail_joints = self._trail_joints()
         self._paths: dict[int, FloatArray] = {}
 
-    def _root(self) -> int:
+    def _find_root(self) -> int:
+        """Return the first joint with animated translation, else the first joint."""
         translated = {
             int(j)
             for component, _, joints in self._animated
@@ -87,6 +88,7 @@ class DrawnPose:
         return next((j for j in order if j in translated), order[0] if order else 0)
 
     def _trail_joints(self) -> list[int]:
+        """Return the joints with trails: the root and the feet."""
         if self.record.get("trails") is not None:
             return list(self.record["trails"])
         if not self.count:
@@ -103,22 +105,23 @@ class DrawnPose:
             ][:8]
         return list(dict.fromkeys([self.root, *feet]))
 
-    def at(self, number: int | None, sample: int) -> FloatArray | None:
+    def sample_values(self, number: int | None, sample: int) -> FloatArray | None:
         """Return a stream's values at a page sample."""
         if number is None:
             return None
-        return self._streams.at(number, sample - self.first)
+        return self._streams.sample_values(number, sample - self.first)
 
     def update(self, sample: int) -> None:
         """Pose the skeleton at a sample."""
-        visible = self.at(self.record.get("visible"), sample)
-        self.visible = visible is None or visible[0] != 0
+        visible = self.sample_values(self.record.get("visible"), sample)
+        self.is_visible = visible is None or visible[0] != 0
         self.world = self._posed_matrices(sample)
 
     def _posed_matrices(self, sample: int) -> FloatArray:
+        """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
         values = self._values
         for component, number, joints in self._animated:
-            stored_values = self._streams.at(number, sample - self.first)
+            stored_values = self._streams.sample_values(number, sample - self.first)
             values[component][joints] = stored_values.reshape(len(joints), -1)
         world = compose_matrices(values["t"], values["r"], values["s"])
         for level in self.levels[1:]:
@@ -135,11 +138,12 @@ class DrawnPose:
         """Return joints with tips, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
-            self.world[j, :3, :3] @ at + self.world[j, :3, 3] for j, at in self.tips
+            self.world[j, :3, :3] @ tip_position + self.world[j, :3, 3]
+            for j, tip_position in self.tips
         ]
         return joints, np.reshape(ends, (-1, 3))
 
-    def path(self, first: int, last: int) -> FloatArray:
+    def trail_positions(self, first: int, last: int) -> FloatArray:
         """Return trail joint positions in a range of samples ``(F, T, 3)``."""
         cached_paths = self._paths
         # Positions that the next picture of a film needs are kept.
@@ -149,17 +153,17 @@ class DrawnPose:
         for sample in range(first, last + 1):
             if sample not in self._paths:
                 world = self._posed_matrices(sample)
-                self._paths[sample] = world[self.trailed, :3, 3]
+                self._paths[sample] = world[self.trail_joints, :3, 3]
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
         """Return which trail joints are in contact at time codes ``(F, T)``."""
-        in_contact = np.zeros((len(codes), len(self.trailed)), bool)
+        is_in_contact = np.zeros((len(codes), len(self.trail_joints)), bool)
         for contact in self.record.get("contacts") or []:
-            for column, joint in enumerate(self.trailed):
+            for column, joint in enumerate(self.trail_joints):
                 if joint == contact["joint"]:
-                    in_contact[:, column] |= is_in_spans(codes, contact["spans"])
-        return in_contact
+                    is_in_contact[:, column] |= is_in_spans(codes, contact["spans"])
+        return is_in_contact
 
 
 def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:

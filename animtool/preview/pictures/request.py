@@ -57,9 +57,9 @@ class CameraChoice:
             view.distance, view.target = self.distance, np.array(self.target)
 
 
-def option_error(where: str, message: str, hint: str) -> OptionError:
+def option_error(option: str, message: str, hint: str) -> OptionError:
     """Return the error of an invalid picture option."""
-    return OptionError(Fault("PRV006", message, hint=hint, where=where))
+    return OptionError(Fault("PRV006", message, hint=hint, where=option))
 
 
 def picture_size(
@@ -90,11 +90,14 @@ def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
     return columns, rows
 
 
-def _parse_pair(text: str, where: str, example: str) -> tuple[int, int]:
+def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
+    """Return two numbers written as `960x540`; refuse anything else."""
     match = _SIZE_PAIR.fullmatch(text.strip().lower())
     if match is None:
         raise option_error(
-            where, f"{text!r} is not two whole numbers", f"write {example}, for example"
+            option,
+            f"{text!r} is not two whole numbers",
+            f"write {example}, for example",
         )
     return int(match[1]), int(match[2])
 
@@ -118,8 +121,14 @@ def light_direction(options: PictureOptions) -> FloatArray:
         message = f"{options.light!r} is not two angles in degrees"
         raise option_error("light", message, "write -27,40, for example")
     yaw, pitch = map(math.radians, numbers)
-    level = math.cos(pitch)
-    return np.array([math.sin(yaw) * level, math.sin(pitch), math.cos(yaw) * level])
+    horizontal_length = math.cos(pitch)
+    return np.array(
+        [
+            math.sin(yaw) * horizontal_length,
+            math.sin(pitch),
+            math.cos(yaw) * horizontal_length,
+        ]
+    )
 
 
 def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:

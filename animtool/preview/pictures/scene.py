@@ -8,18 +8,22 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.preview.pictures.bones import Color, DrawnBones
+from animtool.preview.pictures.bones import BoneRenderer, Color
 from animtool.preview.pictures.camera import Bounds, CameraView, EyeMatrices
 from animtool.preview.pictures.data import StreamReader
 from animtool.preview.pictures.device import Array, Device, Framebuffer
-from animtool.preview.pictures.ground import ContactShadow, DrawnGround, DrawnTrails
-from animtool.preview.pictures.lines import DrawnLines
-from animtool.preview.pictures.pose import DrawnPose, compose_matrices
+from animtool.preview.pictures.ground import (
+    ContactShadow,
+    GroundRenderer,
+    TrailRenderer,
+)
+from animtool.preview.pictures.lines import LineRenderer
+from animtool.preview.pictures.pose import PosedTake, compose_matrices
 from animtool.preview.pictures.shapes import (
-    DrawnInstances,
-    DrawnMesh,
-    DrawnPoints,
-    DrawnStrands,
+    InstanceRenderer,
+    MeshRenderer,
+    PointRenderer,
+    StrandRenderer,
 )
 from animtool.preview.pictures.sources import theme_colors
 
@@ -43,10 +47,10 @@ TAKE_COLORS: tuple[Color, ...] = (
     *((186, 92, 150), (138, 120, 206), (196, 84, 80)),
 )
 
-Solid: TypeAlias = DrawnMesh | DrawnInstances | DrawnPoints | DrawnStrands
+Solid: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRenderer
 
 
-class DrawnScene:
+class SceneRenderer:
     """The contents of a page in an OpenGL context."""
 
     def __init__(
@@ -54,42 +58,43 @@ class DrawnScene:
         device: Device,
         manifest: Mapping[str, Any],
         blocks: Sequence[str],
-        shown: frozenset[str] = DEFAULT_LAYERS,
+        shown_layers: frozenset[str] = DEFAULT_LAYERS,
     ) -> None:
-        self._device, self._shown = device, shown
+        self._device, self._shown_layers = device, shown_layers
         self._streams = streams = StreamReader(manifest["streams"], blocks)
         time = manifest["time"]
         self.codes = time["first"] + np.arange(time["count"]) * time["step"]
         self._poses = [
-            DrawnPose(streams, take, i) for i, take in enumerate(manifest["takes"])
+            PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
         geometries: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
-            DrawnMesh(device, streams, mesh, self._pose_of(mesh), geometries)
+            MeshRenderer(device, streams, mesh, self._pose_of_entry(mesh), geometries)
             for mesh in manifest["meshes"]
         ]
         self._instances = [
-            DrawnInstances(device, streams, entry, self._meshes[entry["mesh"]])
+            InstanceRenderer(device, streams, entry, self._meshes[entry["mesh"]])
             for entry in manifest["instances"]
         ]
         self._clouds = [
-            DrawnPoints(device, streams, entry) for entry in manifest["points"]
+            PointRenderer(device, streams, entry) for entry in manifest["points"]
         ]
         self._strands = [
-            DrawnStrands(device, streams, entry, self._pose_of(entry))
+            StrandRenderer(device, streams, entry, self._pose_of_entry(entry))
             for entry in manifest["curves3d"]
         ]
         self.cameras: list[dict[str, Any]] = manifest["cameras"]
-        self._bones = DrawnBones(device)
-        self._trails = DrawnTrails(device, self.codes)
-        self._frusta = DrawnLines(device)
+        self._bones = BoneRenderer(device)
+        self._trails = TrailRenderer(device, self.codes)
+        self._frusta = LineRenderer(device)
         self._shadow = ContactShadow(device)
-        self._ground = DrawnGround(device, 1.0)
+        self._ground = GroundRenderer(device, 1.0)
         self._colors = theme_colors()
         self._crowd = len(self._poses) > MAX_SHADOW_CASTERS
         self._sample = -1
 
-    def _pose_of(self, entry: Mapping[str, Any]) -> DrawnPose | None:
+    def _pose_of_entry(self, entry: Mapping[str, Any]) -> PosedTake | None:
+        """Return the posed take of a manifest entry; None without a take."""
         take = entry.get("take")
         return None if take is None else self._poses[take]
 
@@ -97,36 +102,43 @@ class DrawnScene:
         """Frame everything from first to last sample; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
-            box = Bounds()
-            box.add(pose.positions)
-            pose.extent = 1.0 if box.empty or box.radius <= 1e-3 else box.radius
+            framed_bounds = Bounds()
+            framed_bounds.add(pose.positions)
+            pose.bounds_radius = (
+                1.0
+                if framed_bounds.is_empty or framed_bounds.radius <= 1e-3
+                else framed_bounds.radius
+            )
         count = len(self.codes)
         sample_times = [
             int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
             for i in range(FRAMING_INTERVALS + 1)
         ]
         samples = [*dict.fromkeys(sample_times), sample]
-        roots = [self._root_at(i) for i in samples]
+        roots = [self._root_position(i) for i in samples]
         offsets = np.array(roots) - roots[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
         main_pose = self._poses[0] if self._poses else None
-        follow = (
+        is_following = (
             main_pose is not None
             and main_pose.count > 0
             and not self._crowd
             and travel
-            > max(main_pose.extent, MIN_PATH_RATIO * float(np.ptp(offsets[:, 1])))
+            > max(
+                main_pose.bounds_radius, MIN_PATH_RATIO * float(np.ptp(offsets[:, 1]))
+            )
         )
-        box, all_bounds, cast = Bounds(), Bounds(), Bounds()
+        framed_bounds, all_bounds, character_bounds = Bounds(), Bounds(), Bounds()
         for i, root in zip(samples, roots, strict=True):
             self._update(i)
-            shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if follow else 0.0
-            box = self._grow_bounds(all_bounds, cast, shift)
-        view.frame(box)
-        view.follow, view.followed_position = follow, None
-        self._ground = DrawnGround(self._device, box.radius)
+            shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if is_following else 0.0
+            framed_bounds = self._grow_bounds(all_bounds, character_bounds, shift)
+        view.frame_bounds(framed_bounds)
+        view.is_following, view.followed_position = is_following, None
+        self._ground = GroundRenderer(self._device, framed_bounds.radius)
 
-    def _root_at(self, sample: int) -> FloatArray:
+    def _root_position(self, sample: int) -> FloatArray:
+        """Return the root position of the first take at a sample [m]."""
         if not (self._poses and self._poses[0].count):
             return np.zeros(3)
         pose = self._poses[0]
@@ -136,26 +148,27 @@ class DrawnScene:
         return position
 
     def _grow_bounds(
-        self, box: Bounds, cast: Bounds, shift: FloatArray | float
+        self, framed_bounds: Bounds, character_bounds: Bounds, shift: FloatArray | float
     ) -> Bounds:
         """Grow bounds of everything and of characters; return those to frame."""
         bounds, characters = Bounds(), Bounds()
         for pose in self._poses:
-            if pose.visible:
+            if pose.is_visible:
                 characters.add(pose.positions)
         for mesh in self._meshes:
-            mesh.bound(characters if mesh.skinned else bounds)
+            mesh.grow_bounds(characters if mesh.is_skinned else bounds)
         bounds.join(characters)
-        drawn_objects: list[DrawnInstances | DrawnPoints | DrawnStrands]
+        drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._clouds, *self._strands]
         for item in drawn_objects:
-            item.bound(bounds)
-        cast.join(characters, shift)
-        box.join(bounds, shift)
+            item.grow_bounds(bounds)
+        character_bounds.join(characters, shift)
+        framed_bounds.join(bounds, shift)
         return (
-            cast
-            if not cast.empty and box.radius > MAX_STAGE_RATIO * cast.radius
-            else box
+            character_bounds
+            if not character_bounds.is_empty
+            and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius
+            else framed_bounds
         )
 
     def _update(self, sample: int) -> None:
@@ -165,11 +178,12 @@ class DrawnScene:
         self._sample = sample
         for pose in self._poses:
             pose.update(sample)
-        if "meshes" in self._shown:
-            for solid in self._solids():
+        if "meshes" in self._shown_layers:
+            for solid in self._shown_solids():
                 solid.update(sample)
 
-    def _solids(self) -> list[Solid]:
+    def _shown_solids(self) -> list[Solid]:
+        """Return the meshes, instances, points and strands to draw."""
         return [*self._meshes, *self._instances, *self._clouds, *self._strands]
 
     def draw(
@@ -189,29 +203,32 @@ class DrawnScene:
                 ``view``.
         """
         self._update(sample)
-        visible = [pose for pose in self._poses if pose.visible]
+        visible = [pose for pose in self._poses if pose.is_visible]
         main_pose = self._poses[0] if self._poses else None
         root_position = (
             main_pose.positions[main_pose.root].copy()
             if main_pose and main_pose.count
             else None
         )
-        view.track(root_position)
+        view.follow_position(root_position)
         accent = self._colors["accent"]
-        several = len(self._poses) > 1
+        has_several_takes = len(self._poses) > 1
         self._trails.update(
             [] if self._crowd else visible,
             sample,
-            self._color if several else lambda _: accent,
+            self._take_color if has_several_takes else lambda _: accent,
             self._colors["contact"],
-            self._shown,
+            self._shown_layers,
         )
         eye = None
         if shot is not None:
-            eye = view.through(self.cameras[shot], self._streams, sample)
-        eye = eye or view.eye()
-        has_shadow = "shadows" in self._shown and self._shadow.cast(
-            view, lambda below: self._draw_casting(below, visible, view.radius)
+            eye = view.view_through(self.cameras[shot], self._streams, sample)
+        eye = eye or view.eye_matrices()
+        has_shadow = "shadows" in self._shown_layers and self._shadow.cast(
+            view,
+            lambda eye_from_below: self._draw_casting(
+                eye_from_below, visible, view.radius
+            ),
         )
 
         def draw(target: Any) -> None:
@@ -220,93 +237,106 @@ class DrawnScene:
         return picture.draw(self._colors["view"], draw)
 
     def _draw_casting(
-        self, eye: EyeMatrices, visible: list[DrawnPose], radius: float
+        self, eye: EyeMatrices, visible: list[PosedTake], radius: float
     ) -> None:
+        """Draw what casts a contact shadow."""
         shadow_casters = [
             solid
-            for solid in self._solids()
-            if not (isinstance(solid, DrawnMesh) and solid.surrounds(radius))
+            for solid in self._shown_solids()
+            if not (isinstance(solid, MeshRenderer) and solid.is_ground_or_room(radius))
         ]
         self._draw_shapes(eye, shadow_casters)
-        if not self._has_solid:
+        if not self._has_surfaces:
             self._draw_bones(eye, visible, axes=False)
 
     def _draw_all(
         self,
         eye: EyeMatrices,
         view: CameraView,
-        visible: list[DrawnPose],
+        visible: list[PosedTake],
         target: Any,
         *,
         has_shadow: bool,
         shot: int | None,
     ) -> None:
-        far_eye = eye.between(0.1, 1.0)
-        self._draw_shapes(far_eye, self._solids())
+        """Draw all layers, the ground first."""
+        far_eye = eye.with_depth_range(0.1, 1.0)
+        self._draw_shapes(far_eye, self._shown_solids())
         target.depth_mask = False
         with self._device.blending():
             if has_shadow:
                 self._shadow.draw(far_eye)
-            if "grid" in self._shown:
+            if "grid" in self._shown_layers:
                 colors = self._colors["grid"], self._colors["grid-strong"]
                 self._ground.draw(far_eye, view.target, *colors)
             self._trails.draw(far_eye)
-            if "cameras" in self._shown:
+            if "cameras" in self._shown_layers:
                 self._draw_frusta(far_eye, view, shot)
         target.depth_mask = True
-        axes = "axes" in self._shown
-        if not self._has_solid:
+        axes = "axes" in self._shown_layers
+        if not self._has_surfaces:
             self._draw_bones(far_eye, visible, axes=axes)
             return
         # Drawn in front of the skin, which would hide them.
         with self._device.blending():
-            self._draw_bones(eye.between(0.0, 0.1, 0.5), visible, axes=axes)
+            self._draw_bones(eye.with_depth_range(0.0, 0.1, 0.5), visible, axes=axes)
 
     @property
-    def _has_solid(self) -> bool:
-        return "meshes" in self._shown and any(
+    def _has_surfaces(self) -> bool:
+        """Whether meshes or instances are shown, not only bones."""
+        return "meshes" in self._shown_layers and any(
             mesh.pose is not None or mesh.record.get("cache") is not None
             for mesh in self._meshes
         )
 
     def _draw_shapes(self, eye: EyeMatrices, shapes: Sequence[Solid]) -> None:
-        for shape in shapes if "meshes" in self._shown else []:
-            if not (isinstance(shape, DrawnMesh) and shape.is_prototype):
+        for shape in shapes if "meshes" in self._shown_layers else []:
+            if not (isinstance(shape, MeshRenderer) and shape.is_prototype):
                 shape.draw(eye)
 
     def _draw_bones(
-        self, eye: EyeMatrices, visible: list[DrawnPose], *, axes: bool
+        self, eye: EyeMatrices, visible: list[PosedTake], *, axes: bool
     ) -> None:
-        bones = "bones" in self._shown
-        self._bones.draw(eye, visible, self._color, bones=bones, axes=axes)
+        """Draw skeletons and joint axes, as requested."""
+        bones = "bones" in self._shown_layers
+        self._bones.draw(eye, visible, self._take_color, bones=bones, axes=axes)
 
-    def _color(self, take: int) -> Color:
-        several = len(self._poses) > 1
-        return TAKE_COLORS[take % len(TAKE_COLORS)] if several else self._colors["bone"]
+    def _take_color(self, take: int) -> Color:
+        """Return the color of a take."""
+        has_several_takes = len(self._poses) > 1
+        return (
+            TAKE_COLORS[take % len(TAKE_COLORS)]
+            if has_several_takes
+            else self._colors["bone"]
+        )
 
     def _draw_frusta(
         self, eye: EyeMatrices, view: CameraView, shot: int | None
     ) -> None:
+        """Draw the frusta of shot cameras."""
         segments: list[FloatArray] = []
         for i, camera in enumerate(self.cameras):
             if i == shot:
                 continue
-            t, r = (
-                self._streams.at(camera[component], self._sample) for component in "tr"
+            translation, rotation = (
+                self._streams.sample_values(camera[component], self._sample)
+                for component in "tr"
             )
-            if not (len(t) and len(r)):
+            if not (len(translation) and len(rotation)):
                 continue
             aperture_width, aperture_height = camera["aperture_mm"]
             size = view.radius * 0.16
-            world = compose_matrices(t.astype(np.float64), r.astype(np.float64), None)
-            gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
-            gate = gate * size * 0.5 * [1, aperture_height / aperture_width]
-            corners = np.concatenate([gate, np.full((5, 1), -size)], axis=1)
+            world = compose_matrices(
+                translation.astype(np.float64), rotation.astype(np.float64), None
+            )
+            film_gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
+            film_gate = film_gate * size * 0.5 * [1, aperture_height / aperture_width]
+            corners = np.concatenate([film_gate, np.full((5, 1), -size)], axis=1)
             points = np.vstack([corners @ world[:3, :3].T + world[:3, 3], world[:3, 3]])
             edges = [(5, k) for k in range(4)] + [(k, (k + 1) % 4) for k in range(4)]
             segments.append(points[np.array([*edges, (3, 4), (2, 4)])])
         if segments:
             lines = np.concatenate(segments)
             color = np.array([*self._colors["soft"], 255.0])
-            self._frusta.set(lines[:, 0], lines[:, 1], color)
+            self._frusta.set_segments(lines[:, 0], lines[:, 1], color)
             self._frusta.draw(eye, width=1.5)

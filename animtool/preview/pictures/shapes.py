@@ -12,14 +12,14 @@ from animtool.preview.pictures.data import StreamReader
 from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.pictures.lines import (
     OFFSCREEN_COORDINATE,
-    DrawnLines,
-    Sprites,
+    LineRenderer,
+    SpriteRenderer,
     VertexBuffer,
     move_missing_offscreen,
     repeat_color,
     srgb_bytes,
 )
-from animtool.preview.pictures.pose import DrawnPose, compose_matrices
+from animtool.preview.pictures.pose import PosedTake, compose_matrices
 
 # Meshes with fewer points are shaded by face, so boxes keep their edges.
 MIN_SMOOTH_POINTS = 200
@@ -45,34 +45,41 @@ def vertex_normals(points: Array, faces: Array) -> FloatArray:
     return np.stack(corner_normals, axis=1)
 
 
-class DrawnGeometry:
+class GeometryBuffers:
     """Buffers of a rest mesh, shared by meshes of the same streams."""
 
     def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
-        self.rest = streams.array(record["points"]).reshape(-1, 3)
-        self.faces = streams.array(record["faces"]).astype(np.uint32).reshape(-1, 3)
+        self.rest_points = streams.static_values(record["points"]).reshape(-1, 3)
+        self.faces = (
+            streams.static_values(record["faces"]).astype(np.uint32).reshape(-1, 3)
+        )
         normals = record.get("normals")
-        self.smooth = len(self.rest) >= MIN_SMOOTH_POINTS or normals is not None
-        self.reach = float(np.abs(self.rest).max(initial=0.0))
+        self.smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS or normals is not None
+        self.radius = float(np.abs(self.rest_points).max(initial=0.0))
         self.points, self.normals = VertexBuffer(device), VertexBuffer(device)
-        self.set_points(self.rest, None if normals is None else streams.array(normals))
+        self.set_points(
+            self.rest_points,
+            None if normals is None else streams.static_values(normals),
+        )
         self.index = device.gl.buffer(self.faces.tobytes())
-        self.parts: list[tuple[Any, str, str]] = [
+        self.buffers: list[tuple[Any, str, str]] = [
             (self.points.buffer, "3f", "point"),
             (self.normals.buffer, "3f", "normal"),
         ]
-        self.painted = record.get("colors") is not None
-        if self.painted:
-            paint = streams.array(record["colors"]).astype(np.uint8)
-            self.parts.append((device.gl.buffer(paint.tobytes()), "3f1", "paint"))
+        self.has_colors = record.get("colors") is not None
+        if self.has_colors:
+            point_colors = streams.static_values(record["colors"]).astype(np.uint8)
+            self.buffers.append(
+                (device.gl.buffer(point_colors.tobytes()), "3f1", "paint")
+            )
         self.joints: Array = np.zeros((0, 4), np.uint16)
         self.bind: FloatArray = np.zeros((0, 4, 4))
         if skin := record.get("skin"):
-            self.joints = streams.array(skin["joints"]).astype(np.uint16)
-            bind = streams.array(skin["bind"]).reshape(-1, 4, 4)
+            self.joints = streams.static_values(skin["joints"]).astype(np.uint16)
+            bind = streams.static_values(skin["bind"]).reshape(-1, 4, 4)
             self.bind = bind.swapaxes(1, 2).astype(np.float64)
-            weights = streams.array(skin["weights"]).astype("<f4")
-            self.parts += [
+            weights = streams.static_values(skin["weights"]).astype("<f4")
+            self.buffers += [
                 (device.gl.buffer(self.joints.tobytes()), "4u2", "joints"),
                 (device.gl.buffer(weights.tobytes()), "4f", "weights"),
             ]
@@ -86,7 +93,7 @@ class DrawnGeometry:
         self.normals.write(np.asarray(normals, "<f4"))
 
 
-class DrawnMesh:
+class MeshRenderer:
     """A mesh: skinned in the shader, with shapes, or cached points."""
 
     def __init__(
@@ -94,19 +101,21 @@ class DrawnMesh:
         device: Device,
         streams: StreamReader,
         record: dict[str, Any],
-        pose: DrawnPose | None,
-        geometries: dict[tuple[Any, ...], DrawnGeometry],
+        pose: PosedTake | None,
+        geometries: dict[tuple[Any, ...], GeometryBuffers],
     ) -> None:
         self._device, self._streams = device, streams
         self.record, self.pose = record, pose
         self.is_prototype = bool(record.get("prototype"))
-        self.geometry = self._geometry(geometries)
-        self._shown = self.geometry.rest
+        self.geometry = self._shared_geometry(geometries)
+        self._shown = self.geometry.rest_points
         self._shapes = [
             (
                 shape["column"],
-                streams.array(shape["vertices"]).astype(np.int64),
-                streams.array(shape["offsets"]).reshape(-1, 3).astype(np.float64),
+                streams.static_values(shape["vertices"]).astype(np.int64),
+                streams.static_values(shape["offsets"])
+                .reshape(-1, 3)
+                .astype(np.float64),
             )
             for shape in record.get("shapes") or []
         ]
@@ -115,35 +124,40 @@ class DrawnMesh:
         self._joints = np.array(skin["palette"], np.int64) if skin else None
         self._palette = TextureTable(device)
         self.hidden = False
-        painted = self.geometry.painted
-        defines = {"SKIN": skin, "PAINT": painted, "INSTANCES": self.is_prototype}
+        has_colors = self.geometry.has_colors
+        defines = {"SKIN": skin, "PAINT": has_colors, "INSTANCES": self.is_prototype}
         names = tuple(name for name, is_on in defines.items() if is_on)
         self.program = device.program("meshes.js", kinds=names)
         color = record.get("color")
         self._color = srgb_bytes(DEFAULT_COLOR if color is None else color) / 255
         self._array: Any = None
         if not self.is_prototype:
-            self._array = self.array([])
+            self._array = self.vertex_array([])
 
-    def _geometry(
-        self, geometries: dict[tuple[Any, ...], DrawnGeometry]
-    ) -> DrawnGeometry:
+    def _shared_geometry(
+        self, geometries: dict[tuple[Any, ...], GeometryBuffers]
+    ) -> GeometryBuffers:
+        """Return the buffers of the rest mesh, shared by equal meshes."""
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
-            return DrawnGeometry(self._device, self._streams, record)
+            return GeometryBuffers(self._device, self._streams, record)
         names = ("points", "faces", "normals", "colors")
         key = tuple(
             [record.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
         if key not in geometries:
-            geometries[key] = DrawnGeometry(self._device, self._streams, record)
+            geometries[key] = GeometryBuffers(self._device, self._streams, record)
         return geometries[key]
 
-    def array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
+    def vertex_array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
         """Return the vertex array with further buffers."""
-        rigid = {"joints", "weights"} if self._joints is None else set()
-        buffers = [buffer for buffer in self.geometry.parts if buffer[2] not in rigid]
+        unused_attributes = {"joints", "weights"} if self._joints is None else set()
+        buffers = [
+            buffer
+            for buffer in self.geometry.buffers
+            if buffer[2] not in unused_attributes
+        ]
         return self._device.gl.vertex_array(
             self.program,
             [*buffers, *extra_buffers],
@@ -152,7 +166,7 @@ class DrawnMesh:
         )
 
     @property
-    def skinned(self) -> bool:
+    def is_skinned(self) -> bool:
         """Whether joints deform it."""
         return self._joints is not None
 
@@ -162,61 +176,69 @@ class DrawnMesh:
         first = pose.first if pose else 0
         visible = record.get("visible")
         self.hidden = (
-            visible is not None and self._streams.at(visible, sample - first)[0] == 0
-        ) or (pose is not None and not pose.visible)
+            visible is not None
+            and self._streams.sample_values(visible, sample - first)[0] == 0
+        ) or (pose is not None and not pose.is_visible)
         if self.hidden:
             return
         if pose is not None and self._joints is not None:
             matrices = pose.world[self._joints] @ self.geometry.bind
             cells = np.zeros((len(matrices), 4, 4), np.float32)
             cells[:, :3], cells[:, 3, 0] = matrices[:, :3], -1
-            self._palette.send(cells.reshape(-1, 4))
+            self._palette.upload(cells.reshape(-1, 4))
         track = pose.record.get("shapes") if pose else None
         if pose is not None and track and self._shapes:
-            weights = pose.at(track["weights"], sample)
+            weights = pose.sample_values(track["weights"], sample)
             if weights is not None:
-                self._shape(weights)
+                self._apply_shapes(weights)
         if record.get("cache") is not None:
-            cached = self._streams.at(record["cache"], sample - first)
-            self._shown = cached.reshape(-1, 3)
+            cached_points = self._streams.sample_values(record["cache"], sample - first)
+            self._shown = cached_points.reshape(-1, 3)
             self.geometry.set_points(self._shown)
 
-    def _shape(self, weights: FloatArray) -> None:
+    def _apply_shapes(self, weights: FloatArray) -> None:
         """Apply blend shapes if their weights changed."""
-        amounts = np.array([weights[column] for column, _, _ in self._shapes])
-        if np.array_equal(amounts, self._amounts):
+        shape_weights = np.array([weights[column] for column, _, _ in self._shapes])
+        if np.array_equal(shape_weights, self._amounts):
             return
-        self._amounts = amounts
-        points = self.geometry.rest.astype(np.float64)
-        for amount, (_, vertices, offsets) in zip(amounts, self._shapes, strict=True):
-            if amount:
-                points[vertices] += amount * offsets
+        self._amounts = shape_weights
+        points = self.geometry.rest_points.astype(np.float64)
+        for shape_weight, (_, vertices, offsets) in zip(
+            shape_weights, self._shapes, strict=True
+        ):
+            if shape_weight:
+                points[vertices] += shape_weight * offsets
         self.geometry.set_points(points)
 
-    def bound(self, box: Bounds) -> None:
-        """Grow bounds by it; if skinned, by some vertices at their strongest joint."""
+    def grow_bounds(self, bounds: Bounds) -> None:
+        """Grow bounds by the mesh; if skinned, by a sample of its vertices."""
         pose, geometry = self.pose, self.geometry
-        if self.is_prototype or (pose is not None and not pose.visible):
+        if self.is_prototype or (pose is not None and not pose.is_visible):
             return
         if pose is None or self._joints is None:
-            box.add(self._shown.astype(np.float64))
+            bounds.add(self._shown.astype(np.float64))
             return
-        subset = slice(None, None, max(-(-len(geometry.rest) // BOUNDS_VERTICES), 1))
+        subset = slice(
+            None, None, max(-(-len(geometry.rest_points) // BOUNDS_VERTICES), 1)
+        )
         first_joints = geometry.joints[subset, 0]
         matrices = pose.world[self._joints[first_joints]] @ geometry.bind[first_joints]
-        points = geometry.rest[subset].astype(np.float64)
-        box.add(
+        points = geometry.rest_points[subset].astype(np.float64)
+        bounds.add(
             np.einsum("vij,vj->vi", matrices[:, :3, :3], points) + matrices[:, :3, 3]
         )
 
-    def surrounds(self, radius: float) -> bool:
+    def is_ground_or_room(self, radius: float) -> bool:
         """Return whether the shape is a ground or a room, which cast no shadow.
 
         ``radius`` [m] is that of the scene.
         """
         if self.pose or self.is_prototype or self.record.get("cache") is not None:
             return False
-        low, high = self.geometry.rest.min(axis=0), self.geometry.rest.max(axis=0)
+        low, high = (
+            self.geometry.rest_points.min(axis=0),
+            self.geometry.rest_points.max(axis=0),
+        )
         width = min(high[0] - low[0], high[2] - low[2])
         return bool(high[1] < GROUND_HEIGHT * radius or width > ROOM_WIDTH * radius)
 
@@ -226,7 +248,7 @@ class DrawnMesh:
             return
         shift = self.pose.shift if self.pose else (0.0, 0.0, 0.0)
         palette = {} if self._joints is None else {"palette": self._palette}
-        self._device.use(
+        self._device.set_uniforms(
             self.program,
             eye,
             color=self._color,
@@ -238,7 +260,7 @@ class DrawnMesh:
         vertex_array.render(self._device.module.TRIANGLES, instances=copies)
 
 
-class DrawnInstances:
+class InstanceRenderer:
     """Instances of a mesh: rigid bodies, flocks, crowds and props."""
 
     def __init__(
@@ -246,7 +268,7 @@ class DrawnInstances:
         device: Device,
         streams: StreamReader,
         record: dict[str, Any],
-        mesh: DrawnMesh,
+        mesh: MeshRenderer,
     ) -> None:
         self._streams, self._record, self._mesh = streams, record, mesh
         self._matrices_table, self._colors = VertexBuffer(device), VertexBuffer(device)
@@ -262,83 +284,89 @@ class DrawnInstances:
 
         def at(name: str) -> Array | None:
             number = self._record.get(name)
-            return None if number is None else self._streams.at(number, sample)
+            return (
+                None if number is None else self._streams.sample_values(number, sample)
+            )
 
-        t, r, s, visible = (at(name) for name in ("t", "r", "s", "visible"))
-        assert t is not None
-        positions = t.reshape(-1, 3).astype(np.float64)
+        translations, rotations_, scales, visible = (
+            at(name) for name in ("t", "r", "s", "visible")
+        )
+        assert translations is not None
+        positions = translations.reshape(-1, 3).astype(np.float64)
         is_visible = np.isfinite(positions[:, 0])
         if visible is not None:
             is_visible &= visible[: len(is_visible)] != 0
         count = len(positions)
         rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        if r is not None:
-            rotations = r.reshape(-1, 4)[:count].astype(np.float64)
+        if rotations_ is not None:
+            rotations = rotations_.reshape(-1, 4)[:count].astype(np.float64)
         sizes = None
-        if s is not None:
+        if scales is not None:
             instance_values = (
-                s.reshape(-1, 3) if len(s) >= 3 * count else np.repeat(s[:, None], 3, 1)
+                scales.reshape(-1, 3)
+                if len(scales) >= 3 * count
+                else np.repeat(scales[:, None], 3, 1)
             )
             sizes = instance_values[:count].astype(np.float64)[is_visible]
         self.matrices = compose_matrices(
             positions[is_visible], rotations[is_visible], sizes
         )
         if self._matrices_table.write(self.matrices.swapaxes(1, 2).astype("<f4")):
-            self._array = self._mesh.array(
+            self._array = self._mesh.vertex_array(
                 [
                     (self._matrices_table.buffer, "16f/i", "placed"),
                     (self._colors.buffer, "3f1/i", "ownColor"),
                 ]
             )
 
-    def bound(self, box: Bounds) -> None:
+    def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the instances."""
-        sizes = self._mesh.geometry.reach * np.linalg.norm(
+        sizes = self._mesh.geometry.radius * np.linalg.norm(
             self.matrices[:, :3, 0], axis=1
         )
         for side in (-1, 1):
-            box.add(self.matrices[:, :3, 3] + side * sizes[:, None])
+            bounds.add(self.matrices[:, :3, 3] + side * sizes[:, None])
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw the instances."""
         self._mesh.draw(eye, self._array, len(self.matrices))
 
 
-class DrawnPoints:
+class PointRenderer:
     """Points of a simulation or a capture."""
 
     def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
         self._streams, self._record = streams, record
-        self._sprites = Sprites(device)
+        self._sprites = SpriteRenderer(device)
         count = streams.width(record["positions"]) // 3
         self._tints = repeat_color(
             count, srgb_bytes(record.get("color") or POINT_COLOR)
         )
         if record.get("colors") is not None:
-            colors = streams.array(record["colors"]) / 255
+            colors = streams.static_values(record["colors"]) / 255
             self._tints = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
         radii = record.get("radii")
-        self._radii = None if radii is None else streams.array(radii)
+        self._radii = None if radii is None else streams.static_values(radii)
         self.pose = None
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
         """Place the points at a sample."""
         self._points = move_missing_offscreen(
-            self._streams.at(self._record["positions"], sample)
+            self._streams.sample_values(self._record["positions"], sample)
         )
-        self._sprites.set(self._points, self._tints, self._radii)
+        self._sprites.set_points(self._points, self._tints, self._radii)
 
-    def bound(self, box: Bounds) -> None:
+    def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the points."""
-        box.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
+        bounds.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw them."""
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
 
-class DrawnStrands:
+class StrandRenderer:
     """Strands and ropes: polylines with their width, at least a pixel."""
 
     def __init__(
@@ -346,14 +374,14 @@ class DrawnStrands:
         device: Device,
         streams: StreamReader,
         record: dict[str, Any],
-        pose: DrawnPose | None,
+        pose: PosedTake | None,
     ) -> None:
         self._streams, self._record, self.pose = streams, record, pose
-        self._lines = DrawnLines(device)
-        counts = streams.array(record["counts"]).astype(np.int64)
+        self._lines = LineRenderer(device)
+        counts = streams.static_values(record["counts"]).astype(np.int64)
         has_next = np.ones(int(counts.sum()), bool)
         has_next[np.cumsum(counts) - 1] = False
-        self._heads = np.flatnonzero(has_next)
+        self._segment_starts = np.flatnonzero(has_next)
         color = srgb_bytes(record.get("color") or STRAND_COLOR)
         self._color = np.append(color, 255.0)
         self._points = np.zeros((0, 3))
@@ -362,7 +390,7 @@ class DrawnStrands:
         """Place the strands at a sample."""
         pose, record = self.pose, self._record
         first = pose.first if pose else 0
-        stream_values = self._streams.at(record["points"], sample - first)
+        stream_values = self._streams.sample_values(record["points"], sample - first)
         points = stream_values.reshape(-1, 3).astype(np.float64)
         if pose is not None:
             joint, bind = record.get("joint"), record.get("bind")
@@ -372,14 +400,14 @@ class DrawnStrands:
             else:
                 points = points + pose.shift
         self._points = points
-        ends = points[self._heads], points[self._heads + 1]
-        self._lines.set(*ends, self._color)
+        ends = points[self._segment_starts], points[self._segment_starts + 1]
+        self._lines.set_segments(*ends, self._color)
 
-    def bound(self, box: Bounds) -> None:
+    def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the strands."""
-        box.add(self._points)
+        bounds.add(self._points)
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw them."""
-        if self.pose is None or self.pose.visible:
-            self._lines.draw(eye, width=1, world=self._record.get("width") or 0.0)
+        if self.pose is None or self.pose.is_visible:
+            self._lines.draw(eye, width=1, world_width=self._record.get("width") or 0.0)

@@ -37,6 +37,7 @@ def shader_source(module: str, name: str) -> str:
 
 @cache
 def _shader_constants(module: str) -> dict[str, str]:
+    """Return the GLSL constants of a viewer module."""
     text = viewer_text(module)
     return {name: a or b for name, a, b in _CONSTANT_LINE.findall(text)}
 

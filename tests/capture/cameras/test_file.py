@@ -22,7 +22,9 @@ STAGE = ring(3)
 def same(found: Cameras, wanted: Cameras = STAGE) -> None:
     assert found.names == wanted.names
     for one, other in zip(found.cameras, wanted.cameras, strict=True):
-        np.testing.assert_allclose(one.numbers, other.numbers, atol=1e-9)
+        np.testing.assert_allclose(
+            one.kernel_parameters, other.kernel_parameters, atol=1e-9
+        )
 
 
 def written(path: Path, text: str) -> Path:

@@ -11,7 +11,7 @@ from numpy.testing import assert_array_equal
 from support.stage import ring
 
 from animtool.capture.cameras.camera import project
-from animtool.capture.cameras.openpose import _read_people, follow_people
+from animtool.capture.cameras.openpose import _read_people, track_people
 
 CAMERAS = ring(3).cameras
 POINTS, FRAMES, RATE = 15, 30, 30.0
@@ -62,7 +62,7 @@ def people_of(found: np.ndarray) -> np.ndarray:
 def test_people_keep_their_place_in_whatever_order_they_are_listed(
     order: tuple[int, ...],
 ) -> None:
-    who = people_of(follow_people(images(order, {}), CAMERAS, RATE, POINTS, None))
+    who = people_of(track_people(images(order, {}), CAMERAS, RATE, POINTS, None))
     first = who[0, 0]
     assert sorted(first.tolist()) == [0, 1]
     assert (who == first).all()
@@ -70,10 +70,10 @@ def test_people_keep_their_place_in_whatever_order_they_are_listed(
 
 def test_who_one_camera_sees_is_left_out_of_that_frame_and_others_are_not() -> None:
     """In frames 10 to 12 the first is in one image alone, and the second in all."""
-    whole = people_of(follow_people(images((0, 1), {}), CAMERAS, RATE, POINTS, None))
+    whole = people_of(track_people(images((0, 1), {}), CAMERAS, RATE, POINTS, None))
     for lost in (0, 1):
         hidden = {(frame, c): {lost} for frame in (10, 11, 12) for c in (0, 2)}
-        found = follow_people(images((0, 1), hidden), CAMERAS, RATE, POINTS, None)
+        found = track_people(images((0, 1), hidden), CAMERAS, RATE, POINTS, None)
         who = people_of(found)
         expected = whole.copy()
         gone = expected[10:13]
@@ -87,7 +87,7 @@ def test_who_one_camera_sees_is_left_out_of_that_frame_and_others_are_not() -> N
 
 def test_those_who_are_seen_most_are_kept() -> None:
     hidden = {(frame, c): {0} for frame in range(3) for c in range(3)}
-    found = follow_people(images((0, 1), hidden), CAMERAS, RATE, POINTS, 1)
+    found = track_people(images((0, 1), hidden), CAMERAS, RATE, POINTS, 1)
     who = people_of(found)
     assert who.shape[2] == 1
     assert (who == 1).all()

@@ -17,7 +17,7 @@ from animtool.capture.cameras import (
     project,
     triangulate,
 )
-from animtool.capture.cameras.camera import Cameras, camera_numbers, pixel_rays
+from animtool.capture.cameras.camera import Cameras, camera_parameters, pixel_rays
 from animtool.capture.cameras.observations import Observations
 from animtool.capture.cameras.stale import PoseShift
 from animtool.capture.cameras.triangulate import _TriangulationRun
@@ -334,7 +334,7 @@ def test_odd_cameras_are_named() -> None:
 
 
 def test_the_kernel_checks_its_arguments() -> None:
-    cameras = camera_numbers(ring(2).cameras)
+    cameras = camera_parameters(ring(2).cameras)
     good = {
         "pixels": np.zeros((1, 2, 1, 2)), "confidences": None, "cameras": cameras,
         "active": np.ones((1, 2), bool), "noise": np.ones(2), "gate": 5.0,
@@ -392,12 +392,12 @@ def test_a_long_range_is_judged_by_fifty_of_its_frames_and_their_confidences() -
     asked: list[tuple[int, ...]] = []
 
     class Asked(Observations):
-        def trust(self, *frames: int) -> FloatArray | None:
+        def confidences_of(self, *frames: int) -> FloatArray | None:
             asked.append(frames)
-            return super().trust(*frames)
+            return super().confidences_of(*frames)
 
     given = Asked(seen.names, seen.clock, pixels, seen.cameras, confidences=sure)
     run = _TriangulationRun(given, cameras, TriangulateOptions(), None)
     run.noise[:] = 0.4
-    assert run._better_excluded(1, PoseShift(20, 220, 1.0))
+    assert run._is_better_without(1, PoseShift(20, 220, 1.0))
     assert asked == [(20, 220, 4)]

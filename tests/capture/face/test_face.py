@@ -339,7 +339,9 @@ def test_landmarks_of_a_mesh_go_where_its_shapes_take_them(
     ]
     assert_allclose(model.points(weights), wanted)
     flat = model.neutral + np.tensordot(weights, model.deltas, 1)
-    assert_allclose(model.offsets(weights), np.array(wanted) - flat, atol=1e-12)
+    assert_allclose(
+        model.nonlinear_offsets(weights), np.array(wanted) - flat, atol=1e-12
+    )
     alone = model.select(np.array([False, True]))
     assert_allclose(alone.points(weights[:, 1:]), model.points(weights * [0, 1]))
     surfaces[1].shapes = (SurfaceShape("grin", smile),)
@@ -442,7 +444,7 @@ def test_every_frame_is_that_of_one_window_with_frames_on_either_side(
         return weights, poses, numbers * blank, numbers * blank, 3, 0.1
 
     monkeypatch.setattr(solving, "WINDOW", 40)
-    monkeypatch.setattr(solving._Fit, "_window", window)
+    monkeypatch.setattr(solving._Fit, "_solve_window", window)
     fit = fit_face(model, placed(model.points(made_weights(90))), 60)
     assert spans == [(0, 72), (8, 90), (48, 90)]
     for found in (fit.weights, fit.translations, fit.residuals, fit.shares):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from animtool.capture.markers.fill import fill_markers
-from animtool.capture.markers.label import label
+from animtool.capture.markers.label import label_points
 from animtool.capture.options import FillOptions
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -135,7 +135,7 @@ def test_points_get_names_whatever_their_order() -> None:
     cloud = made(shuffled)
     cloud = replace(cloud, names=tuple(f"*{i}" for i in range(12)))
     static = made(np.repeat(np.concatenate([BODY, OTHER])[None], 20, axis=0))
-    named, report = label(cloud, static)
+    named, report = label_points(cloud, static)
     assert named.names == static.names
     right = (named.positions == truth).all(axis=-1)
     assert right[named.visible].all()
@@ -147,7 +147,7 @@ def test_points_get_names_whatever_their_order() -> None:
 def test_what_cannot_be_named(code: str, count: int) -> None:
     static = made(np.random.default_rng(3).normal(size=(1, count, 3)).repeat(20, 0))
     with pytest.raises(OptionError) as caught:
-        label(made(paths()), static)
+        label_points(made(paths()), static)
     assert caught.value.code == code
 
 

@@ -21,10 +21,10 @@ from animtool.capture.markers.label import (
     _exchange_parts,
     _matching_markers,
     _merge_seeds,
-    _rigid_fours,
+    _rigid_groups,
     _run_positions,
     _shape_error,
-    label,
+    label_points,
 )
 from animtool.capture.markers.runs import RunLabels
 from animtool.capture.markers.tracklets import Tracklets
@@ -52,7 +52,7 @@ MADE = [
 def test_points_of_made_people_get_their_names(seed: int) -> None:
     made = cloud(seed)
     points = made.markers("unlabelled_mm")
-    named, report = label(points, made.markers("static_mm"))
+    named, report = label_points(points, made.markers("static_mm"))
     assert min(scores_of(named, points, made.truth["perm"])) >= NAMED
     if seed == SEEDS[0]:
         check_figures(
@@ -67,7 +67,7 @@ def test_points_of_made_people_get_their_names(seed: int) -> None:
 def test_short_takes_get_their_names(markers: str) -> None:
     made = cloud(200, "rom", markers, 300)
     points = made.markers("unlabelled_mm")
-    named, report = label(points, made.markers("static_mm"))
+    named, report = label_points(points, made.markers("static_mm"))
     assert min(scores_of(named, points, made.truth["perm"])) >= NAMED
     assert report.labelled + report.rejected == report.points
 
@@ -77,7 +77,7 @@ def test_another_subject_is_refused() -> None:
     static = made.markers("static_mm")
     giant = replace(static, positions=3.7 * static.positions)
     with raises(OptionError, "MKR021"):
-        label(made.markers("unlabelled_mm"), giant)
+        label_points(made.markers("unlabelled_mm"), giant)
 
 
 def test_markers_that_lie_alike_are_named_with_their_frames() -> None:
@@ -140,7 +140,7 @@ def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
     spread[3, 5] = spread[5, 3] = MAX_RIGID_SPREAD
     spread[6, 7] = spread[7, 6] = np.nan
-    found = _rigid_fours(MarkerDistances(spread, spread))
+    found = _rigid_groups(MarkerDistances(spread, spread))
     worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
     assert worst == sorted(worst)
     assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later

@@ -28,16 +28,16 @@ def test_points_of_a_rigid_shape_get_the_names_of_those_about_them() -> None:
     assert (own.names_of == -1).all()
     for point in (0, 1, 2):
         own.assign(point, ORDER[point])
-    own.grow()
+    own.assign_greedily()
     assert own.names_of.tolist() == ORDER
     other = own.copy()
     other.assign(0, -1)
     assert own.names_of.tolist() == ORDER
     assert other.names_of.tolist() == [-1, *ORDER[1:]]
-    assert other.total() < own.total()
-    other.grow()
+    assert other.total_evidence() < own.total_evidence()
+    other.assign_greedily()
     assert other.names_of.tolist() == ORDER
-    assert own.total() == pytest.approx(other.total(), rel=1e-5)
+    assert own.total_evidence() == pytest.approx(other.total_evidence(), rel=1e-5)
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 3), (1, 6), (2, 5)])
@@ -47,10 +47,10 @@ def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
     wrong = [b if m == a else a if m == b else m for m in ORDER]
     for point, marker in enumerate(wrong):
         own.assign(point, marker)
-    before = own.total()
+    before = own.total_evidence()
     own.improve()
     assert own.names_of.tolist() == ORDER
-    assert own.total() > before + 1
+    assert own.total_evidence() > before + 1
 
 
 def test_two_pairs_and_three_are_exchanged_at_once() -> None:
@@ -87,10 +87,10 @@ def test_who_gets_a_name_takes_it_from_those_who_are_seen_with_him() -> None:
             own.assign(
                 point, {ORDER[0]: ORDER[3], ORDER[3]: ORDER[0]}.get(marker, marker)
             )
-        own.eject(0, ORDER[0], around)
+        own.force_name(0, ORDER[0], around)
         assert own.names_of.tolist() == ORDER
     apart = naming(ORDER)
-    apart.together = np.zeros_like(apart.together)
+    apart.are_concurrent = np.zeros_like(apart.are_concurrent)
     apart.assign(3, 4)
-    apart.eject(0, 4, nowhere)
+    apart.force_name(0, 4, nowhere)
     assert (apart.names_of[0], apart.names_of[3]) == (4, 4)

@@ -122,10 +122,10 @@ def unsettled(**fixed: bool) -> _CalibrationState:
 def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
     """Covariance of bones without sides: 0.07^2, and 0.25^2 that all of them share."""
     work = unsettled(LWRA=True)
-    bones, size = len(work.bones), len(work.bones) + work.offsets.size
+    bones, size = len(work.bone_groups), len(work.bone_groups) + work.offsets.size
     assert (bones, work._side_pairs()) == (5, [(1, 3), (2, 4)])
     work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
-    work.offsets = 1.05 * work.offsets0
+    work.offsets = 1.05 * work.initial_offsets
     matrix, drawn = work._prior_equations()
     own = np.linalg.inv(BONE_DEVIATION**2 * np.eye(bones) + OVERALL_DEVIATION**2)
     sides = np.zeros((bones, bones))
@@ -133,7 +133,7 @@ def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
         row = np.eye(bones)[a] - np.eye(bones)[b]
         sides += np.outer(row, row) / SIDE_DEVIATION**2
     # Each marker but the held one about its place, as large as the bones it is on.
-    of_bones = work._bone_weights()[:, None, :] * work.offsets0[:, :, None]
+    of_bones = work._bone_weights()[:, None, :] * work.initial_offsets[:, :, None]
     names = [m.name for m in work.model.template.markers]
     of_bones[names.index("LWRA")] = 0.0
     of_bones = of_bones.reshape(-1, bones)
@@ -162,11 +162,11 @@ def test_markers_are_as_large_as_the_bones_that_begin_at_their_joint() -> None:
 
 def test_what_noise_hides_of_bones_is_not_sure() -> None:
     work = unsettled()
-    poses = work.model.starts(work.positions)
-    work._step(poses)
+    poses = work.model.start_poses(work.positions)
+    work._solve_step(poses)
     assert ((work.surety > 0.9) & (work.surety < 1)).all()
     work.noise = np.full_like(work.noise, 100.0)
-    work._step(poses)
+    work._solve_step(poses)
     assert ((work.surety > 0) & (work.surety < 0.1)).all()
 
 

@@ -19,9 +19,10 @@ def test_what_is_framed_is_in_the_picture_beneath_the_text(
     box.add(points)
     view = CameraView(wide, high, inset)
     view.yaw, view.pitch = VIEW_ANGLES[preset]
-    view.frame(box)
+    view.frame_bounds(box)
     clip = (
-        np.column_stack([points, np.ones(len(points))]) @ view.eye().view_projection.T
+        np.column_stack([points, np.ones(len(points))])
+        @ view.eye_matrices().view_projection.T
     )
     flat = clip[:, :2] / clip[:, 3:]
     pixels = (flat * [1, -1] + 1) / 2 * [wide, high]
@@ -35,18 +36,20 @@ def test_what_is_framed_is_in_the_picture_beneath_the_text(
 
 
 def test_a_camera_goes_along_level() -> None:
-    view = CameraView(100, 100, follow=True)
-    view.track(np.zeros(3))
+    view = CameraView(100, 100, is_following=True)
+    view.follow_position(np.zeros(3))
     before = view.target
-    view.track(np.array([1.0, 5.0, -2.0]))
+    view.follow_position(np.array([1.0, 5.0, -2.0]))
     np.testing.assert_allclose(view.target - before, [1.0, 0.0, -2.0])
 
 
 def test_depths_of_a_part_of_the_range() -> None:
     view = CameraView(100, 100)
     points = np.column_stack([RNG.normal(size=(20, 3)), np.ones(20)])
-    eye = view.eye()
-    clip, near = (points @ e.view_projection.T for e in (eye, eye.between(0.0, 0.1)))
+    eye = view.eye_matrices()
+    clip, near = (
+        points @ e.view_projection.T for e in (eye, eye.with_depth_range(0.0, 0.1))
+    )
     np.testing.assert_allclose(clip[:, [0, 1, 3]], near[:, [0, 1, 3]])
     depth, own = ((c[:, 2] / c[:, 3] + 1) / 2 for c in (clip, near))
     np.testing.assert_allclose(own, depth * 0.1, atol=1e-12)

@@ -16,7 +16,7 @@ from support.drawing import drawing
 from animtool.preview.build import write_page
 from animtool.preview.pictures.camera import CameraView
 from animtool.preview.pictures.device import Device, Framebuffer
-from animtool.preview.pictures.scene import DrawnScene
+from animtool.preview.pictures.scene import SceneRenderer
 from animtool.preview.pictures.sources import SHADER_HEADER, shader_source
 
 # Levels of 255 that rasterisers differ by inside of surfaces, and the part of pixels
@@ -62,7 +62,7 @@ def test_a_picture_is_what_the_canvas_of_the_page_shows(
     path = tmp_path / "page.html"
     page = write_page([root / name], path).page
     time = page.manifest["time"]
-    scene = DrawnScene(device, page.manifest, page.blocks)
+    scene = SceneRenderer(device, page.manifest, page.blocks)
     for sample in sorted({0, time["count"] // 3, time["count"] - 1}):
         frame = time["first"] + sample * time["step"]
         with browser.open(path, size=(800, 700), fragment=f"#f={frame}") as opened:

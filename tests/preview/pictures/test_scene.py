@@ -11,7 +11,7 @@ from animtool.preview.build import PreviewPage, make_page
 from animtool.preview.options import PreviewOptions
 from animtool.preview.pictures.camera import KEY_LIGHT, VIEW_ANGLES, CameraView
 from animtool.preview.pictures.device import Device, Framebuffer
-from animtool.preview.pictures.scene import DrawnScene
+from animtool.preview.pictures.scene import SceneRenderer
 
 STAGE = """#usda 1.0
 (
@@ -58,7 +58,7 @@ def drawn(
 ) -> np.ndarray:
     view = CameraView(80, 60, light=light / np.linalg.norm(light))
     view.yaw, view.pitch = VIEW_ANGLES["home"][0], 0.5
-    scene = DrawnScene(device, page.manifest, page.blocks, frozenset(shown))
+    scene = SceneRenderer(device, page.manifest, page.blocks, frozenset(shown))
     scene.frame_motion(view, 0)
     return scene.draw(view, 0, Framebuffer(device, 80, 60), shot).astype(int)
 

@@ -100,12 +100,12 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
     draft = PageDraft(count=3)
     still = np.array([[-1.0, 0, 0], [-0.6, 0, 0], [-0.8, 0.4, 0]])
     cached = still + np.array([0, 0.5, 0]) * np.arange(3)[:, None, None]
-    faces = draft.packer.static(np.arange(3), "u32")
+    faces = draft.packer.add_static(np.arange(3), "u32")
     draft.add(
         "meshes",
         name="cache",
         take=None,
-        points=draft.packer.static(still, "f32"),
+        points=draft.packer.add_static(still, "f32"),
         faces=faces,
         skin=None,
         shapes=[],
@@ -130,7 +130,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
         "curves3d",
         name="hair",
         take=None,
-        counts=draft.packer.static(np.array([2, 2]), "u32"),
+        counts=draft.packer.add_static(np.array([2, 2]), "u32"),
         points=draft.moving(strands),
         width=0.02,
         color=None,
@@ -140,7 +140,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
         "meshes",
         name="box",
         take=None,
-        points=draft.packer.static(box, "f32"),
+        points=draft.packer.add_static(box, "f32"),
         faces=faces,
         skin=None,
         shapes=[],
@@ -219,7 +219,7 @@ def test_the_shot_is_seen_through_its_camera(tmp_path: Path, browser: Browser) -
         "cameras",
         name="main",
         t=draft.moving(places),
-        r=draft.packer.static(np.array([0, 0, 0, 1.0]), "f32"),
+        r=draft.packer.add_static(np.array([0, 0, 0, 1.0]), "f32"),
         focal_mm=35.0,
         focal=draft.moving(lenses),
         aperture_mm=[36.0, 24.0],

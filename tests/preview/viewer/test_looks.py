@@ -26,8 +26,8 @@ def full(path: Path) -> Path:
     draft.add(
         "cameras",
         name="main",
-        t=draft.packer.static(np.array([0, 1.0, 5]), "f32"),
-        r=draft.packer.static(np.array([0, 0, 0, 1.0]), "f32"),
+        t=draft.packer.add_static(np.array([0, 1.0, 5]), "f32"),
+        r=draft.packer.add_static(np.array([0, 0, 0, 1.0]), "f32"),
         focal_mm=35.0,
         focal=None,
         aperture_mm=[36.0, 24.0],
