@@ -16,7 +16,7 @@ from animtool.core.errors import ExitCode, Fault, Severity
 from animtool.core.junit import JunitCase, junit_xml
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
-from animtool.motion.scores import PassScores, badness
+from animtool.motion.scores import PassScores, sort_key_of_scores
 
 # Number of slowest items, and of largest errors, in a summary.
 LISTED_ITEMS = 3
@@ -150,7 +150,9 @@ class BatchReport:
         """The items whose passes have scores, worst first."""
         with_scores = [report for report in self.items if report.scores]
         return sorted(
-            with_scores, key=lambda report: badness(report.scores), reverse=True
+            with_scores,
+            key=lambda report: sort_key_of_scores(report.scores),
+            reverse=True,
         )
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:

@@ -22,14 +22,14 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.filters import (
     NOISE_ORDER,
-    best_cutoff,
+    find_best_cutoff,
     lowpass,
     lowpass_rotations,
     noise_level,
     rotation_noise,
 )
 from animtool.motion.motion import Channel
-from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
@@ -126,7 +126,7 @@ class _JointCleaner:
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
-        return best_cutoff(signal, self.rate, rotation=rotation)
+        return find_best_cutoff(signal, self.rate, rotation=rotation)
 
 
 def _with_change(
@@ -440,7 +440,7 @@ PASS = Pass(
     "clean",
     "Remove spikes and noise",
     CleanOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
     _option_checks,
     reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},

@@ -249,7 +249,7 @@ def _pass_table(
     score_rows = [("  item", *names, "above usual")]
     for entry, pass_score in table_rows[:MAX_TABLE_ROWS]:
         texts = {score.name: score.text for score in pass_score.scores}
-        worse_names = ", ".join(score.name for score in pass_score.worse_scores)
+        worse_names = ", ".join(score.name for score in pass_score.exceeded_scores)
         score_rows.append(
             (
                 f"  {_item_text(entry)}",

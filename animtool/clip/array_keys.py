@@ -41,25 +41,31 @@ def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
 
 
 def _load_keys(
-    document: Document, at: Location, text: str, archives: Archives
+    document: Document, location: Location, text: str, archives: Archives
 ) -> PlainKeys | list[object]:
     """Return the keys of a reference; none if faulty."""
     name, array = split_reference(text, DEFAULT_ARRAY)
-    path = None if document.is_placeholder(at) else _file(document, at, name)
+    path = (
+        None
+        if document.is_placeholder(location)
+        else _array_file(document, location, name)
+    )
     if path is None:
         return []
     try:
         key_rows = archives.load(path, array)
     except ValueError as error:
-        document.add("CLIP016", at, str(error))
+        document.add("CLIP016", location, str(error))
         return []
     if key_rows.ndim != 2 or not len(key_rows) or key_rows.shape[1] < 2:
         message = f"{text!r} has shape {key_rows.shape}, not (K, 1 + D)"
         hint = "write a row for each key: its time, then its value"
-        document.add("CLIP016", at, message, hint)
+        document.add("CLIP016", location, message, hint)
         return []
     if not (np.abs(key_rows) <= MAX_NUMBER).all():
-        document.add("CLIP016", at, f"{text!r} has a number beyond {MAX_NUMBER:.0e}")
+        document.add(
+            "CLIP016", location, f"{text!r} has a number beyond {MAX_NUMBER:.0e}"
+        )
         return []
     times, values = (
         np.ascontiguousarray(part) for part in (key_rows[:, 0], key_rows[:, 1:])
@@ -67,11 +73,11 @@ def _load_keys(
     return PlainKeys(times, values, text)
 
 
-def _file(document: Document, at: Location, name: str) -> Path | None:
+def _array_file(document: Document, location: Location, name: str) -> Path | None:
     """Return the file of an array; None if missing or not allowed."""
-    path = resolve_reference(document, at, name, project_roots(document.path))
+    path = resolve_reference(document, location, name, project_roots(document.path))
     reason = None if path is None else not_a_file_reason(path)
     if reason is None:
         return path
-    document.add("DOC015", at, f"{name!r} {reason}", missing_hint(document, name))
+    document.add("DOC015", location, f"{name!r} {reason}", missing_hint(document, name))
     return None

@@ -48,20 +48,20 @@ def sample_blocks(
 
     Blocks share their rest and animated joints. The last one has the notices of all.
     """
-    rows = max(1, len(rig.joints) + len(rig.shapes) + len(rig.controls))
-    size = max(1, BLOCK_ROWS // rows)
+    row_count = max(1, len(rig.joints) + len(rig.shapes) + len(rig.controls))
+    size = max(1, BLOCK_ROWS // row_count)
     if len(times) <= size:
         yield sample_channels(channels, rig, times, clamp=clamp)
         return
-    begins = range(0, len(times), size)
+    starts = range(0, len(times), size)
     # Each begins with the last time of the one before: signs and moves continue there.
-    spans = [times[max(0, begin - 1) : begin + size] for begin in begins]
-    layout = _layout(channels, rig, spans, clamp=clamp)
+    spans = [times[max(0, begin - 1) : begin + size] for begin in starts]
+    layout = _find_layout(channels, rig, spans, clamp=clamp)
     blocks = _BlockSampler(channels, rig, clamp)
     for i, span in enumerate(spans):
-        motion = layout.arranged(blocks.sample(span), skip=min(i, 1))
-        last = i == len(spans) - 1
-        yield SampledMotion(motion, blocks.notices(times) if last else [])
+        motion = layout.arrange(blocks.sample_motion(span), skipped_frames=min(i, 1))
+        is_last = i == len(spans) - 1
+        yield SampledMotion(motion, blocks.notices(times) if is_last else [])
 
 
 @dataclass(slots=True)
@@ -80,18 +80,18 @@ class _BlockSampler:
 
             self._run = DriverRun(self.rig, report_replaced=True)
 
-    def sample(self, times: FloatArray) -> Motion:
+    def sample_motion(self, times: FloatArray) -> Motion:
         """Return the motion at times."""
         first, last = float(times.min()), float(times.max())
-        near = [_near_keys(channel, first, last) for channel in self.channels]
-        values = evaluate_channels(near, times)
+        channels_near = [_near_keys(channel, first, last) for channel in self.channels]
+        values = evaluate_channels(channels_near, times)
         sampled = sample_values(
             values, self.rig, times, clamp=self.clamp, run=self._run
         )
-        for notice in sampled.targeted:
-            at = notice.fault.code, notice.target
-            if at not in self._worst or notice.amount > self._worst[at].amount:
-                self._worst[at] = notice
+        for notice in sampled.clip_notices:
+            key = notice.fault.code, notice.target
+            if key not in self._worst or notice.amount > self._worst[key].amount:
+                self._worst[key] = notice
         return sampled.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
@@ -106,8 +106,8 @@ class _BlockSampler:
 
 def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
     """Return a channel with only the keys that its values between two times need."""
-    few = len(channel.times) < MANY_KEYS
-    if few or not {channel.pre, channel.post} <= _END_MODES:
+    has_few_keys = len(channel.times) < MANY_KEYS
+    if has_few_keys or not {channel.pre, channel.post} <= _END_MODES:
         return channel
     begin = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
     end = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
@@ -126,72 +126,79 @@ def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
 
 @dataclass(slots=True)
 class _BlockLayout:
-    """What moves in any block, by part; parts that no block has are absent."""
+    """Animated rows of all blocks, by part; parts that no block has are absent."""
 
-    moving: dict[str, BoolArray] = field(default_factory=dict)
+    is_moving_by_part: dict[str, BoolArray] = field(default_factory=dict)
     _rest: dict[str, FloatArray] = field(default_factory=dict, init=False)
     # Rotations at the end of the block before.
     _last: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
 
-    def add(self, motion: Motion) -> None:
+    def add_moving_parts(self, motion: Motion) -> None:
         """Add what moves in a block."""
         for part in _CHANNEL_PARTS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
-                none_moving = np.zeros(len(channel.rest), np.bool_)
-                self.moving.setdefault(part, none_moving)[channel.animated] = True
+                all_static = np.zeros(len(channel.rest), np.bool_)
+                self.is_moving_by_part.setdefault(part, all_static)[
+                    channel.animated
+                ] = True
 
-    def has(self, targets: set[tuple[str, int]]) -> bool:
+    def covers(self, targets: set[tuple[str, int]]) -> bool:
         """Return whether all targets, as part and index, move."""
-        return all(part in self.moving and self.moving[part][i] for part, i in targets)
+        return all(
+            part in self.is_moving_by_part and self.is_moving_by_part[part][i]
+            for part, i in targets
+        )
 
-    def arranged(self, motion: Motion, skip: int) -> Motion:
+    def arrange(self, motion: Motion, skipped_frames: int) -> Motion:
         """Return a block with the same rest and animated joints as all.
 
         Args:
             motion: Of the block.
-            skip: Number of its frames that the block before has.
+            skipped_frames: Number of its frames that the block before has.
         """
-        arranged: dict[str, Any] = {
+        channels: dict[str, Any] = {
             part: self._arrange_channel(
-                part, getattr(motion, part), motion.frames, skip
+                part, getattr(motion, part), motion.frames, skipped_frames
             )
-            for part in self.moving
+            for part in self.is_moving_by_part
         }
-        return replace(motion, **arranged)
+        return replace(motion, **channels)
 
     def _arrange_channel(
-        self, part: str, channel: Channel | None, frames: int, skip: int
+        self, part: str, channel: Channel | None, frames: int, skipped_frames: int
     ) -> Channel:
         if channel is None:
-            width = len(self.moving[part])
+            width = len(self.is_moving_by_part[part])
             channel = Channel.static(np.zeros((width, 1)), frames)
         rest = self._rest.setdefault(part, channel.rest)
-        animated = np.flatnonzero(self.moving[part])
+        animated = np.flatnonzero(self.is_moving_by_part[part])
         values = channel.values
         if not np.array_equal(channel.animated, animated):
             values = channel.gather(animated)
         if part == "rotations":
             # Within a block signs continue already.
-            flips = (values[0] * self._last).sum(axis=-1, keepdims=True) < 0
-            values = np.where(flips, -values, values) if flips.any() else values
+            is_flipped = (values[0] * self._last).sum(axis=-1, keepdims=True) < 0
+            values = (
+                np.where(is_flipped, -values, values) if is_flipped.any() else values
+            )
             self._last = values[-1]
-        return Channel(rest, animated, values[skip:])
+        return Channel(rest, animated, values[skipped_frames:])
 
 
-def _layout(
+def _find_layout(
     channels: Sequence[ClipChannel],
     rig: Rig,
     spans: Sequence[FloatArray],
     *,
     clamp: bool,
 ) -> _BlockLayout:
-    """Return what moves at any time; reads until all that can move has moved."""
+    """Return what moves at any time; stops once all that can move has moved."""
     layout, blocks = _BlockLayout(), _BlockSampler(channels, rig, clamp)
     targets = _moving_targets(channels, rig)
     for span in spans:
-        layout.add(blocks.sample(span))
-        if targets is not None and layout.has(targets):
+        layout.add_moving_parts(blocks.sample_motion(span))
+        if targets is not None and layout.covers(targets):
             break
     return layout
 
@@ -200,13 +207,13 @@ def _moving_targets(
     channels: Sequence[ClipChannel], rig: Rig
 ) -> set[tuple[str, int]] | None:
     """Return all that can move, as part and index; None if more than keys decide."""
-    indirect = (
+    has_indirect_motion = (
         rig.controls
         or rig.is_driven
         or any(joint.mimic is not None for joint in rig.joints)
         or any(shape.combine for shape in rig.shapes)
     )
-    if indirect:
+    if has_indirect_motion:
         return None
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
     targets = set()
@@ -219,6 +226,6 @@ def _moving_targets(
             continue
         joint, part = split_part(name, KEYED_PARTS)
         kind = {"scale": "scales", "angle": "rotations", "slide": "translations"}
-        other = "rotations" if part.endswith("rotation") else "translations"
-        targets.add((kind.get(part, other), rig.index(joint)))
+        default_part = "rotations" if part.endswith("rotation") else "translations"
+        targets.add((kind.get(part, default_part), rig.index(joint)))
     return targets

@@ -42,18 +42,18 @@ class ChannelReader:
 
     document: Document  # the file
 
-    def check(self, at: Location, model: CurveModel) -> None:
+    def check_curve(self, location: Location, model: CurveModel) -> None:
         """Record unordered times, and handles on the wrong side of their keys."""
-        self._check_times(at, model, key_times(model))
-        self._check_handles(at, model)
+        self._check_times(location, model, key_times(model))
+        self._check_handles(location, model)
 
-    def channel(
-        self, at: Location, model: CurveModel, target: str, kind: str, unit: float
+    def read_channel(
+        self, location: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
         """Return the channel of a curve; None if its values have the wrong width.
 
         Args:
-            at: Location of the curve.
+            location: Location of the curve.
             model: The curve.
             target: Target of the channel, also for messages.
             kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
@@ -63,14 +63,16 @@ class ChannelReader:
         components = 4 if is_quaternion else _WIDTHS[kind]
         if model.euler is not None and kind != "rotation":
             message = f"{target!r} is not a rotation"
-            self.document.add("CLIP009", (*at, "euler"), message, "remove euler")
+            self.document.add("CLIP009", (*location, "euler"), message, "remove euler")
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
         if isinstance(model.keys, PlainKeys):
-            plain_channel = self._plain_channel(at, model, target, kind, unit)
+            plain_channel = self._plain_channel(location, model, target, kind, unit)
             if plain_channel is not None:
                 return plain_channel
             if model.keys.name:
-                self._refuse_array(at, model, target, is_quaternion, components)
+                self._add_array_fault(
+                    location, model, target, is_quaternion, components
+                )
                 return None
             key_models = [
                 KeyModel.model_construct(**entry) for entry in model.keys.entries()
@@ -80,17 +82,22 @@ class ChannelReader:
             Interp(k.interp or model.interp or default_interp)
             for k in _key_models(model)
         )
-        fits = self._check_interps(
-            at, model, target, _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
+        has_allowed_interps = self._check_interps(
+            location,
+            model,
+            target,
+            _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS,
         )
-        if is_quaternion and fits:
-            self._refuse_slopes(at, model, _key_models(model))
-        if not is_quaternion and fits:
-            self._warn_of_idle(at, model, interps)
-        values = self._values(at, model, components, kind == "scale")
+        if is_quaternion and has_allowed_interps:
+            self._check_no_slopes(location, model, _key_models(model))
+        if not is_quaternion and has_allowed_interps:
+            self._warn_of_unused_handles(location, model, interps)
+        values = self._read_values(location, model, components, kind == "scale")
         is_positive = kind == "scale"
         handles = [
-            self._handle((*at, "keys", k), key, model, components, unit, is_positive)
+            self._read_handles(
+                (*location, "keys", k), key, model, components, unit, is_positive
+            )
             for k, key in enumerate(_key_models(model))
         ]
         if values is None:
@@ -98,7 +105,9 @@ class ChannelReader:
         return ClipChannel(
             target,
             np.array([key.t for key in _key_models(model)]),
-            self._quaternions(at, values) if is_quaternion else values * unit,
+            self._read_quaternions(location, values)
+            if is_quaternion
+            else values * unit,
             interps,
             tuple(
                 (tangent_before, tangent_after)
@@ -114,7 +123,7 @@ class ChannelReader:
         )
 
     def _plain_channel(
-        self, at: Location, model: CurveModel, target: str, kind: str, unit: float
+        self, location: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
         """Return the channel of plain keys; None on a fault."""
         keys = model.keys
@@ -132,15 +141,15 @@ class ChannelReader:
         if values.shape[1] != components:
             return None
         if is_quaternion:
-            self._refuse_slopes(at, model, ())
+            self._check_no_slopes(location, model, ())
         else:
-            self._warn_of_path(at, model, {interp})
+            self._warn_of_path(location, model, {interp})
         count, tangent = len(keys), Tangent(model.tangents)
         no_handles = np.zeros((count, 1 + components))
         return ClipChannel(
             target,
             keys.times,
-            self._quaternions(at, values, keys.name)
+            self._read_quaternions(location, values, keys.name)
             if is_quaternion
             else values * unit,
             (interp,) * count,
@@ -154,9 +163,9 @@ class ChannelReader:
             Extrapolation(model.post),
         )
 
-    def _refuse_array(
+    def _add_array_fault(
         self,
-        at: Location,
+        location: Location,
         model: CurveModel,
         target: str,
         is_quaternion: bool,
@@ -166,12 +175,15 @@ class ChannelReader:
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         self._check_interps(
-            at, model, target, _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
+            location,
+            model,
+            target,
+            _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS,
         )
         if keys.values.shape[1] != components:
             message = f"rows of {keys.name!r} have {keys.values.shape[1] + 1} numbers "
             message += f"instead of {components + 1}: a time, then the value"
-            self.document.add("CLIP007", (*at, "keys"), message)
+            self.document.add("CLIP007", (*location, "keys"), message)
 
     def _check_interps(
         self,
@@ -180,6 +192,7 @@ class ChannelReader:
         target: str,
         allowed_interps: frozenset[Interp],
     ) -> bool:
+        """Return whether all interpolations apply; record those that do not."""
         named_interps: list[tuple[Location, str | None]] = [
             ((*at, "interp"), model.interp)
         ]
@@ -201,10 +214,11 @@ class ChannelReader:
         return not not_allowed
 
     def _check_times(self, at: Location, model: CurveModel, times: FloatArray) -> None:
+        """Record times beyond the limit, and times that do not ascend."""
         if (np.abs(times) <= MAX_FRAME).all() and (np.diff(times) > 0).all():
             return
         if isinstance(model.keys, PlainKeys) and model.keys.name:
-            self._refuse_times((*at, "keys"), model.keys)
+            self._add_time_fault((*at, "keys"), model.keys)
             return
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
@@ -224,18 +238,21 @@ class ChannelReader:
                 "CLIP004", location, f"frame {times[k]:g} {problem}", hint
             )
 
-    def _refuse_times(self, at: Location, keys: PlainKeys) -> None:
+    def _add_time_fault(self, location: Location, keys: PlainKeys) -> None:
         """Record the first wrong time of an array."""
         times = keys.times
-        beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
-        if len(beyond):
-            message = f"frame {times[beyond[0]]:g} in row {beyond[0]} of {keys.name!r}"
-            self.document.add("CLIP004", at, f"{message} is beyond {MAX_FRAME:.0e}")
+        rows_beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
+        if len(rows_beyond):
+            row = rows_beyond[0]
+            message = f"frame {times[row]:g} in row {row} of {keys.name!r}"
+            self.document.add(
+                "CLIP004", location, f"{message} is beyond {MAX_FRAME:.0e}"
+            )
             return
         k = int(np.argmax(np.diff(times) <= 0)) + 1
         message = f"frame {times[k]:g} in row {k} of {keys.name!r} follows frame "
         hint = "key times must ascend"
-        self.document.add("CLIP004", at, f"{message}{times[k - 1]:g}", hint)
+        self.document.add("CLIP004", location, f"{message}{times[k - 1]:g}", hint)
 
     def _check_handles(self, at: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
@@ -251,7 +268,7 @@ class ChannelReader:
                     location = (*at, "keys", k, name)
                     self.document.add("CLIP005", location, message, hint)
 
-    def _refuse_slopes(
+    def _check_no_slopes(
         self, at: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
         """Refuse handles and tangents on quaternion keys."""
@@ -268,7 +285,7 @@ class ChannelReader:
                     message = f"quaternions have no {key}"
                     self.document.add("CLIP009", (*location, key), message, hint)
 
-    def _warn_of_idle(
+    def _warn_of_unused_handles(
         self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
     ) -> None:
         """Warn of handles that the adjacent interpolation does not use.
@@ -302,9 +319,10 @@ class ChannelReader:
             message = "'parametrization' has no effect without catmull_rom"
             self.document.warn("CLIP104", (*at, "parametrization"), message)
 
-    def _values(
+    def _read_values(
         self, at: Location, model: CurveModel, components: int, is_positive: bool
     ) -> FloatArray | None:
+        """Return the values of keys ``(K, D)``; None with a fault otherwise."""
         value_rows = []
         shown_hints: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(_key_models(model)):
@@ -326,7 +344,7 @@ class ChannelReader:
             return None
         return np.array(value_rows, np.float64)
 
-    def _handle(
+    def _read_handles(
         self,
         at: Location,
         key: KeyModel,
@@ -355,26 +373,28 @@ class ChannelReader:
             if isinstance(dt, list) or len(values) != components:
                 message = f"the handle is not a time and {counted(components, 'value')}"
                 zeros = [0] * components if components > 1 else 0
-                written = flow_text(name, [-2 if name == "in" else 2, zeros])
-                hint = f"for example {written}"
+                handle_text = flow_text(name, [-2 if name == "in" else 2, zeros])
+                hint = f"for example {handle_text}"
                 self.document.add("CLIP007", (*at, name), message, hint)
                 both_sides.append((Tangent.FREE, no_handle))
                 continue
             both_sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
-        (in_side, in_tangent), (out_side, out_tangent) = both_sides
-        return in_side, in_tangent, out_side, out_tangent
+        (in_tangent_type, in_handle), (out_tangent_type, out_handle) = both_sides
+        return in_tangent_type, in_handle, out_tangent_type, out_handle
 
-    def _quaternions(
-        self, at: Location, values: FloatArray, array: str = ""
+    def _read_quaternions(
+        self, at: Location, values: FloatArray, array_name: str = ""
     ) -> FloatArray:
         """Return unit (x, y, z, w) of [w, x, y, z]."""
         rotations, zero_rows = file_quaternions(values)
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
-            location = (*at, "keys") if array else (*at, "keys", k, "v")
+            location = (*at, "keys") if array_name else (*at, "keys", k, "v")
             warn_of_quaternion_length(self.document, location, values[k].tolist())
-        if array and zero_rows:
-            message = f"row {zero_rows[0]} of {array!r} is a quaternion of zero length"
+        if array_name and zero_rows:
+            message = (
+                f"row {zero_rows[0]} of {array_name!r} is a quaternion of zero length"
+            )
             self.document.add("RIG006", (*at, "keys"), message)
             return rotations
         for k in zero_rows:
@@ -407,7 +427,7 @@ def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
     """
     lengths = np.linalg.norm(values, axis=1)
     rotations = values[:, [1, 2, 3, 0]]
-    near_unit = np.abs(lengths - 1.0) <= UNIT_TOLERANCE
-    rotations[~near_unit] = so3.normalize(rotations[~near_unit])
+    is_near_unit = np.abs(lengths - 1.0) <= UNIT_TOLERANCE
+    rotations[~is_near_unit] = so3.normalize(rotations[~is_near_unit])
     zero_rows = np.flatnonzero(~(lengths > MIN_QUATERNION)).tolist()
     return so3.align_signs(rotations), zero_rows

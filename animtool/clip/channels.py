@@ -96,11 +96,12 @@ def _full_target(text: str, rig: Rig | None) -> str | None:
         return None
     joint_type = rig.joints[rig.index(joint)].type
     parts = [part for part, types in KEYED_PARTS.items() if joint_type in types]
-    written = text[len(joint) + 1 :]
-    return f"write joint/{joint}.{written if written in parts else parts[0]}"
+    written_part = text[len(joint) + 1 :]
+    return f"write joint/{joint}.{written_part if written_part in parts else parts[0]}"
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
+    """Return the kind of a joint target, or its fault."""
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
         return _part_fault(name, rig)
@@ -165,14 +166,14 @@ class ClipUnits:
             1.0 if radian else math.radians(1.0),
         )
 
-    def of(self, target: str, euler: str) -> float:
+    def unit_of(self, target: str, euler: str) -> float:
         """Return the unit of a target's values: [m], [rad] or [1].
 
         Args:
             target: Target of the channel.
             euler: Euler order; empty for other values.
 
-        >>> ClipUnits(0.01, 1.0).of("joint/hips.translation", "")
+        >>> ClipUnits(0.01, 1.0).unit_of("joint/hips.translation", "")
         0.01
         """
         group, _, name = target.partition("/")
@@ -195,7 +196,7 @@ def rotation_kinds(channel: ClipChannel) -> IntArray:
     return np.array([_ROTATION_KINDS[interp] for interp in channel.interps], np.int64)
 
 
-def curves_of(channels: Sequence[ClipChannel]) -> Curves:
+def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     """Return the components of channels as C = ΣD scalar curves, in order.
 
     Computed handles lie at thirds of their segments, so that time is linear; free
@@ -212,8 +213,8 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
         ]
     return Curves(
         np.array(first_key, np.int64),
-        _concatenate([times for times, *_ in channel_curves]),
-        _concatenate([values for _, values, *_ in channel_curves]),
+        _concatenate_or_empty([times for times, *_ in channel_curves]),
+        _concatenate_or_empty([values for _, values, *_ in channel_curves]),
         np.concatenate(
             [np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in channel_curves]]
         ),
@@ -224,7 +225,7 @@ def curves_of(channels: Sequence[ClipChannel]) -> Curves:
     )
 
 
-def _concatenate(parts: list[FloatArray]) -> FloatArray:
+def _concatenate_or_empty(parts: list[FloatArray]) -> FloatArray:
     return np.concatenate([np.zeros(0), *parts])
 
 
@@ -277,9 +278,9 @@ def evaluate_channels(
             quaternion_channels.append(channel)
         else:
             curves.append(channel)
-    values |= _rotations(quaternion_channels, times)
+    values |= _evaluate_rotation_channels(quaternion_channels, times)
     if curves:
-        curve_values = evaluate(curves_of(curves), times)
+        curve_values = evaluate(component_curves(curves), times)
         start = 0
         for channel in curves:
             end = start + channel.values.shape[1]
@@ -288,7 +289,9 @@ def evaluate_channels(
     return {channel.target: values[channel.target] for channel in channels}
 
 
-def _rotations(channels: list[ClipChannel], times: FloatArray) -> dict[str, FloatArray]:
+def _evaluate_rotation_channels(
+    channels: list[ClipChannel], times: FloatArray
+) -> dict[str, FloatArray]:
     """Return the rotations ``(F, 4)`` of every target; equal key times are batched."""
     by_timing: dict[tuple[object, ...], list[ClipChannel]] = {}
     for channel in channels:

@@ -81,7 +81,7 @@ class Clip:
         >>> Clip("nod", Fraction(24), Fraction(1), Fraction(13), ()).frame_count()
         13
         """
-        codes_per_frame = step * self.fps / _rate(fps, self.fps)
+        codes_per_frame = step * self.fps / _rate_or_default(fps, self.fps)
         count = (self.last - self.first) // codes_per_frame + 1
         if not 0 < count <= MAX_FRAMES:
             message = f"the range has {count} frames; the limit is {MAX_FRAMES}"
@@ -125,7 +125,7 @@ class Clip:
         from animtool.clip.keyed_curve import KeyedCurve
         from animtool.clip.sample import sample_channels
 
-        rate, codes_per_frame = _rate(fps, self.fps), _step(step)
+        rate, codes_per_frame = _rate_or_default(fps, self.fps), _exact_step(step)
         check_targets((channel.target for channel in self.channels), rig)
         count = self.frame_count(rate, codes_per_frame)
         times = time_codes(self.first, codes_per_frame * self.fps / rate, count)
@@ -152,11 +152,13 @@ class Clip:
         )
 
 
-def _rate(fps: FractionLike | None, default: Fraction) -> Fraction:
+def _rate_or_default(fps: FractionLike | None, default: Fraction) -> Fraction:
+    """Return a frame rate as a fraction; None is the default."""
     return default if fps is None else rate_option(fps)
 
 
-def _step(step: Fraction | float) -> Fraction:
+def _exact_step(step: Fraction | float) -> Fraction:
+    """Return a step as a fraction; refuse one that is not positive and finite."""
     try:
         # The decimal as written, not the nearest float.
         codes_per_frame = Fraction(str(step))
@@ -183,26 +185,26 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
         rig: Rig whose units are used.
         rig_file: The rig file as named in the clip.
     """
-    units = _units(clip, rig)
+    units = _units_to_write(clip, rig)
     angle = "rad" if units.angle == 1.0 else "deg"
-    ends = [decimal_text(float(end)) for end in (clip.first, clip.last)]
+    range_texts = [decimal_text(float(end)) for end in (clip.first, clip.last)]
     text_lines = [
         "clip: animtool/1",
         f"name: {yaml_scalar(clip.name)}",
         f"rig: {yaml_scalar(rig_file)}",
         f"units: {{length: {unit_name(units.length)}, angle: {angle}}}",
         f"fps: {yaml_scalar(str(clip.fps)) if clip.fps.denominator > 1 else clip.fps}",
-        f"range: {flow_list(ends)}",
+        f"range: {flow_list(range_texts)}",
         "channels:" if clip.channels else "channels: []",
     ]
     for channel in clip.channels:
-        unit = units.of(channel.target, channel.euler)
+        unit = units.unit_of(channel.target, channel.euler)
         text_lines.append(f"- target: {yaml_scalar(channel.target)}")
         text_lines += [f"  {line}" for line in curve_lines(channel, unit)]
     return "\n".join(text_lines) + "\n"
 
 
-def _units(clip: Clip, rig: Rig) -> ClipUnits:
+def _units_to_write(clip: Clip, rig: Rig) -> ClipUnits:
     """Return the units to write a clip in."""
     rig_units = ClipUnits.of_rig(rig)
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
@@ -213,10 +215,10 @@ def _units(clip: Clip, rig: Rig) -> ClipUnits:
     )
 
 
-def _numbers_in(clip: Clip, marked: ClipUnits) -> Iterator[float]:
+def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
     """Yield the values and handles of the channels whose unit is NaN."""
     for channel in clip.channels:
-        if math.isnan(marked.of(channel.target, channel.euler)):
+        if math.isnan(units_with_nan.unit_of(channel.target, channel.euler)):
             yield from channel.values.ravel().tolist()
             yield from channel.ins[:, 1:].ravel().tolist()
             yield from channel.outs[:, 1:].ravel().tolist()
@@ -233,9 +235,9 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
         channel: The curve.
         unit: Size of a value of 1: [m], [rad] or [1].
     """
-    interp = _commonest(channel.interps, Interp.LINEAR)
+    interp = _most_common(channel.interps, Interp.LINEAR)
     tangent_rules = [t for t in chain(*channel.tangents) if t is not Tangent.FREE]
-    tangent = _commonest(tangent_rules, DEFAULT_TANGENT)
+    tangent = _most_common(tangent_rules, DEFAULT_TANGENT)
     yield f"interp: {interp}"
     for key, value, default in (
         ("tangents", tangent, DEFAULT_TANGENT),
@@ -248,11 +250,11 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
             yield f"{key}: {value}"
     yield "keys:"
     for k in range(len(channel.times)):
-        entries = ", ".join(_key(channel, k, interp, tangent, unit))
+        entries = ", ".join(_key_entries(channel, k, interp, tangent, unit))
         yield f"- {{{entries}}}"
 
 
-def _key(
+def _key_entries(
     channel: ClipChannel, k: int, interp: Interp, tangent: Tangent, unit: float
 ) -> Iterator[str]:
     """Yield the entries of a key that differ from the channel's."""
@@ -261,7 +263,7 @@ def _key(
         x, y, z, w = row
         row = [w, x, y, z]
     yield f"t: {decimal_text(float(channel.times[k]))}"
-    yield f"v: {_value(row, unit)}"
+    yield f"v: {_value_text(row, unit)}"
     if channel.interps[k] is not interp:
         yield f"interp: {channel.interps[k]}"
     handles = (channel.ins[k].tolist(), channel.outs[k].tolist())
@@ -269,7 +271,7 @@ def _key(
         ("in", "out"), channel.tangents[k], handles, strict=True
     ):
         if handle_tangent is Tangent.FREE:
-            yield f"{name}: {flow_list([decimal_text(dt), _value(dv, unit)])}"
+            yield f"{name}: {flow_list([decimal_text(dt), _value_text(dv, unit)])}"
         elif handle_tangent is not tangent:
             yield f"{name}: {handle_tangent}"
     if channel.tcb[k].any():
@@ -277,11 +279,12 @@ def _key(
         yield f"tcb: {flow_list(tcb)}"
 
 
-def _value(row: Sequence[float], unit: float) -> str:
+def _value_text(row: Sequence[float], unit: float) -> str:
+    """Return a value as text, in a unit."""
     numbers = [scaled_decimal(value, unit) for value in row]
     return numbers[0] if len(numbers) == 1 else flow_list(numbers)
 
 
-def _commonest(choices: Sequence[Choice], default: Choice) -> Choice:
+def _most_common(choices: Sequence[Choice], default: Choice) -> Choice:
     """Return the most common choice; the default if there are none."""
     return Counter(choices).most_common(1)[0][0] if choices else default

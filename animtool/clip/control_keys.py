@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.clip.coordinates import JointMotion, Same, required_control_values
+from animtool.clip.coordinates import JointMotion, Tolerances, required_control_values
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel
 from animtool.clip.reduction.points import SHELL_DISTANCE, attached_points, point_errors
 from animtool.clip.sample import sample_values
@@ -47,8 +47,8 @@ def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
     return subtract_combinations(rig.shapes, dict(zip(names, values.T, strict=True)))
 
 
-def solved_controls(
-    take: Take, rig: Rig, joints: Sequence[JointMotion], same: Same
+def solve_take_controls(
+    take: Take, rig: Rig, joints: Sequence[JointMotion], same: Tolerances
 ) -> SolvedControls:
     """Return control values that reproduce a take.
 
@@ -74,17 +74,17 @@ def solved_controls(
         if f"shape/{shape}" in start_values:
             goals[f"shape/{shape}"] = value
     goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
-    tolerances = {target: same.of(target) for target in goals}
-    solved = solve_controls(controls, goals, tolerances, start, keyed=keyed)
+    tolerances = {target: same.tolerance_of(target) for target in goals}
+    solution = solve_controls(controls, goals, tolerances, start, keyed=keyed)
     return SolvedControls(
         {
-            control.name: _without_rounding(
-                solved.values[control.name], control.default
+            control.name: _snap_to_constant(
+                solution.values[control.name], control.default
             )
             for control in controls
         },
-        solved.solved_names,
-        () if take_controls is not None else solved.released_names,
+        solution.solved_names,
+        () if take_controls is not None else solution.released_names,
     )
 
 
@@ -111,7 +111,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
     ]
 
 
-def _without_rounding(values: FloatArray, default: float) -> FloatArray:
+def _snap_to_constant(values: FloatArray, default: float) -> FloatArray:
     """Remove rounding noise: snap values to the default or to a constant."""
     tolerance = RELATIVE_ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= tolerance, default, values)
@@ -126,10 +126,10 @@ class FittedControls:
     channels: list[ReducedChannel]  # one channel each, in the rig's order
     # Values of every control from its keys, by target ``(F or 1, 1)``.
     values: dict[str, FloatArray]
-    moving: int  # number of samples of the moving channels
+    moving_count: int  # number of samples of the moving channels
 
     @property
-    def named(self) -> dict[str, FloatArray]:
+    def values_by_name(self) -> dict[str, FloatArray]:
         """Values of the keyed controls ``(F or 1,)`` by name."""
         return {n.removeprefix("control/"): v[:, 0] for n, v in self.values.items()}
 
@@ -137,41 +137,45 @@ class FittedControls:
 def fit_controls(
     take: Take,
     rig: Rig,
-    solved: Mapping[str, FloatArray],
+    solved_values: Mapping[str, FloatArray],
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
     bounds: FloatArray,
     weight_tolerance: float,
 ) -> FittedControls:
     """Return sparse keys of controls that move joints and shapes within tolerances.
 
-    ``solved`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
+    ``solved_values`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
     changed_names = [
-        name for name in defaults if (solved[name] != defaults[name]).any()
+        name for name in defaults if (solved_values[name] != defaults[name]).any()
     ]
     moving_count = [
-        name for name in changed_names if (solved[name] != solved[name][0]).any()
+        name
+        for name in changed_names
+        if (solved_values[name] != solved_values[name][0]).any()
     ]
-    effect = _Effect(take, rig, solved, keyed_tracks, bounds, weight_tolerance)
-    tolerances = {name: effect.tolerance(name) for name in moving_count}
+    effect = _Effect(take, rig, solved_values, keyed_tracks, bounds, weight_tolerance)
+    tolerances = {name: effect.initial_tolerance(name) for name in moving_count}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
-    for fit in range(MAX_REFINEMENTS):
+    for attempt in range(MAX_REFINEMENTS):
         for name in changed_names:
-            column = solved[name][:, None]
+            column = solved_values[name][:, None]
             if name not in tolerances:
                 keys[name] = fit_keys(column[:1], 1.0)
                 continue
             keys[name] = fit_keys(column, tolerances[name])
         values = {
-            f"control/{name}": evaluate_keys(keys_fitted, np.arange(take.motion.frames))
-            for name, keys_fitted in keys.items()
+            f"control/{name}": evaluate_keys(fitted_keys, np.arange(take.motion.frames))
+            for name, fitted_keys in keys.items()
         }
-        ratio = effect.ratio(values) if moving_count else 0.0
+        ratio = effect.error_ratio(values) if moving_count else 0.0
         if ratio <= CONTROL_FRACTION:
             break
-        factor = 0.8 * CONTROL_FRACTION / ratio if fit < MAX_REFINEMENTS - 2 else 1e-9
+        factor = (
+            0.8 * CONTROL_FRACTION / ratio if attempt < MAX_REFINEMENTS - 2 else 1e-9
+        )
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
     order = {control.name: i for i, control in enumerate(rig.controls)}
     channels = [
@@ -190,17 +194,19 @@ class _Effect:
         self,
         take: Take,
         rig: Rig,
-        solved: Mapping[str, FloatArray],
+        solved_values: Mapping[str, FloatArray],
         keyed_tracks: frozenset[tuple[ChannelKind, int]],
         bounds: FloatArray,
         weight_tolerance: float,
     ) -> None:
         self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
-        self.exact = {f"control/{n}": v[:, None] for n, v in solved.items()}
+        self.exact_values = {
+            f"control/{n}": v[:, None] for n, v in solved_values.items()
+        }
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
         self.points = attached_points(rig, SHELL_DISTANCE)
 
-    def ratio(
+    def error_ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
         """Return the largest error of control values, in units of the tolerance."""
@@ -208,7 +214,7 @@ class _Effect:
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
         exact_values = {
             name: value[frame_indices] if len(value) > 1 else value
-            for name, value in self.exact.items()
+            for name, value in self.exact_values.items()
         }
         trial_values = {
             name: v[frame_indices] if len(v) > 1 else v for name, v in values.items()
@@ -232,14 +238,14 @@ class _Effect:
         weight_error = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
         return max(ratio, weight_error / self.weight_tolerance)
 
-    def tolerance(self, name: str) -> float:
+    def initial_tolerance(self, name: str) -> float:
         """Return the initial tolerance of a control's keys."""
-        values = self.exact[f"control/{name}"]
+        values = self.exact_values[f"control/{name}"]
         increment = 1e-3 * float(np.ptp(values))
         frames = np.unique(
             np.linspace(0, len(values) - 1, PROBED_FRAMES).astype(np.int64)
         )
-        ratio = self.ratio({f"control/{name}": values + increment}, frames)
+        ratio = self.error_ratio({f"control/{name}": values + increment}, frames)
         return CONTROL_FRACTION * increment / ratio if ratio > 0 else 1e-3 * increment
 
 

@@ -24,17 +24,17 @@ _ROTATING_TYPES = {JointType.FREE, JointType.BALL}
 
 
 @dataclass(frozen=True, slots=True)
-class Same:
+class Tolerances:
     """Differences below which values count as equal [rad], [m], [1]."""
 
     angle: float
     length: float
     weight: float
 
-    def of(self, target: str) -> float:
+    def tolerance_of(self, target: str) -> float:
         """Return the tolerance of a control's target.
 
-        >>> Same(1e-6, 1e-7, 1e-8).of("joint/hips.translation.x")
+        >>> Tolerances(1e-6, 1e-7, 1e-8).tolerance_of("joint/hips.translation.x")
         1e-07
         """
         if target.startswith("shape/"):
@@ -56,17 +56,22 @@ class JointMotion:
     # Largest rotation that the joint's type does not allow [rad].
     rotation_error: float
     shift_error: float  # largest translation that the joint's type does not allow [m]
-    rotation_rests: bool  # whether the local rotation is exactly that of the rest pose
-    shift_rests: bool  # whether the local translation is
+    # whether the local rotation is exactly that of the rest pose
+    is_rotation_at_rest: bool
+    is_shift_at_rest: bool  # whether the local translation is
 
 
-def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
+def relative_joint_motions(
+    rig: Rig, motion: Motion, tolerances: Tolerances
+) -> list[JointMotion]:
     """Return the motion of every joint relative to rest.
 
     Revolutions of a pin's angle are chosen to keep it within its limits and agree
     with its mimic joints.
     """
-    moves = [set(c.animated.tolist()) for c in (motion.translations, motion.rotations)]
+    animated_joints_by_channel = [
+        set(c.animated.tolist()) for c in (motion.translations, motion.rotations)
+    ]
     motions = []
     for j, joint in enumerate(rig.joints):
         joint_index = np.array([j])
@@ -75,33 +80,40 @@ def joint_motions(rig: Rig, motion: Motion, same: Same) -> list[JointMotion]:
             if j in moving
             else channel.rest[joint_index]
             for channel, moving in zip(
-                (motion.translations, motion.rotations), moves, strict=True
+                (motion.translations, motion.rotations),
+                animated_joints_by_channel,
+                strict=True,
             )
         ]
         motions.append(_joint_motion(joint, local[0], local[1]))
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
-            motions[j] = _with_best_revolution(rig, motions, j, same)
+            motions[j] = _with_best_revolution(rig, motions, j, tolerances)
     return motions
 
 
 def _joint_motion(
     joint: Joint, translation: FloatArray, rotation: FloatArray
 ) -> JointMotion:
+    """Return a joint's motion relative to its rest frame."""
     inverse_rest = so3.conjugate(joint.rotation)
-    relative = so3.align_signs(so3.multiply(inverse_rest, rotation))
+    rotation_from_rest = so3.align_signs(so3.multiply(inverse_rest, rotation))
     shift = so3.rotate(inverse_rest, translation - np.array(joint.translation))
     axis = np.array(joint.axis)
     coordinate = np.zeros(1)
     rotation_error, shift_error = 0.0, float(np.abs(shift).max(initial=0.0))
     if joint.type is JointType.PIN:
-        coordinate = np.unwrap(2.0 * np.arctan2(relative[:, :3] @ axis, relative[:, 3]))
+        coordinate = np.unwrap(
+            2.0 * np.arctan2(rotation_from_rest[:, :3] @ axis, rotation_from_rest[:, 3])
+        )
         coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
-        residual = so3.angle_between(relative, so3.from_axis_angle(axis, coordinate))
+        residual = so3.angle_between(
+            rotation_from_rest, so3.from_axis_angle(axis, coordinate)
+        )
         rotation_error = float(residual.max(initial=0.0))
     elif joint.type not in _ROTATING_TYPES:
         rotation_error = float(
-            so3.angle_between(relative, so3.IDENTITY).max(initial=0.0)
+            so3.angle_between(rotation_from_rest, so3.IDENTITY).max(initial=0.0)
         )
     if joint.type is JointType.PRISMATIC:
         coordinate = shift @ axis
@@ -110,7 +122,7 @@ def _joint_motion(
     elif joint.type is JointType.FREE:
         shift_error = 0.0
     return JointMotion(
-        relative,
+        rotation_from_rest,
         shift,
         coordinate,
         rotation_error,
@@ -121,7 +133,7 @@ def _joint_motion(
 
 
 def _with_best_revolution(
-    rig: Rig, motions: Sequence[JointMotion], j: int, same: Same
+    rig: Rig, motions: Sequence[JointMotion], j: int, tolerances: Tolerances
 ) -> JointMotion:
     """Return a pin's motion, shifted by whole turns to fit its mimic joints."""
     joint, joint_motion = rig.joints[j], motions[j]
@@ -138,7 +150,7 @@ def _with_best_revolution(
             differences = motion.coordinate - (mimic.gain * angle + mimic.offset)
             is_pin = follower_type is JointType.PIN
             differences = _wrap_angles(differences) if is_pin else differences
-            tolerance = same.angle if is_pin else same.length
+            tolerance = tolerances.angle if is_pin else tolerances.length
             excess_sum = excess_sum or bool(
                 np.abs(differences).max(initial=0.0) > tolerance
             )
@@ -157,8 +169,8 @@ def required_control_values(
     rig: Rig,
     motions: Sequence[JointMotion],
     targets: Set[str],
-    guesses: Mapping[str, FloatArray],
-    same: Same,
+    initial_values: Mapping[str, FloatArray],
+    tolerances: Tolerances,
 ) -> tuple[dict[str, FloatArray], set[str]]:
     """Return what controls must add to joints, and the unreachable targets.
 
@@ -176,35 +188,39 @@ def required_control_values(
         kind, _, axis = part.partition(".")
         if kind == "rotation":
             axis_targets = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
-            guess = [guesses.get(part, np.zeros(1)) for part in axis_targets]
+            initial_vector = [
+                initial_values.get(part, np.zeros(1)) for part in axis_targets
+            ]
             vector = _nearest_revolution(
-                motion.rotation, np.stack(np.broadcast_arrays(*guess), -1)
+                motion.rotation, np.stack(np.broadcast_arrays(*initial_vector), -1)
             )
             requested_values[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
-            if np.abs(vector[:, other_axes]).max(initial=0.0) > same.angle:
+            if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
                 keyed_names.add(target)
         elif kind == "translation":
             requested_values[target] = motion.shift[:, "xyz".index(axis)]
         else:
             requested_values[target] = motion.coordinate
             is_unreachable = (
-                motion.rotation_error > same.angle if kind == "angle" else False
+                motion.rotation_error > tolerances.angle if kind == "angle" else False
             )
-            if is_unreachable or (kind == "slide" and motion.shift_error > same.length):
+            if is_unreachable or (
+                kind == "slide" and motion.shift_error > tolerances.length
+            ):
                 keyed_names.add(target)
     return requested_values, keyed_names
 
 
-def _nearest_revolution(rotation: FloatArray, guess: FloatArray) -> FloatArray:
+def _nearest_revolution(rotation: FloatArray, initial_vector: FloatArray) -> FloatArray:
     """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
     vector = so3.log(rotation)
-    vector, guess = np.broadcast_arrays(vector, guess)
+    vector, initial_vector = np.broadcast_arrays(vector, initial_vector)
     length = np.linalg.norm(vector, axis=1, keepdims=True)
-    lengths = np.linalg.norm(guess, axis=1, keepdims=True)
-    axis = np.where(length > 1e-9, vector, guess)
+    lengths = np.linalg.norm(initial_vector, axis=1, keepdims=True)
+    axis = np.where(length > 1e-9, vector, initial_vector)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    guess_on_axis = (guess * axis).sum(axis=1, keepdims=True)
+    guess_on_axis = (initial_vector * axis).sum(axis=1, keepdims=True)
     vector_on_axis = (vector * axis).sum(axis=1, keepdims=True)
     revolutions = np.round((guess_on_axis - vector_on_axis) / (2 * np.pi))
     return np.where(
@@ -215,9 +231,9 @@ def _nearest_revolution(rotation: FloatArray, guess: FloatArray) -> FloatArray:
 def joint_tracks(
     rig: Rig,
     motions: Sequence[JointMotion],
-    driven: Mapping[str, FloatArray],
-    fitted: Mapping[str, FloatArray],
-    same: Same,
+    control_values: Mapping[str, FloatArray],
+    fitted_values: Mapping[str, FloatArray],
+    tolerances: Tolerances,
 ) -> list[KeyTrack]:
     """Return tracks of joint motion beyond controls and mimics."""
     tracks: dict[int, list[KeyTrack]] = {}
@@ -226,14 +242,16 @@ def joint_tracks(
     leader_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
     for j in (*leader_indices, *mimic_indices):
         joint = rig.joints[j]
-        joint_to_key = _OneJoint(joint, j, motions[j], driven, fitted, same)
-        mimic_value = joint_to_key.driven(_COORDINATE.get(joint.type, ""))
+        joint_to_key = _KeyedJoint(
+            joint, j, motions[j], control_values, fitted_values, tolerances
+        )
+        mimic_value = joint_to_key.driven_values(_COORDINATE.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
             leader = coordinates.get(mimic.joint, np.zeros(1))
             followed_value = mimic.gain * leader + mimic.offset
             mimic_value = followed_value if followed_value.any() else mimic_value
-        tracks[j] = list(joint_to_key.tracks(mimic_value))
+        tracks[j] = list(joint_to_key.key_tracks(mimic_value))
         keyed_parts = {track.part for track in tracks[j]}
         coordinates[joint.name] = (
             np.zeros(1)
@@ -246,70 +264,80 @@ def joint_tracks(
 
 
 @dataclass(frozen=True, slots=True)
-class _OneJoint:
-    """A joint to be keyed."""
+class _KeyedJoint:
+    """A joint whose remaining motion is keyed."""
 
     joint: Joint
     index: int
     motion: JointMotion
-    stated: Mapping[str, FloatArray]
-    fitted: Mapping[str, FloatArray]
-    same: Same
+    control_values: Mapping[str, FloatArray]
+    fitted_values: Mapping[str, FloatArray]
+    tolerances: Tolerances
 
-    def driven(self, part: str, *, fitted: bool = False) -> FloatArray:
+    def driven_values(self, part: str, *, fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted if fitted else self.stated
+        source = self.fitted_values if fitted else self.control_values
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
-    def vector(self, part: str, *, fitted: bool = False) -> FloatArray:
+    def driven_vectors(self, part: str, *, fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
-        columns = [self.driven(f"{part}.{axis}", fitted=fitted) for axis in "xyz"]
+        columns = [
+            self.driven_values(f"{part}.{axis}", fitted=fitted) for axis in "xyz"
+        ]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
-    def tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
+    def key_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         """Yield the tracks, translation first; ``expected`` ``(F or 1,)``."""
-        yield from self._shift(expected)
+        yield from self._translation_tracks(expected)
         yield from self._rotation_tracks(expected)
 
-    def _shift(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        motion, joint, tolerances = self.motion, self.joint, self.same
-        rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
-        if motion.shift_error > tolerances.length and not motion.shift_rests:
-            local = rest_t + so3.rotate(rest_r, motion.shift)
+    def _translation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
+        """Yield tracks of the slide or translation that controls do not produce."""
+        motion, joint, tolerances = self.motion, self.joint, self.tolerances
+        rest_translation, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        if motion.shift_error > tolerances.length and not motion.is_shift_at_rest:
+            local = rest_translation + so3.rotate(rest_r, motion.shift)
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
             difference = motion.coordinate - expected
-            if self._differs(difference, tolerances.length, rests=motion.shift_rests):
-                driven_part = self.driven("slide", fitted=True)
+            if self._differs(
+                difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
+            ):
+                driven_part = self.driven_values("slide", fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "slide",
                     (motion.coordinate - driven_part)[:, None],
-                    rest_t
+                    rest_translation
                     + so3.rotate(rest_r, driven_part[:, None] * np.array(joint.axis)),
                 )
         elif joint.type is JointType.FREE:
-            driven_vector = self.vector("translation")
+            driven_vector = self.driven_vectors("translation")
             difference = motion.shift - driven_vector
-            if self._differs(difference, tolerances.length, rests=motion.shift_rests):
-                driven_part = self.vector("translation", fitted=True)
+            if self._differs(
+                difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
+            ):
+                driven_part = self.driven_vectors("translation", fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "translation",
                     motion.shift - driven_part,
-                    rest_t + so3.rotate(rest_r, driven_part),
+                    rest_translation + so3.rotate(rest_r, driven_part),
                 )
 
     def _rotation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
-        motion, joint, tolerances = self.motion, self.joint, self.same
+        """Yield tracks of the angle or rotation that controls do not produce."""
+        motion, joint, tolerances = self.motion, self.joint, self.tolerances
         rest_rotation = np.array(joint.rotation)
-        if motion.rotation_error > tolerances.angle and not motion.rotation_rests:
+        if motion.rotation_error > tolerances.angle and not motion.is_rotation_at_rest:
             local = so3.align_signs(so3.multiply(rest_rotation, motion.rotation))
-            yield self._euler("local_rotation", local, None)
+            yield self._euler_track("local_rotation", local, None)
         elif joint.type is JointType.PIN:
             difference = _wrap_angles(motion.coordinate - expected)
-            if self._differs(difference, tolerances.angle, rests=motion.rotation_rests):
-                driven_part = self.driven("angle", fitted=True)
+            if self._differs(
+                difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
+            ):
+                driven_part = self.driven_values("angle", fitted=True)
                 yield self._track(
                     ChannelKind.ROTATION,
                     "angle",
@@ -319,51 +347,57 @@ class _OneJoint:
                     ),
                 )
         elif joint.type in _ROTATING_TYPES:
-            driven_rotation = so3.exp(self.vector("rotation"))
+            driven_rotation = so3.exp(self.driven_vectors("rotation"))
             difference = so3.angle_between(driven_rotation, motion.rotation)
-            if self._differs(difference, tolerances.angle, rests=motion.rotation_rests):
-                driven_part = so3.exp(self.vector("rotation", fitted=True))
+            if self._differs(
+                difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
+            ):
+                driven_part = so3.exp(self.driven_vectors("rotation", fitted=True))
                 keyed_rotation = so3.align_signs(
                     so3.multiply(so3.conjugate(driven_part), motion.rotation)
                 )
-                yield self._euler(
+                yield self._euler_track(
                     "rotation", keyed_rotation, so3.multiply(rest_rotation, driven_part)
                 )
 
-    def _differs(self, difference: FloatArray, same: float, *, rests: bool) -> bool:
+    def _differs(
+        self, difference: FloatArray, tolerance: float, *, is_at_rest: bool
+    ) -> bool:
         """Return whether a coordinate needs keys."""
         name = f"joint/{self.joint.name}."
-        is_driven = any(target.startswith(name) for target in self.stated)
+        is_driven = any(target.startswith(name) for target in self.control_values)
         if not is_driven and self.joint.mimic is None:
-            return not rests
-        return bool(np.abs(difference).max(initial=0.0) > same)
+            return not is_at_rest
+        return bool(np.abs(difference).max(initial=0.0) > tolerance)
 
-    def _euler(
-        self, part: str, rotations: FloatArray, before: FloatArray | None
+    def _euler_track(
+        self, part: str, rotations: FloatArray, reference: FloatArray | None
     ) -> KeyTrack:
+        """Return a track of rotations as Euler angles [deg]."""
         order = euler_order(self.joint, rotations)
         samples = euler.from_quaternion(rotations, order)
-        return self._track(ChannelKind.ROTATION, part, samples, before, order)
+        return self._track(ChannelKind.ROTATION, part, samples, reference, order)
 
     def _track(
         self,
         kind: ChannelKind,
         part: str,
         samples: FloatArray,
-        before: FloatArray | None = None,
+        reference: FloatArray | None = None,
         order: str | None = None,
     ) -> KeyTrack:
+        """Return a track; constant samples are stored once."""
         joint = self.joint
         is_constant: BoolArray = (samples == samples[:1]).all()
         name = f"joint/{joint.name}."
-        is_undriven = not any(target.startswith(name) for target in self.stated)
+        is_undriven = not any(target.startswith(name) for target in self.control_values)
         return KeyTrack(
             kind,
             self.index,
             order,
             np.ascontiguousarray(samples[:1] if is_constant else samples),
             part,
-            before,
+            reference,
             joint.rotation,
             joint.axis,
             joint.limits if is_undriven else None,
@@ -371,4 +405,5 @@ class _OneJoint:
 
 
 def _wrap_angles(angles: FloatArray) -> FloatArray:
+    """Return angles wrapped to within half a revolution of 0."""
     return np.asarray(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))

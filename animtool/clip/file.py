@@ -47,7 +47,7 @@ class ClipFile:
     model: ClipModel  # its content
     rig: Path | None  # resolved path of its rig file; None if it names none
 
-    def needed_rig(self) -> Path:
+    def required_rig(self) -> Path:
         """Return the rig that the clip names."""
         if self.rig is None:
             check_clip(self)
@@ -76,16 +76,16 @@ def clip_of_document(document: Document) -> ClipFile:
     return ClipFile(document, model, rig)
 
 
-def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
+def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
     """Return the rig of a clip file.
 
     Args:
         file: The clip.
         path: The rig file; None uses the rig named by the clip.
     """
-    rig_path = file.needed_rig() if path is None else path
+    rig_path = file.required_rig() if path is None else path
     if path is None and not exists(rig_path):
-        _note_missing(file)
+        _raise_missing_rig(file)
     try:
         return Rig.load(rig_path)
     except FormatError as error:
@@ -96,12 +96,16 @@ def load_rig_of(file: ClipFile, path: Path | None = None) -> Rig:
         raise
 
 
-def _note_missing(file: ClipFile) -> NoReturn:
+def _raise_missing_rig(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
     suggestion = missing_hint(file.document, file.model.rig or "")
-    other = f"pass another rig with {argument('source.rig')}"
-    hint = suggestion + clause(f" or {other}") if suggestion else clause(other)
+    other_rig_text = f"pass another rig with {argument('source.rig')}"
+    hint = (
+        suggestion + clause(f" or {other_rig_text}")
+        if suggestion
+        else clause(other_rig_text)
+    )
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
@@ -114,20 +118,20 @@ def load_clip(file: ClipFile, rig: Rig) -> Clip:
         file: Content of the file.
         rig: Rig whose controls, shapes and joints are the targets.
     """
-    return _ClipReader(file.document, file.model, rig, file.rig).clip()
+    return _ClipReader(file.document, file.model, rig, file.rig).read_clip()
 
 
 def load_clip_of(path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
     """Load a clip; see `Clip.load`."""
     file = open_clip(path)
     if not isinstance(rig, Rig):
-        rig = load_rig_of(file, None if rig is None else Path(rig))
+        rig = load_clip_rig(file, None if rig is None else Path(rig))
     return load_clip(file, rig)
 
 
 def check_clip(file: ClipFile) -> None:
     """Check a clip file without its rig: any target is valid."""
-    _ClipReader(file.document, file.model, None).clip()
+    _ClipReader(file.document, file.model, None).read_clip()
 
 
 def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
@@ -152,6 +156,8 @@ MIN_UNKNOWN, MIN_GUESSED = 0.6, 0.5
 
 
 class _ClipReader:
+    """Reads the channels of a validated clip document."""
+
     def __init__(
         self,
         document: Document,
@@ -164,22 +170,25 @@ class _ClipReader:
         self.units = file_units(model, rig)
         self.curves = ChannelReader(document)
 
-    def clip(self) -> Clip:
-        fps = self._fps()
+    def read_clip(self) -> Clip:
+        """Return the clip; record its faults."""
+        fps = self._read_rate()
         channel_of_target: dict[str, int] = {}
         channels = []
         for i, model in enumerate(self.model.channels):
             location = ("channels", i)
-            self._once((*location, "target"), model.target, channel_of_target, i)
-            channel = self._channel(location, model)
+            self._check_duplicate(
+                (*location, "target"), model.target, channel_of_target, i
+            )
+            channel = self._read_channel(location, model)
             if channel is not None:
                 channels.append(channel)
         if not self.model.channels and self.model.range is None:
             hint = "with a range, it holds its rig at rest"
             message = "the clip has no channels"
             self.document.add("CLIP013", ("channels",), message, hint)
-        first, last = self._range(channels)
-        self._blame_rig()
+        first, last = self._read_range(channels)
+        self._add_rig_fault()
         self.document.check()
         warn_of_times(self.document, channels, fps, first, last)
         has_unit = self.model.units.length is not None
@@ -190,21 +199,21 @@ class _ClipReader:
         notices = tuple(self.document.notices)
         return Clip(name, fps, first, last, tuple(channels), notices)
 
-    def _blame_rig(self) -> None:
+    def _add_rig_fault(self) -> None:
         """Record once, and not for each channel, that the rig is another one."""
         faults, count = self.document.faults, len(self.model.channels)
-        unknown = [fault for fault in faults if fault.code == "CLIP002"]
+        unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
         if self.rig is None or not unknown:
             return
         guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
-        is_other = len(unknown) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
+        is_other = len(unknown_targets) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
         is_other &= guesses < MIN_GUESSED * len(unknown)
         is_for_named_rig = self._named_rig_has_all()
         if not is_other and not is_for_named_rig:
             return
         lacks = f"has none of the {count} targets"
-        if len(unknown) < count:
-            lacks = f"lacks {len(unknown)} of the {count} targets"
+        if len(unknown_targets) < count:
+            lacks = f"lacks {len(unknown_targets)} of the {count} targets"
         subjects = (fault.message.removeprefix("unknown ") for fault in unknown)
         names = listed(list(dict.fromkeys(subjects)), 4)
         message = f"rig {self.rig.name!r} {lacks}: {names}"
@@ -219,7 +228,10 @@ class _ClipReader:
         elif self.model.rig is not None:
             hint = f"the clip names {self.model.rig}; {hint}"
             other = replace(other, hint=hint)
-        self.document.faults[:] = [other, *(f for f in faults if f not in unknown)]
+        self.document.faults[:] = [
+            rig_fault,
+            *(f for f in faults if f not in unknown_targets),
+        ]
 
     def _named_rig_has_all(self) -> bool:
         """Return whether the rig that the clip names has all of its targets."""
@@ -235,13 +247,15 @@ class _ClipReader:
         )
 
     def _fps(self) -> Fraction:
+        """Return the frame rate; record an invalid one."""
         try:
             return parse_rate(self.model.fps)
         except RateError as error:
             self.document.add(error.code, ("fps",), str(error))
             return Fraction(24)
 
-    def _range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:
+    def _read_range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:
+        """Return the range of the clip, by default that of its keys."""
         if self.model.range is None:
             key_times = [
                 t
@@ -250,45 +264,51 @@ class _ClipReader:
             ] or [1.0]
             return Fraction(min(key_times)), Fraction(max(key_times))
         first, last = self.model.range
-        return checked_range(self.document, first, last)
+        return read_range(self.document, first, last)
 
-    def _once(
-        self, at: Location, target: str, channel_of_target: dict[str, int], i: int
+    def _check_duplicate(
+        self, location: Location, target: str, channel_of_target: dict[str, int], i: int
     ) -> None:
         """Refuse duplicate targets, and both motion and local motion of a joint."""
         name, part = split_part(target, _REPLACED_BY)
-        claim = f"{name}.{_REPLACED_BY[part]}" if part else target
-        if claim in channel_of_target:
-            other_target = self.model.channels[channel_of_target[claim]].target
-            line = self.document.position(("channels", channel_of_target[claim]))[0]
+        claimed_target = f"{name}.{_REPLACED_BY[part]}" if part else target
+        if claimed_target in channel_of_target:
+            other_target = self.model.channels[channel_of_target[claimed_target]].target
+            line = self.document.position(
+                ("channels", channel_of_target[claimed_target])
+            )[0]
             problem = (
                 "appears twice"
                 if other_target == target
                 else (f"and {other_target!r} are the same target")
             )
             hint = f"the other is on line {line}"
-            self.document.add("CLIP010", at, f"target {target!r} {problem}", hint)
-        channel_of_target.setdefault(claim, i)
+            self.document.add("CLIP010", location, f"target {target!r} {problem}", hint)
+        channel_of_target.setdefault(claimed_target, i)
 
-    def _channel(self, at: Location, model: ChannelModel) -> ClipChannel | None:
+    def _read_channel(
+        self, location: Location, model: ChannelModel
+    ) -> ClipChannel | None:
+        """Return the channel of an entry; None with a fault."""
         if not len(model.keys):
             return None
-        self.curves.check(at, model)
-        kind = self._target_kind((*at, "target"), model.target)
-        if kind is None or self.document.is_placeholder((*at, "target")):
+        self.curves.check_curve(location, model)
+        kind = self._checked_target_kind((*location, "target"), model.target)
+        if kind is None or self.document.is_placeholder((*location, "target")):
             return None
-        unit = self.units.of(model.target, model.euler or "")
-        return self.curves.channel(at, model, model.target, kind, unit)
+        unit = self.units.unit_of(model.target, model.euler or "")
+        return self.curves.read_channel(location, model, model.target, kind, unit)
 
-    def _target_kind(self, at: Location, target: str) -> str | None:
+    def _checked_target_kind(self, location: Location, target: str) -> str | None:
+        """Return the kind of a target; None with a fault."""
         kind = target_kind(target, self.rig)
         if isinstance(kind, Fault):
-            self.document.add(kind.code, at, kind.message, kind.hint)
+            self.document.add(kind.code, location, kind.message, kind.hint)
             return None
         return kind
 
 
-def checked_range(
+def read_range(
     document: Document, first: float, last: float
 ) -> tuple[Fraction, Fraction]:
     """Return first and last frame of a document's range; record its faults."""

@@ -63,30 +63,30 @@ def channel_errors(
         if group == "shape":
             shape_index = np.array([shapes[name]])
             weights_pair = take.motion.weights, keyed.weights
-            a, b = (
+            take_values, keyed_values = (
                 _channel_values(control, shape_index, take.motion.frames)
                 for control in weights_pair
             )
-            return np.abs(a - b)[:, 0, 0], None
+            return np.abs(take_values - keyed_values)[:, 0, 0], None
         joint, part = split_part(name, KEYED_PARTS)
         shape_index = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
             rotations = [
-                motion_of_joints.rotations.gather(shape_index)[:, 0]
-                for motion_of_joints in (take.motion, keyed)
+                motion.rotations.gather(shape_index)[:, 0]
+                for motion in (take.motion, keyed)
             ]
             unit = "rad" if units.angle == 1.0 else "deg"
             return so3.angle_between(*rotations) / units.angle, unit
         if part == "scale":
             weights_pair = take.motion.scales, keyed.scales
-            a, b = (
+            take_values, keyed_values = (
                 _channel_values(control, shape_index, take.motion.frames, 1.0)
                 for control in weights_pair
             )
-            return np.abs(a - b).max(axis=(1, 2)), None
+            return np.abs(take_values - keyed_values).max(axis=(1, 2)), None
         positions = [
-            motion_of_joints.translations.gather(shape_index)[:, 0]
-            for motion_of_joints in (take.motion, keyed)
+            motion.translations.gather(shape_index)[:, 0]
+            for motion in (take.motion, keyed)
         ]
         channel_error = np.linalg.norm(positions[0] - positions[1], axis=1)
         return channel_error / units.length, unit_name(units.length)
@@ -103,25 +103,26 @@ def channel_errors(
 
 
 def _channel_values(
-    channel: Channel | None, at: IntArray, frames: int, default: float = 0.0
+    channel: Channel | None, rows: IntArray, frames: int, default: float = 0.0
 ) -> FloatArray:
+    """Return the values of rows of a channel, or a default without one."""
     if channel is None:
         return np.full((frames, 1, 1), default)
-    return channel.gather(at)
+    return channel.gather(rows)
 
 
 def key_notices(
     rig: Rig,
     joints: Sequence[JointMotion],
-    solved: SolvedControls,
+    solution: SolvedControls,
     tracks: Sequence[KeyTrack],
     driven_targets: Mapping[str, FloatArray],
 ) -> tuple[Fault, ...]:
     """Return notes on motion that the rig's controls and mimics cannot produce."""
     notices = [
-        *_released_notes(solved),
-        *_on_top(rig, tracks, driven_targets),
-        *_off_type(rig, joints, tracks),
+        *_released_notes(solution),
+        *_additional_motion_notes(rig, tracks, driven_targets),
+        *_off_type_notes(rig, joints, tracks),
         *_unreachable_notes(rig, tracks),
     ]
     return tuple(
@@ -133,15 +134,16 @@ def key_notices(
 _Note = tuple[str, str, str | None]
 
 
-def _released_notes(solved: SolvedControls) -> Iterator[_Note]:
-    if solved.released_names:
-        names = listed(solved.released_names, MAX_NAMES)
+def _released_notes(solution: SolvedControls) -> Iterator[_Note]:
+    """Yield a note on controls without values that reproduce their targets."""
+    if solution.released_names:
+        names = listed(solution.released_names, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"
         hint = "the joints and shapes that they drive have keys instead"
         yield "CLIP115", message, hint
 
 
-def _on_top(
+def _additional_motion_notes(
     rig: Rig, tracks: Sequence[KeyTrack], driven_targets: Mapping[str, FloatArray]
 ) -> Iterator[_Note]:
     """Yield notes on joints that move in addition to their keyed controls."""
@@ -155,8 +157,8 @@ def _on_top(
         if not any(np.ptp(driven_targets[target]) > 0 for target in driven_parts):
             continue
         if track.part in {"angle", "rotation"}:
-            rotations = track.local(track.samples)
-            driven_rotation = track.before
+            rotations = track.to_parent_space(track.samples)
+            driven_rotation = track.reference
             assert driven_rotation is not None
             largest_angle = (
                 so3.angle_between(rotations, driven_rotation).max() / units.angle
@@ -172,9 +174,10 @@ def _on_top(
         yield "CLIP116", f"{message}{track.part} up to {amount}", None
 
 
-def _off_type(
+def _off_type_notes(
     rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[KeyTrack]
 ) -> Iterator[_Note]:
+    """Yield notes on joints that move beyond their types."""
     units = ClipUnits.of_rig(rig)
     angle = "rad" if units.angle == 1.0 else "deg"
     for track in tracks:
@@ -200,6 +203,7 @@ def _off_type(
 
 
 def _unreachable_notes(rig: Rig, tracks: Sequence[KeyTrack]) -> Iterator[_Note]:
+    """Yield notes on mimic joints that do not follow their leaders."""
     keyed_joints = {t.index for t in tracks if t.part not in {"", "scale"}}
     for j in sorted(keyed_joints):
         joint = rig.joints[j]

@@ -22,18 +22,18 @@ class KeyedCurve:
 
     Attributes:
         sample: Returns the motion at times ``(F,)`` [time code].
-        clip: Returns the `animtool.clip.clip.Clip` of the keys, at the same time codes;
-            None if there is none.
-        foreign: Whether the keys are from a file of another format.
-        native: The keys in that format, for its writer.
+        get_clip: Returns the `animtool.clip.clip.Clip` of the keys, at the same time
+            codes; None if there is none.
+        is_foreign: Whether the keys are from a file of another format.
+        native_keys: The keys in that format, for its writer.
         sample_blocks: Yields the motion at times block by block; None samples them at
             once.
     """
 
     sample: Callable[[FloatArray], Motion]
-    clip: Callable[[], Any]
-    foreign: bool = False
-    native: object = None
+    get_clip: Callable[[], Any]
+    is_foreign: bool = False
+    native_keys: object = None
     sample_blocks: Callable[[FloatArray], Iterator[Motion]] | None = None
 
     def __call__(self, times: FloatArray) -> Motion:
@@ -54,12 +54,12 @@ def clip_of(take: Take) -> Any:
     Samples are compared with the curve, as a pass may have changed them.
     """
     curve = take.curve
-    if not isinstance(curve, KeyedCurve) or not is_of_curve(take):
+    if not isinstance(curve, KeyedCurve) or not matches_curve(take):
         return None
-    return curve.clip()
+    return curve.get_clip()
 
 
-def is_of_curve(take: Take) -> bool:
+def matches_curve(take: Take) -> bool:
     """Return whether a take's samples equal its keyed curve."""
     curve = take.curve
     if not isinstance(curve, KeyedCurve):
@@ -80,6 +80,7 @@ def is_of_curve(take: Take) -> bool:
 
 
 def _equal_channels(channel_a: Channel, channel_b: Channel) -> bool:
+    """Return whether two channels differ by no more than rounding."""
     if channel_a.rest.shape != channel_b.rest.shape or len(channel_a.values) != len(
         channel_b.values
     ):

@@ -12,14 +12,14 @@ from animtool.clip.control_keys import (
     FittedControls,
     driven_pose,
     fit_controls,
-    solved_controls,
+    solve_take_controls,
     uncombined_weights_of,
 )
 from animtool.clip.coordinates import (
     JointMotion,
-    Same,
-    joint_motions,
+    Tolerances,
     joint_tracks,
+    relative_joint_motions,
 )
 from animtool.clip.key_report import ChannelError, channel_errors, key_notices
 from animtool.clip.reduction.keys import ChannelKind, Reduction, clip_of_reduction
@@ -31,7 +31,12 @@ from animtool.clip.reduction.points import (
 )
 from animtool.clip.reduction.reduce import reduce_motion
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
-from animtool.clip.reduction.tracks import KeyTrack, in_order, pose_of, tracks_of
+from animtool.clip.reduction.tracks import (
+    KeyTrack,
+    additive_pose,
+    find_tracks,
+    sort_tracks,
+)
 from animtool.clip.sample import sample_channels, sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
@@ -69,7 +74,7 @@ class KeyedTake:
     notices: tuple[Fault, ...]
 
 
-def keyed_take(
+def fit_take_keys(
     take: Take,
     rig: Rig,
     name: str,
@@ -98,57 +103,58 @@ def keyed_take(
     tolerances = _rounding_differences(
         rig, float(bounds.min()) if len(bounds) else tolerance
     )
-    joints = joint_motions(rig, take.motion, tolerances)
-    solved = _solved(take, rig, joints, tolerances, additive=base is not None)
+    joints = relative_joint_motions(rig, take.motion, tolerances)
+    solution = _solve_controls(take, rig, joints, tolerances, additive=base is not None)
     weights = uncombined_weights_of(take, rig)
-    job = _Job(
+    job = _KeyingJob(
         take,
         rig,
         name,
         joints,
         weights,
-        solved,
+        solution,
         tolerances,
         tolerance,
         other_tolerances,
         base,
     )
-    result = job.reduced(1.0)
+    result = job.reduce(1.0)
     for i in range(MAX_REFINEMENTS):
         if result.reduction.held:
             break
-        factor = job.reduced(REFINEMENT_FACTOR ** (i + 1))
+        factor = job.reduce(REFINEMENT_FACTOR ** (i + 1))
         result = min(result, factor, key=lambda keyed: keyed.reduction.error)
     return result
 
 
-def _rounding_differences(rig: Rig, tolerance: float) -> Same:
+def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
     """Return the differences that count as rounding for a tolerance [m]."""
     rounding = SAME_FRACTION * tolerance
-    return Same(
+    return Tolerances(
         min(SAME_ANGLE, rounding / max(rest_size(rig), SHELL_DISTANCE)),
         min(SAME_LENGTH, rounding),
         SAME_WEIGHT,
     )
 
 
-def _solved(
+def _solve_controls(
     take: Take,
     rig: Rig,
     joints: list[JointMotion],
-    same: Same,
+    tolerances: Tolerances,
     *,
     additive: bool,
 ) -> SolvedControls:
+    """Return the control values; those of an additive take stay at their defaults."""
     if additive:
         count = take.motion.frames
         defaults = {c.name: np.full(count, c.default) for c in rig.controls}
         return SolvedControls(defaults, (), ())
-    return solved_controls(take, rig, joints, same)
+    return solve_take_controls(take, rig, joints, tolerances)
 
 
 @dataclass(frozen=True, slots=True)
-class _Job:
+class _KeyingJob:
     """A take to key, with its solved controls."""
 
     take: Take
@@ -156,60 +162,67 @@ class _Job:
     name: str
     joints: list[JointMotion]
     weights: dict[str, FloatArray]
-    solved: SolvedControls
-    same: Same
+    solution: SolvedControls
+    tolerances: Tolerances
     tolerance: float
-    others: Mapping[str, float]
+    joint_tolerances: Mapping[str, float]
     base: Take | None
 
-    def reduced(self, factor: float) -> KeyedTake:
+    def reduce(self, factor: float) -> KeyedTake:
         """Return the take's keys at a fraction of the tolerance."""
-        take, rig, others = self.take, self.rig, self.others
-        others = {pattern: factor * value for pattern, value in others.items()}
-        bounds = joint_bounds(rig, factor * self.tolerance, others)
+        take, rig, scaled_tolerances = self.take, self.rig, self.joint_tolerances
+        scaled_tolerances = {
+            pattern: factor * value for pattern, value in scaled_tolerances.items()
+        }
+        bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerances)
         unkeyable_values = self._driven_values()
         exact_targets = (
-            evaluate_controls(rig.controls, self.solved.values).targets
+            evaluate_controls(rig.controls, self.solution.values).targets
             | unkeyable_values
         )
-        weights = self._weights(exact_targets, exact_targets)
-        finest = WEIGHT_TOLERANCE * factor / _growth(rig, weights)
+        weights = self._weight_tracks(exact_targets, exact_targets)
+        weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_growth(rig, weights)
         keyed_tracks = self._keyed_tracks(
-            joint_tracks(rig, self.joints, exact_targets, exact_targets, self.same)
+            joint_tracks(
+                rig, self.joints, exact_targets, exact_targets, self.tolerances
+            )
         )
         controls = fit_controls(
-            take, rig, self.solved.values, keyed_tracks, bounds, finest
+            take, rig, self.solution.values, keyed_tracks, bounds, weight_tolerance
         )
         fitted_targets = (
-            evaluate_controls(rig.controls, controls.named).targets | unkeyable_values
+            evaluate_controls(rig.controls, controls.values_by_name).targets
+            | unkeyable_values
         )
         tracks = joint_tracks(
-            rig, self.joints, exact_targets, fitted_targets, self.same
+            rig, self.joints, exact_targets, fitted_targets, self.tolerances
         )
-        tracks += self._scales() + self._weights(exact_targets, fitted_targets)
+        tracks += self._scale_tracks() + self._weight_tracks(
+            exact_targets, fitted_targets
+        )
         reduction = reduce_motion(
             take,
             factor * self.tolerance,
-            joint_tolerances=others,
-            weight_tolerance=finest,
+            joint_tolerances=scaled_tolerances,
+            weight_tolerance=weight_tolerance,
             base=self.base,
-            tracks=in_order(tracks),
-            start=self._start(controls, keyed_tracks),
+            tracks=sort_tracks(tracks),
+            start=self._start_motion(controls, keyed_tracks),
         )
         reduction = replace(
             reduction,
             channels=(*controls.channels, *reduction.channels),
-            samples=controls.moving + reduction.samples,
+            samples=controls.moving_count + reduction.samples,
         )
         clip = clip_of_reduction(reduction, rig, self.name)
         sampled_motion = sample_channels(clip.channels, rig, take.clock.times).motion
-        bounds_of_all = joint_bounds(rig, self.tolerance, self.others)
+        bounds_of_all = joint_bounds(rig, self.tolerance, self.joint_tolerances)
         return KeyedTake(
             clip,
             _measure_errors(reduction, take, sampled_motion, self.base, bounds_of_all),
-            tuple(controls.named),
-            channel_errors(clip, rig, take, sampled_motion, self.solved.values),
-            key_notices(rig, self.joints, self.solved, tracks, exact_targets),
+            tuple(controls.values_by_name),
+            channel_errors(clip, rig, take, sampled_motion, self.solution.values),
+            key_notices(rig, self.joints, self.solution, tracks, exact_targets),
         )
 
     def _driven_values(self) -> dict[str, FloatArray]:
@@ -240,30 +253,31 @@ class _Job:
                 }
         return frozenset(keyed_channels)
 
-    def _start(
+    def _start_motion(
         self, controls: FittedControls, keyed_tracks: frozenset[tuple[ChannelKind, int]]
     ) -> Motion:
         """Return the take with joints driven by the fitted control keys."""
         times = self.take.clock.times
         exact_values = {
-            f"control/{n}": v[:, None] for n, v in self.solved.values.items()
+            f"control/{n}": v[:, None] for n, v in self.solution.values.items()
         }
         exact_motion = sample_values(exact_values, self.rig, times).motion
         fitted_motion = sample_values(controls.values, self.rig, times).motion
         return driven_pose(self.take.motion, fitted_motion, exact_motion, keyed_tracks)
 
-    def _scales(self) -> list[KeyTrack]:
+    def _scale_tracks(self) -> list[KeyTrack]:
+        """Return tracks of the scales; controls do not change them."""
         motion = self.take.motion
         if motion.scales is None:
             return []
         without_weights = replace(motion, weights=None)
         unscaled = Channel.static(np.ones_like(motion.scales.rest))
-        tracks = tracks_of(
+        tracks = find_tracks(
             self.rig, without_weights, replace(without_weights, scales=unscaled)
         )
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 
-    def _weights(
+    def _weight_tracks(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
     ) -> list[KeyTrack]:
         """Return tracks of weights less controls and combination shapes."""
@@ -275,7 +289,7 @@ class _Job:
             remaining = take_weight - exact.get(target, zero)
             is_derived = bool(shape.combine) or target in exact
             if np.abs(remaining).max(initial=0.0) <= (
-                self.same.weight if is_derived else 0.0
+                self.tolerances.weight if is_derived else 0.0
             ):
                 continue
             samples = np.array(take_weight - fitted.get(target, zero))[:, None]
@@ -288,7 +302,7 @@ class _Job:
         return tracks
 
 
-def _growth(rig: Rig, tracks: list[KeyTrack]) -> float:
+def _combination_growth(rig: Rig, tracks: list[KeyTrack]) -> float:
     """Return the error growth of combination shapes [1], at least 1."""
     keyed_shapes = {track.index for track in tracks}
     shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}
@@ -310,7 +324,7 @@ def _measure_errors(
         return replace(reduction, weight_error=weight_error)
     base_motion = None if base is None else base.motion
     true_world, reduced_world = (
-        pose_of(take.rig, motion, base_motion).world()
+        additive_pose(take.rig, motion, base_motion).world_transforms()
         for motion in (take.motion, keyed)
     )
     errors = point_errors(
@@ -327,7 +341,11 @@ def _measure_errors(
     )
 
 
-def _weight_error(target: Channel | None, keyed: Channel | None) -> float:
+def _weight_error(take_channel: Channel | None, keyed: Channel | None) -> float:
+    """Return the largest error of shape weights [1]."""
     zero = np.zeros(1)
-    dense = [zero if c is None else c.dense() for c in (target, keyed)]
+    dense = [
+        zero if channel is None else channel.dense()
+        for channel in (take_channel, keyed)
+    ]
     return float(np.abs(dense[0] - dense[1]).max(initial=0.0))

@@ -28,13 +28,13 @@ class PlainKeys:
         return len(self.times)
 
     @staticmethod
-    def of_entries(entries: Any) -> PlainKeys | None:
+    def from_entries(entries: Any) -> PlainKeys | None:
         """Return keys as columns; None if one is invalid or has more than `t` and `v`.
 
-        >>> keys = PlainKeys.of_entries([{"t": 1, "v": [0.5, 2]}])
+        >>> keys = PlainKeys.from_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()
         [[0.5, 2.0]]
-        >>> PlainKeys.of_entries([{"t": 1, "v": 0.5, "out": "flat"}]) is None
+        >>> PlainKeys.from_entries([{"t": 1, "v": 0.5, "out": "flat"}]) is None
         True
         """
         is_plain = entries.__class__ is list and bool(entries)
@@ -61,12 +61,12 @@ class PlainKeys:
             return None
         try:
             value_rows = np.array(values, np.float64).reshape(len(times), components)
-            return PlainKeys.of_arrays(np.array(times, np.float64), value_rows)
+            return PlainKeys.from_arrays(np.array(times, np.float64), value_rows)
         except OverflowError:
             return None
 
     @staticmethod
-    def of_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
+    def from_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
         """Return keys from arrays; None if a number exceeds the file limits."""
         is_valid = all(
             (np.abs(numbers) <= MAX_NUMBER).all() for numbers in (times, values)
@@ -85,7 +85,7 @@ def _have_equal_lengths(rows: list[list[Any]]) -> bool:
     return {len(row) for row in rows} == {len(rows[0])} != {0}
 
 
-def plain_or_each(entries: Any, check: Callable[[Any], Any]) -> Any:
+def plain_keys_or_check(entries: Any, check: Callable[[Any], Any]) -> Any:
     """Return plain keys as columns; pass others to ``check``."""
-    keys = PlainKeys.of_entries(entries)
+    keys = PlainKeys.from_entries(entries)
     return check(entries) if keys is None else keys

@@ -50,12 +50,12 @@ class SampledMotion:
     motion: Motion  # joints, shapes and controls; static values are stored once
     # Controls out of range and exceeded limits, with the worst frame and amount of
     # each; joints whose keys override a mimic or the contribution of a moving control.
-    targeted: list[ClipNotice]
+    clip_notices: list[ClipNotice]
 
     @property
     def notices(self) -> list[Fault]:
         """The faults of ``targeted``."""
-        return [notice.fault for notice in self.targeted]
+        return [notice.fault for notice in self.clip_notices]
 
 
 def sample_channels(
@@ -84,9 +84,10 @@ def sample_channels(
     values = evaluate_channels(channels, times)
     sampled_motion = sample_values(values, rig, times, clamp=clamp)
     notices_with_keys = [
-        with_keys(notice, channels, rig, times) for notice in sampled_motion.targeted
+        with_keys(notice, channels, rig, times)
+        for notice in sampled_motion.clip_notices
     ]
-    return replace(sampled_motion, targeted=notices_with_keys)
+    return replace(sampled_motion, clip_notices=notices_with_keys)
 
 
 # Number of key frames listed in a message.
@@ -153,39 +154,39 @@ def sample_values(
         if name.startswith("control/")
     }
     driven_values = evaluate_controls(rig.controls, controls, clamp=clamp)
-    _refuse_undefined(driven_values, times)
+    _check_defined(driven_values, times)
     notices += _range_notices(rig, driven_values, times, clamp=clamp)
     parts_by_joint = _parts_by_joint(keyed, driven_values)
-    notices += _replace(parts_by_joint)
-    notices += _follow(rig, parts_by_joint, clamp=clamp)
-    joints = _Joints(rig, times, clamp, notices)
+    notices += _drop_replaced_parts(parts_by_joint)
+    notices += _apply_mimics(rig, parts_by_joint, clamp=clamp)
+    joints = _JointValues(rig, times, clamp, notices)
     for name, part in parts_by_joint.items():
-        joints.add(rig.index(name), part)
+        joints.add_joint(rig.index(name), part)
     moving_controls = _control_channel(rig, driven_values, count) if controls else None
     coordinates = (
-        _coordinates(rig, parts_by_joint, clamp=clamp) if rig.is_driven else {}
+        _joint_coordinates(rig, parts_by_joint, clamp=clamp) if rig.is_driven else {}
     )
     motion = Motion(
-        joints.channel("translations", rig.rest_translations),
-        joints.channel("rotations", rig.rest_rotations),
-        joints.channel("scales", np.ones((len(rig.joints), 3)))
+        joints.build_channel("translations", rig.rest_translations),
+        joints.build_channel("rotations", rig.rest_rotations),
+        joints.build_channel("scales", np.ones((len(rig.joints), 3)))
         if joints.values["scales"]
         else None,
-        _weights(rig, keyed, driven_values, count),
+        _weight_channel(rig, keyed, driven_values, count),
         moving_controls,
     )
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
 
         driver_run = run or DriverRun(rig, report_replaced=True)
-        motion = driver_run.drive(motion, times, coordinates)
+        motion = driver_run.evaluate(motion, times, coordinates)
         if run is None:
-            located = driver_run.located_notices()
-            notices += [ClipNotice(*notice) for notice in located]
+            located_notices = driver_run.located_notices()
+            notices += [ClipNotice(*notice) for notice in located_notices]
     return SampledMotion(motion, notices)
 
 
-def _coordinates(
+def _joint_coordinates(
     rig: Rig, parts: Mapping[str, Parts], *, clamp: bool
 ) -> dict[str, FloatArray]:
     """Return joint angles and slides from keys and controls, by name."""
@@ -193,7 +194,7 @@ def _coordinates(
     for name, joint_parts in parts.items():
         joint = rig.joints[rig.index(name)]
         part, full_part = _MIMIC_PARTS.get(joint.type, ("", ""))
-        value = _sum(joint_parts.get(part), joint_parts.get(f"+{part}"))
+        value = _add_values(joint_parts.get(part), joint_parts.get(f"+{part}"))
         if value is None or full_part in joint_parts:
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
@@ -202,7 +203,8 @@ def _coordinates(
     return coordinates
 
 
-def _refuse_undefined(driven_values: DrivenValues, times: FloatArray) -> None:
+def _check_defined(driven_values: DrivenValues, times: FloatArray) -> None:
+    """Raise if a control or target is not finite at a time."""
     for name, values in [
         *driven_values.unclamped.items(),
         *driven_values.targets.items(),
@@ -218,6 +220,7 @@ def _refuse_undefined(driven_values: DrivenValues, times: FloatArray) -> None:
 def _range_notices(
     rig: Rig, driven_values: DrivenValues, times: FloatArray, *, clamp: bool
 ) -> list[ClipNotice]:
+    """Return notices on controls that leave their ranges."""
     notices = []
     for control in rig.controls:
         if control.low is None or control.high is None:
@@ -233,7 +236,7 @@ def _range_notices(
                 f"{frame:g}, outside {control.low:g} to {control.high:g}"
             )
             message += _CLAMPED_SUFFIX if clamp else ""
-            hint = None if clamp else _CLAMP
+            hint = None if clamp else _CLAMP_HINT
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
             amount = float(abs(excess[worst_frame]))
@@ -241,7 +244,7 @@ def _range_notices(
     return notices
 
 
-_CLAMP = f"{argument('source.clamp', True)} clamps it"
+_CLAMP_HINT = f"{argument('source.clamp', True)} clamps it"
 _CLAMPED_SUFFIX = ": clamped"
 
 
@@ -261,7 +264,7 @@ def _parts_by_joint(
     return result
 
 
-def _replace(parts: Mapping[str, Parts]) -> list[ClipNotice]:
+def _drop_replaced_parts(parts: Mapping[str, Parts]) -> list[ClipNotice]:
     """Drop control contributions where a local channel replaces the joint's motion."""
     notices = []
     for name, part in parts.items():
@@ -290,7 +293,9 @@ _MIMIC_PARTS = {
 }
 
 
-def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotice]:
+def _apply_mimics(
+    rig: Rig, parts: dict[str, Parts], *, clamp: bool
+) -> list[ClipNotice]:
     """Set the coordinates of mimic joints.
 
     Keys on a mimic joint override its mimic, with a note.
@@ -325,7 +330,7 @@ def _follow(rig: Rig, parts: dict[str, Parts], *, clamp: bool) -> list[ClipNotic
 
 
 @dataclass(slots=True)
-class _Joints:
+class _JointValues:
     """Local transforms of the moving joints."""
 
     rig: Rig
@@ -336,26 +341,26 @@ class _Joints:
         default_factory=lambda: {"translations": {}, "rotations": {}, "scales": {}}
     )
 
-    def add(self, j: int, parts: Parts) -> None:
+    def add_joint(self, j: int, parts: Parts) -> None:
         """Compute a joint's translation, rotation and scale ``(F or 1, K)``."""
         joint = self.rig.joints[j]
-        rest_t, rest_r = np.array(joint.translation), np.array(joint.rotation)
-        base_t = parts.get("local_translation", rest_t[None])
-        slide = self._slide(joint, parts)
+        rest_translation, rest_r = np.array(joint.translation), np.array(joint.rotation)
+        base_translation = parts.get("local_translation", rest_translation[None])
+        slide = self._translation_from_rest(joint, parts)
         if slide is not None:
-            base_t = base_t + so3.rotate(rest_r, slide)
-        base_r = parts.get("local_rotation", rest_r[None])
-        rotation = self._rotation(joint, parts)
+            base_translation = base_translation + so3.rotate(rest_r, slide)
+        base_rotation = parts.get("local_rotation", rest_r[None])
+        rotation = self._rotation_from_rest(joint, parts)
         if rotation is not None:
-            base_r = so3.multiply(base_r, rotation)
+            base_rotation = so3.multiply(base_rotation, rotation)
         if slide is not None or "local_translation" in parts:
-            self.values["translations"][j] = base_t
+            self.values["translations"][j] = base_translation
         if rotation is not None or "local_rotation" in parts:
-            self.values["rotations"][j] = base_r
+            self.values["rotations"][j] = base_rotation
         if "scale" in parts:
             self.values["scales"][j] = parts["scale"]
 
-    def channel(self, name: str, rest: FloatArray) -> Channel:
+    def build_channel(self, name: str, rest: FloatArray) -> Channel:
         """Return the channel of a part: animated values and constants."""
         constant_values, count = rest.copy(), len(self.times)
         animated_joints: list[int] = []
@@ -366,17 +371,19 @@ class _Joints:
                 continue
             animated_joints.append(j)
             columns.append(values)
-        moving = np.zeros((count, len(columns), rest.shape[1]))
+        animated_values = np.zeros((count, len(columns), rest.shape[1]))
         size = max(1, ROWS_AT_ONCE // max(count, 1))
-        for begin in range(0, len(columns), size):
-            rows = np.stack(columns[begin : begin + size], axis=1)
+        for first_column in range(0, len(columns), size):
+            rows = np.stack(columns[first_column : first_column + size], axis=1)
             rows = so3.align_signs(rows) if name == "rotations" else rows
-            moving[:, begin : begin + size] = rows
-        return Channel(constant_values, np.array(animated_joints, np.int64), moving)
+            animated_values[:, first_column : first_column + size] = rows
+        return Channel(
+            constant_values, np.array(animated_joints, np.int64), animated_values
+        )
 
-    def _slide(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _translation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
-        slide = _sum(parts.get("slide"), parts.get("+slide"))
+        slide = _add_values(parts.get("slide"), parts.get("+slide"))
         if slide is not None:
             slide = self._clamp_to_limits(joint, slide)
             return np.asarray(slide * np.array(joint.axis))
@@ -389,9 +396,9 @@ class _Joints:
                 )
         return translation
 
-    def _rotation(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _rotation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
-        angle = _sum(parts.get("angle"), parts.get("+angle"))
+        angle = _add_values(parts.get("angle"), parts.get("+angle"))
         if angle is not None:
             angle = self._clamp_to_limits(joint, angle)
             return so3.from_axis_angle(joint.axis, angle[:, 0])
@@ -408,18 +415,20 @@ class _Joints:
         if rotation is not None and isinstance(joint.limits, BallLimit):
             clamped_rotation = joint.limits.clamped(rotation)
             excess = so3.angle_between(rotation, clamped_rotation)
-            self._notice(joint, excess, "its cone or twist")
+            self._add_notice(joint, excess, "its cone or twist")
             rotation = clamped_rotation if self.clamp else rotation
         return rotation
 
     def _clamp_to_limits(self, joint: Joint, values: FloatArray) -> FloatArray:
+        """Return a coordinate clamped to the joint's limits, with a notice."""
         if not isinstance(joint.limits, RangeLimit):
             return values
         clamped_values = joint.limits.clamped(values)
-        self._notice(joint, np.abs(values - clamped_values)[:, 0], "its limits")
+        self._add_notice(joint, np.abs(values - clamped_values)[:, 0], "its limits")
         return clamped_values if self.clamp else values
 
-    def _notice(self, joint: Joint, excess: FloatArray, limit_name: str) -> None:
+    def _add_notice(self, joint: Joint, excess: FloatArray, limit_name: str) -> None:
+        """Add a notice on a joint that exceeds its limits."""
         worst_frame = int(np.argmax(excess))
         if not excess[worst_frame] > LIMIT_TOLERANCE:
             return
@@ -431,13 +440,13 @@ class _Joints:
             excess_text = f"was clamped to {limit_name}, by {amount},"
         message = f"joint {joint.name!r} {excess_text} at frame "
         message += f"{self.times[worst_frame]:g}"
-        hint = None if self.clamp else _CLAMP
+        hint = None if self.clamp else _CLAMP_HINT
         fault = Fault("CLIP102", message, severity=Severity.WARNING, hint=hint)
         frame, largest = float(self.times[worst_frame]), float(excess[worst_frame])
         self.notices.append(ClipNotice(fault, f"joint/{joint.name}", frame, largest))
 
 
-def _sum(
+def _add_values(
     keyed_values: FloatArray | None, driven_values: FloatArray | None
 ) -> FloatArray | None:
     """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
@@ -463,12 +472,13 @@ def _column_channel(columns: list[FloatArray], count: int) -> Channel:
 
 
 def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
+    """Return the values of the controls as a channel."""
     return _column_channel(
         [driven.controls[control.name] for control in rig.controls], count
     )
 
 
-def _weights(
+def _weight_channel(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
     """Return the shapes' weights; None if all are zero."""

@@ -11,7 +11,7 @@ import numpy as np
 from annotated_types import Len
 from pydantic import Field, WrapValidator
 
-from animtool.clip.plain_keys import PlainKeys, plain_or_each
+from animtool.clip.plain_keys import PlainKeys, plain_keys_or_check
 from animtool.core.array_types import FloatArray
 from animtool.core.options import key
 from animtool.documents.check import FileModel
@@ -86,8 +86,8 @@ if TYPE_CHECKING:
     ChannelKeys = Keys  # references to arrays are resolved first
 else:
     # Plain keys have no models, which would take most of the time.
-    Keys = Annotated[list[KeyModel], WrapValidator(plain_or_each)]
-    ChannelKeys = Annotated[list[KeyModel] | str, WrapValidator(plain_or_each)]
+    Keys = Annotated[list[KeyModel], WrapValidator(plain_keys_or_check)]
+    ChannelKeys = Annotated[list[KeyModel] | str, WrapValidator(plain_keys_or_check)]
 
 
 class _TargetModel(FileModel):

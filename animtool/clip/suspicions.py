@@ -119,14 +119,16 @@ def _warn_of_speed(
         steps = np.diff(channel.times) / float(fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
         # A single fast step, or one without frames between, is a cut or a teleport.
-        not_cut = np.array([mode != Interp.STEP for mode in channel.interps[:-1]], bool)
-        fast = lengths > MAX_SPEED * steps
-        counted_steps = fast & (steps >= SPEED_INTERVAL)
-        if fast.sum() >= max(MIN_FAST, np.count_nonzero(lengths) / 2):
-            counted_steps = fast & not_cut
-        if not counted_steps.any():
+        is_continuous = np.array(
+            [mode != Interp.STEP for mode in channel.interps[:-1]], bool
+        )
+        is_fast = lengths > MAX_SPEED * steps
+        is_counted = is_fast & (steps >= SPEED_INTERVAL)
+        if is_fast.sum() >= max(MIN_FAST, np.count_nonzero(lengths) / 2):
+            is_counted = is_fast & is_continuous
+        if not is_counted.any():
             continue
-        speeds = np.where(counted_steps, lengths / np.maximum(steps, 1e-9), 0.0)
+        speeds = np.where(is_counted, lengths / np.maximum(steps, 1e-9), 0.0)
         k = int(speeds.argmax())
         message = (
             f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
@@ -136,11 +138,12 @@ def _warn_of_speed(
         hint = "check the keys and fps"
         if unit is not None:
             hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
-        document.warn("CLIP109", (*_at(i, k + 1), "v"), message, hint)
+        document.warn("CLIP109", (*_key_location(i, k + 1), "v"), message, hint)
         return
 
 
-def _at(channel: int, key: int) -> Location:
+def _key_location(channel: int, key: int) -> Location:
+    """Return the location of a key."""
     return ("channels", channel, "keys", key)
 
 
@@ -160,15 +163,24 @@ def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
         keys = document.value["channels"][i]["keys"]
         for k in np.flatnonzero(abs(values[:, 2]) == 1.0).tolist():
             # Of an array, which is not a list in the document, by its values.
-            from_array = isinstance(keys, str)
-            written = [0.0, 0.0, 0.0, values[k, 2]] if from_array else keys[k]["v"]
-            if written == HALF_REVOLUTION_ABOUT_Z:
-                at = ("channels", i, "keys") if from_array else (*_at(i, k), "v")
-                warn_of_quaternion(document, "CLIP106", at)
+            is_from_array = isinstance(keys, str)
+            written_quaternion = (
+                [0.0, 0.0, 0.0, values[k, 2]] if is_from_array else keys[k]["v"]
+            )
+            if written_quaternion == HALF_REVOLUTION_ABOUT_Z:
+                location = (
+                    ("channels", i, "keys")
+                    if is_from_array
+                    else (*_key_location(i, k), "v")
+                )
+                warn_of_quaternion(document, "CLIP106", location)
                 return
 
 
-def _angles(channels: Sequence[ClipChannel]) -> Iterator[tuple[int, FloatArray]]:
+def _angle_channels(
+    channels: Sequence[ClipChannel],
+) -> Iterator[tuple[int, FloatArray]]:
+    """Yield index and values of channels of angles: pins and Euler angles [rad]."""
     for i, channel in enumerate(channels):
         is_pin = split_part(channel.target, KEYED_PARTS)[1] == "angle"
         if channel.euler or (channel.target.startswith("joint/") and is_pin):
@@ -184,7 +196,7 @@ def _warn_of_angles(
     """Warn of keys in radians where degrees are declared, and vice versa (CLIP107)."""
     curves = [
         AngleCurve(("channels", i), channels[i].target, values)
-        for i, values in _angles(channels)
+        for i, values in _angle_channels(channels)
     ]
     warn_of_angle_keys(document, curves, "rotation keys of", "channel", units, rig)
 
@@ -217,7 +229,9 @@ def warn_of_angle_keys(
         rig: Rig whose limits show units of pins, if it is known.
     """
     angles = [(curve, curve.values / units.angle) for curve in curves]
-    angles = [(curve, values) for curve, values in angles if values.any()]
+    angles = [
+        (curve, values) for curve, values in angles if values.any()
+    ]
     if not angles:
         return
     in_degrees = units.angle != 1.0
@@ -327,7 +341,7 @@ def _warn_of_metres(
             f"{math.degrees(stride):.0f}°; the rig is {length_text(size)} tall"
         )
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
-        document.warn("CLIP108", (*_at(i, len(channel.times) - 1), "v"), message, hint)
+        document.warn("CLIP108", (*_key_location(i, len(channel.times) - 1), "v"), message, hint)
         return
 
 
@@ -359,7 +373,7 @@ def _warn_of_small_lengths(
         f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; "
         f"else 'units: {{length: {unit}}}'"
     )
-    document.warn("CLIP108", (*_at(i, k), "v"), message, hint)
+    document.warn("CLIP108", (*_key_location(i, k), "v"), message, hint)
     return True
 
 
@@ -380,7 +394,7 @@ def _warn_of_scale(
             f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
         )
         hint = f"1 is the size at rest: for {smallest:.4g}% write {smallest / 100:.4g}"
-        document.warn("CLIP113", (*_at(i, 0), "v"), message, hint)
+        document.warn("CLIP113", (*_key_location(i, 0), "v"), message, hint)
         return
 
 
@@ -399,6 +413,7 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
     hint = f"for {largest:.4g}% write {largest / 100:.4g}"
     k = int(channels[i].values[:, 0].argmax())
     document.warn("CLIP121", (*_at(i, k), "v"), message, hint)
+    )
 
 
 def _warn_of_controls(
@@ -431,21 +446,27 @@ def _warn_of_controls(
         driven_span = max(spans, default=0.0)
         if not driven_span > 0 or channel_span < MIN_LAYER * driven_span:
             continue
-        names = listed([repr(name) for name in _drivers(rig, target, keyed)], 3)
+        names = listed(
+            [repr(name) for name in _driving_controls(rig, target, keyed)], 3
+        )
         is_length = target.endswith(("translation", "slide"))
-        shown = [
+        span_texts = [
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
             for span in (channel_span, driven_span)
         ]
         message = (
-            f"{target!r} is keyed over {shown[0]}, and control {names} moves it over "
-            f"{shown[1]}: both are added"
+            f"{target!r} is keyed over {span_texts[0]}, and control {names} moves it "
+            f"over {span_texts[1]}: both are added"
         )
-        document.warn("CLIP111", (*_at(i, 0), "v"), message, "remove one of them")
+        document.warn(
+            "CLIP111", (*_key_location(i, 0), "v"), message, "remove one of them"
+        )
         return
 
 
-def _drivers(rig: Rig, target: str, keyed: Mapping[str, FloatArray]) -> list[str]:
+def _driving_controls(
+    rig: Rig, target: str, keyed: Mapping[str, FloatArray]
+) -> list[str]:
     """Return the keyed controls that drive a target, or all that are keyed."""
     names = [
         control.name

@@ -90,7 +90,9 @@ def _warn_of_range(
     The first one on either side shapes the curve on its way there, and all are played
     where a channel repeats them.
     """
-    keys_outside = {i: keys_beyond(c, first, last) for i, c in enumerate(channels)}
+    keys_outside = {
+        i: keys_without_effect(c, first, last) for i, c in enumerate(channels)
+    }
     keys_outside = {i: keys for i, keys in keys_outside.items() if len(keys)}
     if not keys_outside:
         return
@@ -115,10 +117,10 @@ def _warn_of_range(
     document.warn("CLIP201", ("channels", i, "keys", int(keys[0]), "t"), message, hint)
 
 
-def keys_beyond(channel: ClipChannel, first: float, last: float) -> IntArray:
+def keys_without_effect(channel: ClipChannel, first: float, last: float) -> IntArray:
     """Return the keys of a channel that have no effect inside a frame range."""
     if not {channel.pre, channel.post} <= _NOT_CYCLING:
         return np.zeros(0, np.int64)
-    before = np.flatnonzero(channel.times < first)[:-1]
-    later_keys = np.flatnonzero(channel.times > last)[1:]
-    return np.concatenate([before, later_keys])
+    keys_before = np.flatnonzero(channel.times < first)[:-1]
+    keys_after = np.flatnonzero(channel.times > last)[1:]
+    return np.concatenate([keys_before, keys_after])

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from animtool.clip.clip import Clip, clip_text
 from animtool.clip.keyed_curve import KeyedCurve, clip_of
-from animtool.clip.keyed_take import keyed_take
+from animtool.clip.keyed_take import fit_take_keys
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, Severity, listed
@@ -23,7 +23,7 @@ from animtool.rig.write import rig_text
 MAX_NAMES = 6
 
 
-def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
+def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     """Return a take as files: a clip within a tolerance, its rig, the rig's arrays.
 
     Args:
@@ -31,10 +31,10 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         path: The clip file.
         options: ``tolerance`` defaults to half a millimetre.
     """
-    left_out = _left_out(take)
+    skipped_content_warnings = _skipped_content_warnings(take)
     base_take = options.base
     if base_take is not None:
-        take = replace(take, rig=without_rest(take.rig))
+        take = replace(take, rig=with_identity_rest(take.rig))
     stem = output_stem(path)
     rig_path = options.rig_file or CLIP.files(path)[0]
     contents: dict[Path, Contents] = {}
@@ -42,18 +42,20 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
     if options.rig_file is None:
         arrays_path = path.with_name(f"{stem}.npz")
         arrays: StoredArrays
-        rig, arrays = with_array_file(typed_by_motion(take), arrays_path, copy_all=True)
+        rig, arrays = with_array_file(
+            with_types_for_motion(take), arrays_path, copy_all=True
+        )
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
-    kept_clip = _kept_keys(take, options)
+    kept_clip = _unchanged_keys(take, options)
     if kept_clip is not None:
         text = clip_text(kept_clip, rig, path_from_folder(rig_path, path.parent))
         contents[path] = [text.encode()]
         frame_span = FrameSpan(kept_clip.first, kept_clip.last, kept_clip.fps)
-        notices = [*left_out, *kept_clip.notices]
+        notices = [*skipped_content_warnings, *kept_clip.notices]
         return TakeFiles(contents, frame_span, len(rig.joints), notices)
     tolerance = options.tolerance
-    keyed = keyed_take(
+    keyed_result = fit_take_keys(
         take,
         rig,
         stem,
@@ -61,28 +63,30 @@ def clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
         joint_tolerances=options.joint_tolerances,
         base=base_take,
     )
-    text = clip_text(keyed.clip, rig, path_from_folder(rig_path, path.parent))
+    text = clip_text(keyed_result.clip, rig, path_from_folder(rig_path, path.parent))
     contents[path] = [text.encode()]
     return TakeFiles(
         contents,
-        FrameSpan(keyed.clip.first, keyed.clip.last, keyed.clip.fps),
+        FrameSpan(
+            keyed_result.clip.first, keyed_result.clip.last, keyed_result.clip.fps
+        ),
         len(rig.joints),
-        [*left_out, *keyed.notices],
-        keyed,
+        [*skipped_content_warnings, *keyed_result.notices],
+        keyed_result,
     )
 
 
-def _kept_keys(take: Take, options: WriteOptions) -> Clip | None:
+def _unchanged_keys(take: Take, options: WriteOptions) -> Clip | None:
     """Return a take's keys from a file of another format, if still valid."""
     has_tolerance = options.tolerance is not None or options.joint_tolerances
-    foreign = isinstance(take.curve, KeyedCurve) and take.curve.foreign
-    if not foreign or has_tolerance or options.base is not None:
+    is_foreign = isinstance(take.curve, KeyedCurve) and take.curve.is_foreign
+    if not is_foreign or has_tolerance or options.base is not None:
         return None
     clip_of_take: Clip | None = clip_of(take)
     return clip_of_take
 
 
-def _left_out(take: Take) -> list[Fault]:
+def _skipped_content_warnings(take: Take) -> list[Fault]:
     """Return a warning of content that a clip cannot store."""
     names = [*(track.path for track in take.tracks), *take.motion.points]
     if not names:
@@ -92,7 +96,7 @@ def _left_out(take: Take) -> list[Fault]:
     return [Fault("CLIP119", message, severity=Severity.WARNING, hint=hint)]
 
 
-def without_rest(rig: Rig) -> Rig:
+def with_identity_rest(rig: Rig) -> Rig:
     """Return a rig with an identity rest pose, for an additive take."""
     joints = tuple(
         replace(joint, translation=(0.0, 0.0, 0.0), rotation=(0.0, 0.0, 0.0, 1.0))
@@ -101,7 +105,7 @@ def without_rest(rig: Rig) -> Rig:
     return replace(rig, joints=joints, bind={})
 
 
-def typed_by_motion(take: Take) -> Rig:
+def with_types_for_motion(take: Take) -> Rig:
     """Return a take's rig with joint types that allow its motion.
 
     A joint whose translation moves or differs from rest becomes free, the others balls.
@@ -111,12 +115,12 @@ def typed_by_motion(take: Take) -> Rig:
     if take.rig.controls or any(j.type not in free_types for j in take.rig.joints):
         return take.rig
     channel = take.motion.translations
-    translated = (channel.rest != take.rig.rest_translations).any(axis=1)
-    translated[channel.animated] = True
+    is_translated = (channel.rest != take.rig.rest_translations).any(axis=1)
+    is_translated[channel.animated] = True
     joints = tuple(
         replace(joint, type=JointType.FREE if moves else JointType.BALL)
         if joint.type is JointType.FREE
         else joint
-        for joint, moves in zip(take.rig.joints, translated.tolist(), strict=True)
+        for joint, moves in zip(take.rig.joints, is_translated.tolist(), strict=True)
     )
     return replace(take.rig, joints=joints)

@@ -94,7 +94,7 @@ RIG = Writer(
 CLIP = Writer(
     "clip",
     "clip files, keys within a tolerance",
-    "animtool.clip.written:clip_files",
+    "animtool.clip.written:build_clip_files",
     sidecars=(".rig.yaml",),
     options=("reduce", "reduce_at"),
     holds=frozenset({"joints", "shapes", "controls", "meshes"}),

@@ -38,15 +38,15 @@ class TakeSampler:
 
     Attributes:
         take: A take of F frames.
-        curved: Mask of the rows of each channel that are evaluated, by channel name;
-            channels without such rows are omitted.
+        rows_on_curve: Mask of the rows of each channel that are evaluated, by channel
+            name; channels without such rows are omitted.
     """
 
     take: Take
-    curved: Mapping[str, BoolArray]
+    rows_on_curve: Mapping[str, BoolArray]
 
     @staticmethod
-    def of(take: Take) -> TakeSampler:
+    def from_take(take: Take) -> TakeSampler:
         """Return a take for sampling between frames; compares samples with its curve.
 
         >>> from fractions import Fraction
@@ -54,94 +54,112 @@ class TakeSampler:
         >>> from animtool.rig.skeleton import Joint, Rig
         >>> clip = Clip("still", Fraction(24), Fraction(1), Fraction(9), ())
         >>> take = clip.sample(Rig("one", (Joint("a", -1),)))
-        >>> TakeSampler.of(take).curved["rotations"].tolist()
+        >>> TakeSampler.from_take(take).rows_on_curve["rotations"].tolist()
         [True]
         """
         if take.curve is None:
             return TakeSampler(take, {})
-        times, curved = take.clock.times, dict[str, BoolArray]()
+        times, rows_on_curve = take.clock.times, dict[str, BoolArray]()
         for start in range(0, len(times), BLOCK_FRAMES):
-            part = slice(start, start + BLOCK_FRAMES)
-            curve_values, samples = take.curve(times[part]), take.motion.select(part)
+            block_frames = slice(start, start + BLOCK_FRAMES)
+            curve_values, samples = (
+                take.curve(times[block_frames]),
+                take.motion.select(block_frames),
+            )
             for name in CURVE_CHANNELS:
                 is_equal = _equal_rows(
                     getattr(samples, name), getattr(curve_values, name)
                 )
                 if is_equal is not None:
-                    curved[name] = curved.get(name, is_equal) & is_equal
-        return TakeSampler(take, {k: rows for k, rows in curved.items() if rows.any()})
+                    rows_on_curve[name] = rows_on_curve.get(name, is_equal) & is_equal
+        return TakeSampler(
+            take, {k: rows for k, rows in rows_on_curve.items() if rows.any()}
+        )
 
-    def at(
-        self, at: FramePositions, *, smooth: bool = False, shared: bool = False
+    def sample(
+        self,
+        positions: FramePositions,
+        *,
+        smooth: bool = False,
+        same_rows: bool = False,
     ) -> Motion:
         """Return the take at positions between its frames.
 
-        smooth: rows of joints without curves follow splines of class C1; shared: all
+        smooth: rows of joints without curves follow splines of class C1; same_rows: all
         results have the same animated rows, as required for blocks of one motion.
         """
         motion = self.take.motion
-        interpolated = motion.map(at.interpolate)
+        interpolated = motion.map(positions.interpolate)
         if smooth:
             scales = motion.scales
             interpolated = replace(
                 interpolated,
-                translations=at.curve(motion.translations),
-                rotations=at.curve(motion.rotations),
-                scales=None if scales is None else at.curve(scales),
+                translations=positions.interpolate_spline(motion.translations),
+                rotations=positions.interpolate_spline(motion.rotations),
+                scales=None if scales is None else positions.interpolate_spline(scales),
             )
-        is_between = at.fractions > 0
-        if not self.curved or not is_between.any():
+        is_between = positions.fractions > 0
+        if not self.rows_on_curve or not is_between.any():
             return interpolated
-        times = self._times(at)[is_between]
-        return self._evaluate(interpolated, is_between, times, shared=shared)
+        times = self._times(positions)[is_between]
+        return self._evaluate_rows_on_curve(
+            interpolated, is_between, times, same_rows=same_rows
+        )
 
-    def curve(self, shown: Callable[[FloatArray], FloatArray]) -> MotionCurve | None:
-        """Return the curve of a take whose time t shows time ``shown(t)`` of this one.
+    def retimed_curve(
+        self, source_times: Callable[[FloatArray], FloatArray]
+    ) -> MotionCurve | None:
+        """Return the curve of a take that shows time ``source_times(t)`` of this at t.
 
         None if no row has a curve.
         """
-        if not self.curved:
+        if not self.rows_on_curve:
             return None
         clock = self.take.clock
         start, step = float(clock.start), float(clock.step)
 
         def sample(times: FloatArray) -> Motion:
-            return self.at(nearby_positions((shown(times) - start) / step, clock.count))
+            return self.sample(
+                nearby_positions((source_times(times) - start) / step, clock.count)
+            )
 
         return sample
 
-    def _times(self, at: FramePositions) -> FloatArray:
+    def _times(self, positions: FramePositions) -> FloatArray:
         """Return the time codes of positions ``(N,)``."""
         clock = self.take.clock
-        frames = at.frames + at.fractions
+        frames = positions.frames + positions.fractions
         times = float(clock.start) + frames * float(clock.step)
         return np.asarray(np.round(times, TIME_DECIMALS))
 
-    def _evaluate(
+    def _evaluate_rows_on_curve(
         self,
         interpolated: Motion,
         is_between: BoolArray,
         times: FloatArray,
         *,
-        shared: bool,
+        same_rows: bool,
     ) -> Motion:
         """Return a motion with the rows that have curves evaluated between frames."""
         assert self.take.curve is not None
         curve_motion = self.take.curve(times)
         new_channels: dict[str, Channel] = {}
-        for name, rows in self.curved.items():
-            linear: Channel = getattr(interpolated, name)
-            channel: Channel = getattr(curve_motion, name)
-            moves = (linear.rest != channel.rest).any(axis=-1)
-            moves[channel.animated] = True
-            moves &= not shared
-            moves[linear.animated] = True
-            moving = np.flatnonzero(moves & rows)
-            values_of_rows, values = linear.gather(moving), channel.gather(moving)
+        for name, rows in self.rows_on_curve.items():
+            interpolated_channel: Channel = getattr(interpolated, name)
+            curve_channel: Channel = getattr(curve_motion, name)
+            is_moving = (interpolated_channel.rest != curve_channel.rest).any(axis=-1)
+            is_moving[curve_channel.animated] = True
+            is_moving &= not same_rows
+            is_moving[interpolated_channel.animated] = True
+            moving_rows = np.flatnonzero(is_moving & rows)
+            values_of_rows, values = (
+                interpolated_channel.gather(moving_rows),
+                curve_channel.gather(moving_rows),
+            )
             if name == "rotations":
                 values = so3.align_to(values, values_of_rows[is_between])
             values_of_rows[is_between] = values
-            new_channels[name] = linear.put(moving, values_of_rows)
+            new_channels[name] = interpolated_channel.put(moving_rows, values_of_rows)
         return replace(
             interpolated,
             translations=new_channels.get("translations", interpolated.translations),
@@ -159,9 +177,11 @@ def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
-    moving = np.union1d(a.animated, b.animated)
+    animated_rows = np.union1d(a.animated, b.animated)
     is_equal: BoolArray = _is_equal(a.rest[None], b.rest[None])[0]
-    is_equal[moving] = _is_equal(a.gather(moving), b.gather(moving)).all(axis=0)
+    is_equal[animated_rows] = _is_equal(
+        a.gather(animated_rows), b.gather(animated_rows)
+    ).all(axis=0)
     return is_equal
 
 
@@ -169,5 +189,5 @@ def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
     """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
-    bound = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))
-    return np.asarray(np.abs(a - b).max(axis=-1) <= bound)
+    tolerance = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))
+    return np.asarray(np.abs(a - b).max(axis=-1) <= tolerance)

@@ -22,7 +22,7 @@ from animtool.edit.between import TakeSampler
 from animtool.edit.travel import even_positions
 from animtool.maths import additive, so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
+from animtool.motion.reorient import transform_motion
 from animtool.motion.take import Take
 from animtool.rig.controls import Control
 from animtool.rig.parts import Shape
@@ -71,7 +71,7 @@ class BlendStrength:
     """Weight of the second motion, and the joints it affects."""
 
     weights: FloatArray  # [1] ``(F,)``
-    steady: bool = True  # whether the weight is constant, in all blocks
+    is_constant: bool = True  # whether the weight is constant, in all blocks
     # Affected joints; None affects all, including shapes and controls.
     joints: Sequence[int] | None = None
 
@@ -96,7 +96,7 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     )
 
 
-def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
+def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     """Return another take of a rig in the axes and the order of that rig.
 
     Its up axis becomes that of the rig, and its shapes and controls have its order.
@@ -108,8 +108,8 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
             of the joints, whatever the up axis.
     """
     check_same_rig(rig, other.rig)
-    shapes = _order("shapes", rig.shapes, other.rig.shapes)
-    controls = _order("controls", rig.controls, other.rig.controls)
+    shapes = _part_order("shapes", rig.shapes, other.rig.shapes)
+    controls = _part_order("controls", rig.controls, other.rig.controls)
     rotation = up_from_up(rig.up, other.rig.up)
     if rotation is None and shapes is None and controls is None:
         return other
@@ -120,34 +120,35 @@ def on_same_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     def matched(motion: Motion) -> Motion:
         motion = replace(
             motion,
-            weights=_ordered(motion.weights, shapes),
-            controls=_ordered(motion.controls, controls),
+            weights=_reorder(motion.weights, shapes),
+            controls=_reorder(motion.controls, controls),
         )
         if placement is None:
             return motion
         rotations = motion.rotations
-        motion = placed_motion(motion, roots, placement)
+        motion = transform_motion(motion, roots, placement)
         return replace(motion, rotations=rotations) if is_additive else motion
 
-    matched_rig, curve = other.rig, other.curve
+    rig_with_placement, curve = other.rig, other.curve
     if shapes is not None:
-        parts = tuple(matched_rig.shapes[i] for i in shapes)
-        matched_rig = replace(matched_rig, shapes=parts)
+        parts = tuple(rig_with_placement.shapes[i] for i in shapes)
+        rig_with_placement = replace(rig_with_placement, shapes=parts)
     if controls is not None:
-        matched_rig = replace(
-            matched_rig, controls=tuple(matched_rig.controls[i] for i in controls)
+        rig_with_placement = replace(
+            rig_with_placement,
+            controls=tuple(rig_with_placement.controls[i] for i in controls),
         )
     if placement is not None:
-        matched_rig = transform_rig(matched_rig, placement, rig.up)
+        rig_with_placement = transform_rig(rig_with_placement, placement, rig.up)
     return replace(
         other,
-        rig=matched_rig,
+        rig=rig_with_placement,
         motion=matched(other.motion).map(Channel.compact),
         curve=None if curve is None else lambda times: matched(curve(times)),
     )
 
 
-def _order(
+def _part_order(
     noun: str, parts: Sequence[Shape | Control], others: Sequence[Shape | Control]
 ) -> IntArray | None:
     """Return the index in another rig of each part; None if both have one order."""
@@ -161,7 +162,8 @@ def _order(
     return np.array([other_names.index(name) for name in names], np.int64)
 
 
-def _ordered(channel: Channel | None, order: IntArray | None) -> Channel | None:
+def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
+    """Return a channel with its rows reordered; None and no order change nothing."""
     if channel is None or order is None:
         return channel
     return Channel.from_dense(channel.dense()[:, order])
@@ -178,24 +180,31 @@ def combine(
     is_unmasked = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
-        a, b = getattr(base, name), getattr(other, name)
-        if not is_unmasked or (a is None and b is None):
-            return _as_channel(a)
-        if name == "controls" and (a is None or b is None):
-            return _as_channel(a)
-        a, b = a or _neutral_values(b, 0.0), b or _neutral_values(a, 0.0)
-        if a.rest.shape != b.rest.shape:
-            raise OptionError(
-                Fault("SCN017", f"one take has {len(a.rest)} {name}, the other "
-                      f"{len(b.rest)}")
-            )  # fmt: skip
-        return _combine_channels(a, b, operations.numbers, strength)
+        base_channel, other_channel = getattr(base, name), getattr(other, name)
+        if not is_unmasked or (base_channel is None and other_channel is None):
+            return _checked_channel(base_channel)
+        if name == "controls" and (base_channel is None or other_channel is None):
+            return _checked_channel(base_channel)
+        base_channel, other_channel = (
+            base_channel or _neutral_values(other_channel, 0.0),
+            other_channel or _neutral_values(base_channel, 0.0),
+        )
+        if base_channel.rest.shape != other_channel.rest.shape:
+            message = f"one take has {len(base_channel.rest)} {name}, the other "
+            raise OptionError(Fault("SCN017", message + str(len(other_channel.rest))))
+        return _combine_channels(
+            base_channel, other_channel, operations.numbers, strength
+        )
 
     scales = base.scales
     if base.scales is not None or other.scales is not None:
-        a = base.scales or _neutral_values(_require_channel(other.scales), 1.0)
-        b = other.scales or _neutral_values(a, 1.0)
-        scales = _combine_channels(a, b, operations.scales, strength)
+        base_channel = base.scales or _neutral_values(
+            _require_channel(other.scales), 1.0
+        )
+        other_channel = other.scales or _neutral_values(base_channel, 1.0)
+        scales = _combine_channels(
+            base_channel, other_channel, operations.scales, strength
+        )
     return Motion(
         _combine_channels(
             base.translations, other.translations, operations.translations, strength
@@ -211,30 +220,34 @@ def combine(
 
 
 def _require_channel(channel: Channel | None) -> Channel:
+    """Return a channel that is known to exist."""
     assert channel is not None
     return channel
 
 
-def _as_channel(value: object) -> Channel | None:
+def _checked_channel(value: object) -> Channel | None:
+    """Return a channel or None, for type checkers."""
     return value if isinstance(value, Channel) else None
 
 
 def _neutral_values(like: Channel, value: float) -> Channel:
+    """Return a channel of one constant value, with the rows of another."""
     return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
 def _combine_channels(
     a: Channel, b: Channel, operation: Operation, strength: BlendStrength
 ) -> Channel:
+    """Return the result of an operation on two channels."""
     is_affected = (
         np.arange(len(a.rest))
         if strength.joints is None
         else np.array(strength.joints, np.int64)
     )
-    moves = np.isin(is_affected, np.union1d(a.animated, b.animated)) | (
-        not strength.steady
+    is_moving = np.isin(is_affected, np.union1d(a.animated, b.animated)) | (
+        not strength.is_constant
     )
-    moving, fixed_rows = is_affected[moves], is_affected[~moves]
+    moving_rows, fixed_rows = is_affected[is_moving], is_affected[~is_moving]
     weights = strength.weights[:, None, None]
     rest_values = a.rest.copy()
     if len(fixed_rows) and len(weights):
@@ -242,9 +255,9 @@ def _combine_channels(
             a.rest[fixed_rows][None], b.rest[fixed_rows][None], weights[:1]
         )[0]
     result = replace(a, rest=rest_values)
-    if len(moving):
-        gathered = a.gather(moving), b.gather(moving)
-        result = result.put(moving, operation(*gathered, weights))
+    if len(moving_rows):
+        values_of_both = a.gather(moving_rows), b.gather(moving_rows)
+        result = result.put(moving_rows, operation(*values_of_both, weights))
     return result
 
 
@@ -279,6 +292,8 @@ def subtract_base(source: Motion, base: Motion) -> Motion:
 
 
 def _full_difference(operation: additive.Difference) -> Operation:
+    """Return a difference as an operation that ignores weights."""
+
     def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
         return operation(source, base)
 
@@ -317,12 +332,14 @@ def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) ->
 
 
 def _interpolate_linear(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
+    """Return values between two, exact at weights 0 and 1."""
     return np.where(weight == 1, b, a + (b - a) * weight)
 
 
 def _interpolate_rotations(
     a: FloatArray, b: FloatArray, weight: FloatArray
 ) -> FloatArray:
+    """Return rotations between two, exact at weights 0 and 1."""
     interpolated = so3.slerp(a, b, weight[..., 0])
     # Equal values stay bit-identical.
     is_unchanged = (weight == 0) | (a == b).all(axis=-1, keepdims=True)
@@ -337,7 +354,7 @@ _INTERPOLATE = ChannelOperations(
 )
 
 
-def other_frames(
+def sample_other_take(
     other: Take | TakeSampler,
     rate: Fraction,
     first: int,
@@ -347,11 +364,11 @@ def other_frames(
     """Return another take at ``count`` frames of a rate [1/s], clamped at its ends.
 
     First frames coincide, whatever the time codes; ``delay`` starts it later [frame].
-    Its curves are evaluated. Pass a `Between` to read block by block, so that all
-    blocks share the animated rows.
+    Its curves are evaluated. Pass a `TakeSampler` to read block by block, so that all
+    blocks have the same animated rows.
     """
-    sampler = other if isinstance(other, TakeSampler) else TakeSampler.of(other)
+    sampler = other if isinstance(other, TakeSampler) else TakeSampler.from_take(other)
     clock = sampler.take.clock
     index = np.arange(first, first + count)
     positions = even_positions(index, -delay, clock.rate / rate, clock.count)
-    return sampler.at(positions, shared=sampler is other)
+    return sampler.sample(positions, same_rows=sampler is other)

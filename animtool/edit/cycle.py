@@ -98,9 +98,9 @@ def find_cycle(
     stride = max(1, int(clock.rate // SEARCH_RATE))
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
-    min_lag = max(2, math.ceil(_length_in_frames(shortest, "shortest") * rate))
+    min_lag = max(2, math.ceil(_checked_seconds(shortest, "shortest") * rate))
     max_lag = min(
-        len(frames) - 1, math.floor(_length_in_frames(longest, "longest") * rate)
+        len(frames) - 1, math.floor(_checked_seconds(longest, "longest") * rate)
     )
     if min_lag > max_lag:
         seconds = (last_index - first_index) / float(clock.rate)
@@ -115,17 +115,19 @@ def find_cycle(
         if len(frames) == 1:
             hint = "a cycle needs several frames: choose another take"
         raise _no_cycle_error(message, hint)
-    view = _PoseView.of(take)
-    coarse = _best_cycle(view.see(frames), min_lag, max_lag, view.static_extent)
-    if coarse is None:
+    pose_view = _PoseView.from_take(take)
+    coarse_cycle = _best_cycle(
+        pose_view.columns_of_frames(frames), min_lag, max_lag, pose_view.static_extent
+    )
+    if coarse_cycle is None:
         raise _no_cycle_error("where nothing moves")
-    start, lag, extent = coarse
+    start, lag, extent = coarse_cycle
     pairs = _nearby_pairs(
         frames[start], frames[start + lag], stride, (first_index, last_index)
     )
     length = pairs[1] - pairs[0]
     has_length = (length >= min_lag * stride) & (length <= max_lag * stride)
-    i, j, distance = _closest_pair(view, pairs[:, has_length])
+    i, j, distance = _closest_pair(pose_view, pairs[:, has_length])
     return _build_cycle(clock, i, j, distance, max(distance, extent))
 
 
@@ -136,36 +138,45 @@ def measure_cycle(
     first_index, last_index = _end_indices(take.clock, first, last)
     if first_index >= last_index:
         raise _no_cycle_error(f"from frame {first} to {last}")
-    view = _PoseView.of(take)
+    pose_view = _PoseView.from_take(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
-    first_column = view.see(np.array([first_index]))
-    distance = float(_pose_distance(first_column, view.see(np.array([last_index])))[0])
-    extents = _pose_distance(
-        first_column, view.see(np.arange(first_index, last_index + 1, stride))
+    first_column = pose_view.columns_of_frames(np.array([first_index]))
+    distance = float(
+        _pose_distance(
+            first_column, pose_view.columns_of_frames(np.array([last_index]))
+        )[0]
     )
-    largest_extent = max(distance, float(extents.max()), view.static_extent)
+    extents = _pose_distance(
+        first_column,
+        pose_view.columns_of_frames(np.arange(first_index, last_index + 1, stride)),
+    )
+    largest_extent = max(distance, float(extents.max()), pose_view.static_extent)
     return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 
 
 def _end_indices(
     clock: Clock, first: float | None, last: float | None
 ) -> tuple[int, int]:
+    """Return the indices of the first and last frame of a range."""
     first_index = 0 if first is None else frame_index(clock, first, "first")
     last_index = clock.count - 1 if last is None else frame_index(clock, last, "last")
     return first_index, last_index
 
 
-def _length_in_frames(seconds: float, option: str) -> float:
+def _checked_seconds(seconds: float, option: str) -> float:
+    """Return a length option in seconds; refuse a negative or non-finite one."""
     if not 0 < seconds < math.inf:
         raise _no_cycle_error(f"with {option} {seconds:g} s")
     return seconds
 
 
 def _no_cycle_error(message: str, hint: str | None = None) -> OptionError:
+    """Return the error that there is no cycle (SCN018)."""
     return OptionError(Fault("SCN018", f"no cycle can be found {message}", hint=hint))
 
 
 def _build_cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -> Cycle:
+    """Return a cycle from frame indices."""
     first, last = (float(clock.start + k * clock.step) for k in (i, j))
     return Cycle(first, last, distance, extent)
 
@@ -175,14 +186,16 @@ class _PoseView:
     """Frames of a take as columns of comparable numbers [m]."""
 
     take: Take
-    chief: int
-    leaves: IntArray
-    reach: FloatArray  # distance of the extra points at a leaf from it (N,) [m]
+    main_joint: int
+    leaf_joints: IntArray
+    # distance of the extra points at a leaf from it (N,) [m]
+    leaf_distances: FloatArray
     weights: FloatArray  # weights of joints, then of the extra points at leaves (P,)
     static_extent: float  # distances below this are static [m]
 
     @staticmethod
-    def of(take: Take) -> _PoseView:
+    def from_take(take: Take) -> _PoseView:
+        """Return the comparable points and weights of a take."""
         rig = take.rig
         if not rig.joints:
             raise _no_cycle_error(
@@ -201,8 +214,8 @@ class _PoseView:
         # A leaf is represented by its origin and a point along two of its axes.
         weights[leaves] /= 3
         weights = np.concatenate([weights, np.tile(weights[leaves], 2)])
-        travellers = [travelling_joint(rig, take.motion, root) for root in rig.roots]
-        main_joint = next((j for j in travellers if j is not None), rig.roots[0])
+        moving_joints = [travelling_joint(rig, take.motion, root) for root in rig.roots]
+        main_joint = next((j for j in moving_joints if j is not None), rig.roots[0])
         weights /= weights.sum()
         return _PoseView(
             take,
@@ -213,30 +226,31 @@ class _PoseView:
             STATIC_FRACTION * size_or_one,
         )
 
-    def see(self, frames: IntArray) -> FloatArray:
+    def columns_of_frames(self, frames: IntArray) -> FloatArray:
         """Return frames as columns ``(6 · P, N)``, block by block."""
         blocks = [
-            self._columns(frames[start : start + BLOCK_FRAMES])
+            self._columns_of_block(frames[start : start + BLOCK_FRAMES])
             for start in range(0, len(frames), BLOCK_FRAMES)
         ]
         return np.concatenate(blocks, axis=1)
 
-    def _columns(self, frames: IntArray) -> FloatArray:
+    def _columns_of_block(self, frames: IntArray) -> FloatArray:
+        """Return the columns of a block of frames: positions, then velocities."""
         count = self.take.clock.count
         # At the ends of the take, speed follows from the three frames there.
-        middle = np.clip(frames, 1, max(1, count - 2))
-        neighbour_frames = [np.clip(middle + k, 0, count - 1) for k in (-1, 0, 1)]
-        points_before, points_at, points_after = (
+        inner_frames = np.clip(frames, 1, max(1, count - 2))
+        neighbour_frames = [np.clip(inner_frames + k, 0, count - 1) for k in (-1, 0, 1)]
+        points_before, points_in_middle, points_after = (
             self._points(frame_indices) for frame_indices in neighbour_frames
         )
-        end_offset = (frames - middle)[:, None, None]
+        end_offset = (frames - inner_frames)[:, None, None]
         velocities = (points_after - points_before) / 2 + end_offset * (
-            points_after - 2 * points_at + points_before
+            points_after - 2 * points_in_middle + points_before
         )
         current_points = np.where(
             end_offset < 0,
             points_before,
-            np.where(end_offset > 0, points_after, points_at),
+            np.where(end_offset > 0, points_after, points_in_middle),
         )
         ground, heading = self._ground_pose(frames)
         inverse_heading = so3.conjugate(heading)[:, None]
@@ -251,9 +265,10 @@ class _PoseView:
     def _points(self, frames: IntArray) -> FloatArray:
         """Return world positions of joints and extra leaf points ``(N, P, 3)``."""
         world = self.take.motion.select(frames).world(self.take.rig)
-        origins, axes = world.positions, world.linear[:, self.leaves]
+        origins, axes = world.positions, world.linear[:, self.leaf_joints]
         neighbours = [
-            origins[:, self.leaves] + axes[..., k] * self.reach[:, None] for k in (0, 1)
+            origins[:, self.leaf_joints] + axes[..., k] * self.leaf_distances[:, None]
+            for k in (0, 1)
         ]
         return np.concatenate([origins, *neighbours], axis=1)
 
@@ -261,8 +276,8 @@ class _PoseView:
         """Return the character's ground position ``(N, 3)`` and heading ``(N, 4)``."""
         rig: Rig = self.take.rig
         up = np.array(rig.up.vector)
-        frame = joint_frame(rig, self.take.motion.select(frames), self.chief)
-        inverse_rest = so3.conjugate(rest_rotation(rig, self.chief))
+        frame = joint_frame(rig, self.take.motion.select(frames), self.main_joint)
+        inverse_rest = so3.conjugate(rest_rotation(rig, self.main_joint))
         heading = vertical_twist(so3.multiply(frame.rotation, inverse_rest), up)
         return np.where(up == 0, frame.position, 0.0), heading
 
@@ -280,8 +295,10 @@ def _best_cycle(
 ) -> tuple[int, int, float] | None:
     """Return start, length and extent of the best cycle, in columns."""
     count = table.shape[1]
-    variety = _pose_distance(table, table.mean(axis=1, keepdims=True))
-    min_extent = max(static_extent, MIN_EXTENT * math.sqrt(float(np.mean(variety**2))))
+    distances_from_mean = _pose_distance(table, table.mean(axis=1, keepdims=True))
+    min_extent = max(
+        static_extent, MIN_EXTENT * math.sqrt(float(np.mean(distances_from_mean**2)))
+    )
     extents = np.zeros(count)
     scores = np.full(max_lag + 1, np.inf)
     starts = np.zeros(max_lag + 1, np.int64)
@@ -295,8 +312,8 @@ def _best_cycle(
             ratios = np.where(
                 is_large, distances / np.where(is_large, extents, 1), np.inf
             )
-            scores[lag], k = _first_minimum(ratios)
-            starts[lag], largest_extents[lag] = k, extents[k]
+            scores[lag], start_index = _first_minimum(ratios)
+            starts[lag], largest_extents[lag] = start_index, extents[start_index]
     if not np.isfinite(scores).any():
         return None
     lag = _shortest_cycle(scores)
@@ -342,12 +359,15 @@ def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArra
     return np.stack([grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij")])
 
 
-def _closest_pair(view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
+def _closest_pair(pose_view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the best-matching pair of frames, and its distance [m]."""
     frames, columns = np.unique(pairs, return_inverse=True)
-    table, (starts, end_columns) = view.see(frames), columns.reshape(pairs.shape)
+    table, (starts, end_columns) = (
+        pose_view.columns_of_frames(frames),
+        columns.reshape(pairs.shape),
+    )
     distances = _pose_distance(table[:, starts], table[:, end_columns])
-    _, best_index = _first_minimum(distances / view.static_extent)
+    _, best_index = _first_minimum(distances / pose_view.static_extent)
     return (
         int(pairs[0, best_index]),
         int(pairs[1, best_index]),

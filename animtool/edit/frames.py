@@ -18,7 +18,7 @@ def exact_fraction(number: float, name: str) -> Fraction:
     Fraction(1, 10)
     """
     if not math.isfinite(number):
-        raise frame_refusal(f"{name} is {number}, which is not a frame")
+        raise frame_error(f"{name} is {number}, which is not a frame")
     return Fraction(repr(float(number)))
 
 
@@ -33,10 +33,10 @@ def check_range(first: float | None, last: float | None) -> None:
         message = f"the range from {first:g} to {last:g} is reversed"
         flags = argument("first", f"{last:g}"), argument("last", f"{first:g}")
         hint = f"write {' and '.join(flags)}"
-        raise frame_refusal(message, hint)
+        raise frame_error(message, hint)
 
 
-def frame_refusal(message: str, hint: str | None = None) -> OptionError:
+def frame_error(message: str, hint: str | None = None) -> OptionError:
     """Return the error for a frame outside a take."""
     return OptionError(Fault("SCN013", message, hint=hint))
 
@@ -50,7 +50,7 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
     index = round((exact_fraction(frame, name) - clock.start) / clock.step)
     if not 0 <= index < clock.count:
         last = clock.start + (clock.count - 1) * clock.step
-        raise frame_refusal(
+        raise frame_error(
             f"{name} is frame {frame:g}, but the take has "
             f"{float(clock.start):g}-{float(last):g}",
             seconds_hint({name: frame}, clock.start, clock.fps, last),

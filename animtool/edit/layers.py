@@ -22,12 +22,12 @@ from animtool.edit.combine import (
     add_delta,
     align_signs,
     interpolate_motions,
-    on_same_rig,
-    other_frames,
+    match_rig,
+    sample_other_take,
     subtract_base,
 )
 from animtool.edit.frames import check_count, exact_fraction, frame_index
-from animtool.edit.tree import joints_matching
+from animtool.edit.tree import match_joints
 from animtool.motion.key_times import weight_warnings
 from animtool.motion.keyed import (
     KeyInterpolation,
@@ -38,6 +38,7 @@ from animtool.motion.keyed import (
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
+    FrameScope,
     OptionChecks,
     Pass,
     PassContext,
@@ -97,7 +98,7 @@ def blend(
             (SCN017), there would be too many frames (SCN021), or there is no such
             interpolation (SCN025).
     """
-    other = on_same_rig(take.rig, other)
+    other = match_rig(take.rig, other)
     clock = take.clock
     delay_frames = exact_fraction(delay, "delay") / clock.step
     length = (other.clock.count - 1) * clock.rate / other.clock.rate
@@ -106,8 +107,8 @@ def blend(
     full_clock = replace(clock, count=count)
     weights = weights_at(weight, full_clock.times, interpolation)
     strength = BlendStrength(weights, isinstance(weight, (int, float)))
-    first_motion = other_frames(take, clock.rate, 0, count)
-    second_motion = other_frames(other, clock.rate, 0, count, delay_frames)
+    first_motion = sample_other_take(take, clock.rate, 0, count)
+    second_motion = sample_other_take(other, clock.rate, 0, count, delay_frames)
     motion = align_signs(
         interpolate_motions(first_motion, second_motion, strength)
     ).map(Channel.compact)
@@ -115,6 +116,7 @@ def blend(
 
 
 def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
+    """Run the pass: blend with another take."""
     warnings = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
     context.notices.extend(warnings)
     return blend(
@@ -127,6 +129,7 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
 
 
 def _check_blend(options: BlendOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
@@ -138,7 +141,7 @@ BLEND = Pass(
     "blend",
     "Blend with another take",
     BlendOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run_blend,
     _check_blend,
     changes=MOTION_PARTS,
@@ -178,9 +181,7 @@ def difference(
             (SCN017), or a scale of it is 0 (SCN023).
     """
     base_take = rest_take(take.rig, take.clock) if base is None else base
-    return _subtract_stream(
-        TakeStream.of(take), _base_motion(base_take, frame)
-    ).collect()
+    return _subtract_stream(TakeStream.of(take), _base_take(base_take, frame)).collect()
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
@@ -190,7 +191,8 @@ def rest_take(rig: Rig, clock: Clock) -> Take:
     return Take(rig, replace(clock, count=1), motion)
 
 
-def _base_motion(base: Take, frame: float | None) -> Take:
+def _base_take(base: Take, frame: float | None) -> Take:
+    """Return the base, or its frame to subtract; refuse scales of 0."""
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
@@ -206,16 +208,18 @@ def _base_motion(base: Take, frame: float | None) -> Take:
 
 
 def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
-    base = on_same_rig(stream.rig, base)
-    return replace(stream, blocks=_blocks(stream, base))
+    """Return a stream of deltas from a base."""
+    base = match_rig(stream.rig, base)
+    return replace(stream, blocks=_difference_blocks(stream, base))
 
 
-def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
+def _difference_blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
+    """Yield the deltas, with continuous signs."""
     first, previous = 0, None
-    rate, between = stream.fps / stream.step, TakeSampler.of(base)
+    rate, sampler = stream.fps / stream.step, TakeSampler.from_take(base)
     for block in stream.blocks:
-        below = other_frames(between, rate, first, block.frames)
-        motion = align_signs(subtract_base(block, below), previous)
+        base_motion = sample_other_take(sampler, rate, first, block.frames)
+        motion = align_signs(subtract_base(block, base_motion), previous)
         yield motion
         first, previous = first + block.frames, motion.rotations.values[-1]
 
@@ -223,19 +227,20 @@ def _blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
 def _run_difference(
     stream: TakeStream, options: DifferenceOptions, context: PassContext
 ) -> TakeStream:
+    """Run the pass: subtract the base or the rest pose."""
     if options.base is None:
         first_code = Fraction(1) if stream.start is None else stream.start
         base = rest_take(stream.rig, Clock(stream.fps, first_code, stream.step, 1))
     else:
         base = context.take(options.base, "base")
-    return _subtract_stream(stream, _base_motion(base, options.frame))
+    return _subtract_stream(stream, _base_take(base, options.frame))
 
 
 DIFFERENCE = Pass(
     "difference",
     "Make an additive take",
     DifferenceOptions,
-    Scope.FRAME,
+    FrameScope.FRAME,
     _run_difference,
     changes=MOTION_PARTS,
 )
@@ -321,46 +326,52 @@ def layer(
         _selected_joints(take.rig, joints, children),
         delay,
     )
-    return plan.over(TakeStream.of(take)).collect()
+    return plan.layer_over(TakeStream.of(take)).collect()
 
 
 def _selected_joints(
     rig: Rig, joints: str | Sequence[str], children: bool
 ) -> list[int] | None:
-    return joints_matching(rig, joints, children=children) if joints else None
+    """Return the indices of the affected joints; None affects all."""
+    return match_joints(rig, joints, children=children) if joints else None
 
 
 @dataclass(frozen=True, slots=True)
 class _LayerPlan:
+    """A layer to combine with a stream, block by block."""
+
     other: Take
     mode: LayerMode
     weight: WeightOption
     interpolation: KeyInterpolation
-    joints: list[int] | None
+    joint_indices: list[int] | None
     delay: float
     in_shot: bool = False
     placed: tuple[PlacedJoint, ...] = ()
 
-    def over(self, stream: TakeStream) -> TakeStream:
+    def layer_over(self, stream: TakeStream) -> TakeStream:
+        """Return a stream with the layer on top."""
         is_additive = self.mode is LayerMode.ADDITIVE
-        other = on_same_rig(stream.rig, self.other, is_additive=is_additive)
+        other = match_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
         if is_additive:
             stream.notices.extend(_pose_notices(other, self.joints))
-        return replace(stream, blocks=self._blocks(stream, other))
+        return replace(stream, blocks=self._layered_blocks(stream, other))
 
     def _weights(self, times: FloatArray) -> FloatArray:
+        """Return the weights of the layer at times ``(F,)``."""
         is_bounded = self.mode is LayerMode.OVERRIDE
         return weights_at(self.weight, times, self.interpolation, bounded=is_bounded)
 
-    def _blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
+    def _layered_blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
+        """Yield the layered motion; warn about the weights at the end."""
         first_code = Fraction(1) if stream.start is None else stream.start
         delay = exact_fraction(self.delay, "delay") / stream.step
         operation = (
             interpolate_motions if self.mode is LayerMode.OVERRIDE else add_delta
         )
         is_constant = isinstance(self.weight, (int, float))
-        sampler = TakeSampler.of(other)
+        sampler = TakeSampler.from_take(other)
         frame_count, previous = 0, None
         displaced = _Displacements(stream.rig, self.placed)
         for block in stream.blocks:
@@ -368,8 +379,10 @@ class _LayerPlan:
             times = time_codes(block_code, stream.step, block.frames)
             weights = self._weights(times)
             rate = stream.fps / stream.step
-            other_motion = other_frames(sampler, rate, frame_count, block.frames, delay)
-            strength = BlendStrength(weights, is_constant, self.joints)
+            other_motion = sample_other_take(
+                sampler, rate, frame_count, block.frames, delay
+            )
+            strength = BlendStrength(weights, is_constant, self.joint_indices)
             motion = align_signs(operation(block, other_motion, strength), previous)
             displaced.add(times, block, motion)
             yield motion
@@ -467,6 +480,7 @@ def _pose_notices(other: Take, joints: list[int] | None) -> list[Fault]:
 def _run_layer(
     stream: TakeStream, options: LayerOptions, context: PassContext
 ) -> TakeStream:
+    """Run the pass: layer another take on top."""
     plan = _LayerPlan(
         context.take(options.take),
         parse_choice(LayerMode, options.mode, "mode"),
@@ -477,10 +491,11 @@ def _run_layer(
         context.in_shot,
         tuple(context.placed_joints),
     )
-    return plan.over(stream)
+    return plan.layer_over(stream)
 
 
 def _check_layer(options: LayerOptions) -> OptionChecks:
+    """Return the checks of each option."""
     is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),
@@ -493,7 +508,7 @@ LAYER = Pass(
     "layer",
     "Layer another take on top",
     LayerOptions,
-    Scope.FRAME,
+    FrameScope.FRAME,
     _run_layer,
     _check_layer,
     changes=MOTION_PARTS,

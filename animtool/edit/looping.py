@@ -30,10 +30,10 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
+    FrameScope,
     OptionChecks,
     Pass,
     PassContext,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import Take
@@ -54,111 +54,125 @@ NATURAL_CHANGE = 0.25
 class SeamBlend:
     """A cycle within some frames, and the blend weights of its corrections."""
 
-    length: int  # number of frames of the cycle, L
-    before: int  # 1 if there is a frame before the cycle, else 0
-    behind: int  # 1 if a frame follows the repeated pose, else 0
-    pose_weight: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
-    speed: FloatArray  # 1 if there is a frame after the repeated pose, else 0
+    cycle_length: int  # number of frames of the cycle, L
+    frames_before: int  # 1 if there is a frame before the cycle, else 0
+    frames_after: int  # 1 if a frame follows the repeated pose, else 0
+    offset_weight: FloatArray  # weight of the offset at the end [1] ``(L, 1, 1)``
+    speed_weight: FloatArray  # 1 if there is a frame after the repeated pose, else 0
 
     @staticmethod
-    def over(length: int, frames: int, before: int, behind: int) -> SeamBlend:
+    def from_lengths(
+        length: int, blend_frames: int, frames_before: int, frames_after: int
+    ) -> SeamBlend:
         """Return the blend of the last frames of a cycle."""
-        blend_length = min(frames, length)
+        blend_length = min(blend_frames, length)
         s = np.clip(
             (np.arange(length) - (length - blend_length)) / max(blend_length, 1), 0, 1
         )
-        pose = s**3 * (10 - 15 * s + 6 * s**2)
-        speed = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
-        pose, speed = pose[:, None, None], speed[:, None, None]
-        return SeamBlend(length, before, behind, pose, speed)
+        offset_weight = s**3 * (10 - 15 * s + 6 * s**2)
+        speed_weight = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
+        offset_weight, speed_weight = (
+            offset_weight[:, None, None],
+            speed_weight[:, None, None],
+        )
+        return SeamBlend(
+            length, frames_before, frames_after, offset_weight, speed_weight
+        )
 
     @property
     def blended_frames(self) -> slice:
         """The blended frames at the end of the cycle."""
-        (frames,) = np.nonzero(self.pose_weight[:, 0, 0])
-        return slice(int(frames[0]) if len(frames) else self.length, self.length)
+        (frames,) = np.nonzero(self.offset_weight[:, 0, 0])
+        return slice(
+            int(frames[0]) if len(frames) else self.cycle_length, self.cycle_length
+        )
 
-    def cycle(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
+    def cycle_and_next(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
         """Return the frames of the cycle and the one after it ``(L + 1, ...)``."""
-        return values[self.before : self.before + self.length + 1]
+        return values[self.frames_before : self.frames_before + self.cycle_length + 1]
 
-    def ends(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def end_frames(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the frames that determine speed at the start and at the end.
 
         They are the frames on either side if both ends have them; else, if the cycle
         spans the full take, three frames at each end.
         """
-        extra_frames = self.before + self.behind
+        extra_frames = self.frames_before + self.frames_after
         if extra_frames:
             end_offsets = np.array([0, extra_frames])
-            return values[end_offsets], values[end_offsets + self.length]
+            return values[end_offsets], values[end_offsets + self.cycle_length]
         return values[:3], values[-3:]
 
 
 def close_vectors(
-    values: FloatArray, blend: SeamBlend, onward: NextCycle
+    values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
     """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
-    cycle = blend.cycle(values)
-    start_frames, end_frames = blend.ends(values)
+    cycle = blend.cycle_and_next(values)
+    start_frames, end_frames = blend.end_frames(values)
     missing_velocity = _missing_speed(
-        np.diff(onward(start_frames), axis=0),
+        np.diff(to_next_cycle(start_frames), axis=0),
         np.diff(end_frames, axis=0),
         lambda: np.diff(cycle, axis=0),
         blend,
     )
-    offset = onward(cycle[:1])[0] - cycle[-1]
+    offset = to_next_cycle(cycle[:1])[0] - cycle[-1]
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
     corrected_values[blend_frames] += (
-        blend.pose_weight[blend_frames] * offset
-        + blend.speed[blend_frames] * missing_velocity
+        blend.offset_weight[blend_frames] * offset
+        + blend.speed_weight[blend_frames] * missing_velocity
     )
     return corrected_values
 
 
 def close_rotations(
-    values: FloatArray, blend: SeamBlend, onward: NextCycle
+    values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
     """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
-    cycle = blend.cycle(values)
-    start_frames, end_frames = blend.ends(values)
-    offset = so3.multiply(so3.conjugate(cycle[-1]), onward(cycle[:1])[0])
+    cycle = blend.cycle_and_next(values)
+    start_frames, end_frames = blend.end_frames(values)
+    offset = so3.multiply(so3.conjugate(cycle[-1]), to_next_cycle(cycle[:1])[0])
     # Speeds are about the joint's own axes, which the offset rotates.
     end_values = so3.rotate(so3.conjugate(offset), so3.steps(end_frames))
     missing_velocity = _missing_speed(
-        so3.steps(onward(start_frames)), end_values, lambda: so3.steps(cycle), blend
+        so3.steps(to_next_cycle(start_frames)),
+        end_values,
+        lambda: so3.steps(cycle),
+        blend,
     )
     corrected_values, blend_frames = cycle[:-1].copy(), blend.blended_frames
-    correction = so3.slerp(so3.IDENTITY, offset, blend.pose_weight[blend_frames, :, 0])
+    correction = so3.slerp(
+        so3.IDENTITY, offset, blend.offset_weight[blend_frames, :, 0]
+    )
     corrected_part = so3.multiply(corrected_values[blend_frames], correction)
     corrected_values[blend_frames] = so3.multiply(
-        corrected_part, so3.exp(blend.speed[blend_frames] * missing_velocity)
+        corrected_part, so3.exp(blend.speed_weight[blend_frames] * missing_velocity)
     )
     return corrected_values
 
 
 def _missing_speed(
-    starting: FloatArray,
-    ending: FloatArray,
-    measure: Callable[[], FloatArray],
+    start_speeds: FloatArray,
+    end_speeds: FloatArray,
+    measure_steps: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
     """Return the speed missing at the end of a cycle ``(A, K)`` [1/frame].
 
-    ``measure`` returns the steps between frames ``(L, A, K)``.
+    ``measure_steps`` returns the steps between frames ``(L, A, K)``.
     """
-    extra_frames = blend.before + blend.behind
+    extra_frames = blend.frames_before + blend.frames_after
     if extra_frames:
-        return np.asarray((starting[0] - ending[0]) / extra_frames)
-    steps = measure()
+        return np.asarray((start_speeds[0] - end_speeds[0]) / extra_frames)
+    steps = measure_steps()
     if len(steps) < 2:
         return np.zeros(steps.shape[1:])
-    mean_rate = (ending[1] - ending[0] + starting[1] - starting[0]) / 2
-    missing = starting[0] - ending[1] - mean_rate
-    magnitude = np.linalg.norm(missing, axis=-1, keepdims=True)
+    mean_rate = (end_speeds[1] - end_speeds[0] + start_speeds[1] - start_speeds[0]) / 2
+    missing_speed = start_speeds[0] - end_speeds[1] - mean_rate
+    magnitude = np.linalg.norm(missing_speed, axis=-1, keepdims=True)
     changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
     excess = np.maximum(magnitude - NATURAL_CHANGE * changes[:, None], 0)
-    return np.asarray(missing * (excess / np.where(magnitude > 0, magnitude, 1)))
+    return np.asarray(missing_speed * (excess / np.where(magnitude > 0, magnitude, 1)))
 
 
 def map_attributes(
@@ -185,7 +199,7 @@ def map_attributes(
                 track.attributes, transforms.values, strict=True
             )
         ),
-        transforms.clamped,
+        transforms.is_clamped,
     )
 
 
@@ -212,9 +226,11 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
             for i, attribute in enumerate(track.attributes)
         )
         static = (
-            None if transforms.clamped is None else transforms.clamped[positions.frames]
+            None
+            if transforms.is_clamped is None
+            else transforms.is_clamped[positions.frames]
         )
-        return replace(mapped_transforms, values=values, clamped=static)
+        return replace(mapped_transforms, values=values, is_clamped=static)
 
     return replace(track, sample=sample)
 
@@ -269,7 +285,7 @@ def loop(
     length = j - i
     check_count(length * repeats)
     has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
-    seam = SeamBlend.over(length, blend, has_frame_before, has_frame_after)
+    seam = SeamBlend.from_lengths(length, blend, has_frame_before, has_frame_after)
     cycle_frames, frames_with_neighbours = (
         slice(i, j + 1),
         slice(i - has_frame_before, j + has_frame_after + 1),
@@ -277,10 +293,10 @@ def loop(
     cycle = _CycleState(
         cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
     )
-    motion = cycle.motion(take.motion.select(frames_with_neighbours))
+    motion = cycle.loop_motion(take.motion.select(frames_with_neighbours))
     tracks = take.tracks
     if tracks:
-        motion, tracks = _looped_tracks(
+        motion, tracks = _loop_tracks(
             take, motion, frames_with_neighbours, seam, repeats
         )
     first_code = clock.start + i * clock.step
@@ -292,8 +308,8 @@ def loop(
     )
 
 
-def _looped_tracks(
-    take: Take, motion: Motion, around: slice, seam: SeamBlend, repeats: int
+def _loop_tracks(
+    take: Take, motion: Motion, frames_around: slice, seam: SeamBlend, repeats: int
 ) -> tuple[Motion, tuple[Track, ...]]:
     """Return the looped motion with the times of looped tracks, and the tracks.
 
@@ -301,37 +317,40 @@ def _looped_tracks(
     """
     times = take.motion.track_times
     assert times is not None
-    times_shown = times.select(around).dense()[..., 0]
+    times_shown = times.select(frames_around).dense()[..., 0]
     tracks = tuple(
-        _looped_track(track, track.at(times_shown[:, i]), take.rig.up, seam, repeats)
-        if track.moves
+        _loop_track(track, track.at(times_shown[:, i]), take.rig.up, seam, repeats)
+        if track.is_animated
         else track
         for i, track in enumerate(take.tracks)
     )
-    frames = np.arange(seam.length * repeats, dtype=np.float64)
+    frames = np.arange(seam.cycle_length * repeats, dtype=np.float64)
     frame_columns = np.repeat(frames[:, None, None], len(tracks), axis=1)
     return replace(motion, track_times=Channel.from_dense(frame_columns)), tracks
 
 
-def _looped_track(
+def _loop_track(
     track: Track, transforms: Transforms, up: UpAxis, seam: SeamBlend, repeats: int
 ) -> Track:
+    """Return a track looped like a root joint; its numbers repeat without travel."""
     root = Rig("track", (Joint("root", -1),), up=up)
     motion = Motion(
         Channel.from_dense(transforms.translations[:, None]),
         Channel.from_dense(transforms.rotations[:, None]),
     )
-    cycle_slice = slice(seam.before, seam.before + seam.length + 1)
+    cycle_slice = slice(seam.frames_before, seam.frames_before + seam.cycle_length + 1)
     cycle = _CycleState(cycle_travel(root, motion.select(cycle_slice)), seam, repeats)
-    looped_motion = cycle.motion(motion)
+    looped_motion = cycle.loop_motion(motion)
 
-    def closed(values: FloatArray) -> FloatArray:
+    def close_numbers(values: FloatArray) -> FloatArray:
         cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
-    mapped_transforms = map_attributes(track, transforms, closed)
+    mapped_transforms = map_attributes(track, transforms, close_numbers)
     looped_values = tuple(
-        values if attribute.width else np.tile(seam.cycle(values)[:-1], repeats)
+        values
+        if attribute.width
+        else np.tile(seam.cycle_and_next(values)[:-1], repeats)
         for attribute, values in zip(
             track.attributes, mapped_transforms.values, strict=True
         )
@@ -341,64 +360,73 @@ def _looped_track(
         translations=looped_motion.translations.dense()[:, 0],
         rotations=looped_motion.rotations.dense()[:, 0],
         values=looped_values,
-        clamped=None
-        if transforms.clamped is None
-        else np.tile(seam.cycle(transforms.clamped)[:-1], repeats),
+        is_clamped=None
+        if transforms.is_clamped is None
+        else np.tile(seam.cycle_and_next(transforms.is_clamped)[:-1], repeats),
     )
     return resample_track(track, result)
 
 
 @dataclass(frozen=True, slots=True)
 class _CycleState:
+    """Loops the channels of a cycle."""
+
     travel: CycleTravel
     blend: SeamBlend
     repeats: int
 
-    def motion(self, motion: Motion) -> Motion:
+    def loop_motion(self, motion: Motion) -> Motion:
+        """Return the motion of all repeats."""
         return replace(
-            motion.map(self.numbers),
-            translations=self.translations(motion.translations),
-            rotations=self.rotations(motion.rotations),
+            motion.map(self.loop_numbers),
+            translations=self.loop_translations(motion.translations),
+            rotations=self.loop_rotations(motion.rotations),
         )
 
-    def numbers(self, channel: Channel) -> Channel:
+    def loop_numbers(self, channel: Channel) -> Channel:
+        """Return a channel without travel, repeated."""
         cycle = close_vectors(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
-    def translations(self, channel: Channel) -> Channel:
+    def loop_translations(self, channel: Channel) -> Channel:
+        """Return translations, repeated with the travel of each joint."""
         linear = self.travel.linear[channel.animated]
         shifts = self.travel.shifts[channel.animated]
 
-        def onward(values: FloatArray) -> FloatArray:
+        def to_next_cycle(values: FloatArray) -> FloatArray:
             return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
 
-        cycle = close_vectors(channel.values, self.blend, onward)
-        return replace(channel, values=self.repeated(cycle, onward))
+        cycle = close_vectors(channel.values, self.blend, to_next_cycle)
+        return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
-    def rotations(self, channel: Channel) -> Channel:
+    def loop_rotations(self, channel: Channel) -> Channel:
+        """Return rotations, repeated with the travel of each joint."""
         travel = self.travel.rotations[channel.animated]
 
-        def onward(values: FloatArray) -> FloatArray:
+        def to_next_cycle(values: FloatArray) -> FloatArray:
             return so3.multiply(travel, values)
 
-        cycle = close_rotations(channel.values, self.blend, onward)
-        return replace(channel, values=self.repeated(cycle, onward))
+        cycle = close_rotations(channel.values, self.blend, to_next_cycle)
+        return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
-    def repeated(self, cycle: FloatArray, onward: NextCycle) -> FloatArray:
+    def repeat_cycle(self, cycle: FloatArray, to_next_cycle: NextCycle) -> FloatArray:
+        """Return a cycle and its repeats, each continued from the previous one."""
         cycles = [cycle]
         # One step per repeat: each adds the travel to the previous one.
         for _ in range(self.repeats - 1):
-            cycles.append(onward(cycles[-1]))
+            cycles.append(to_next_cycle(cycles[-1]))
         return np.concatenate(cycles)
 
 
 def _check_minimum(number: int, minimum: int, name: str) -> None:
+    """Raise if a number is less than its minimum."""
     if not number >= minimum:  # NaN too
         message = f"{name} is {number}; it must be at least {minimum}"
         raise OptionError(Fault("SCN018", message))
 
 
-def _checks(options: LoopOptions) -> OptionChecks:
+def _option_checks(options: LoopOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {
         "last": lambda: check_range(options.first, options.last),
         "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),
@@ -407,6 +435,7 @@ def _checks(options: LoopOptions) -> OptionChecks:
 
 
 def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
+    """Run the pass: find the cycle, if requested, and repeat it."""
     first, last = options.first, options.last
     if options.find:
         lengths = {"shortest": options.shortest, "longest": options.longest}
@@ -479,8 +508,8 @@ PASS = Pass(
     "loop",
     "Find a cycle and repeat it",
     LoopOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
-    _checks,
+    _option_checks,
     changes=RETIMED_PARTS - {TakePart.POINTS},
 )

@@ -19,9 +19,9 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     EVERY_PART,
     MOTION_PARTS,
+    FrameScope,
     Pass,
     PassContext,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import Take, TakeStream
@@ -47,7 +47,7 @@ class ControlMirror:
     pivots: FloatArray  # values that remain unchanged when signs flip ``(C,)``
 
     @staticmethod
-    def of(
+    def from_rig(
         rig: Rig,
         partners: IntArray,
         joints: IntArray,
@@ -68,8 +68,10 @@ class ControlMirror:
         mirror_signs = np.concatenate([-normal, normal])
         rest_rotations = rest_world(rig).linear[0]
 
-        def effect(c: int, sign: float) -> FloatArray:
-            return _flatten_effect(_control_effect(rig, c, sign, rest_rotations))
+        def effect(control_index: int, sign: float) -> FloatArray:
+            return _flatten_effect(
+                _control_effect(rig, control_index, sign, rest_rotations)
+            )
 
         signs = np.ones(len(partners))
         for i, partner in enumerate(partners.tolist()):
@@ -88,12 +90,12 @@ class ControlMirror:
         pivots = np.array([_pivot(control) for control in rig.controls])
         return ControlMirror(partners, signs, pivots)
 
-    def __call__(self, values: FloatArray, c: IntArray) -> FloatArray:
+    def __call__(self, values: FloatArray, control_indices: IntArray) -> FloatArray:
         """Return values ``(..., A, 1)`` of controls mapped to their partners."""
-        flipped_values = self.pivots[self.partners[c], None] - (
-            values - self.pivots[c, None]
+        flipped_values = self.pivots[self.partners[control_indices], None] - (
+            values - self.pivots[control_indices, None]
         )
-        return np.where(self.signs[c, None] < 0, flipped_values, values)
+        return np.where(self.signs[control_indices, None] < 0, flipped_values, values)
 
 
 def _pivot(control: Control) -> float:
@@ -104,26 +106,29 @@ def _pivot(control: Control) -> float:
 
 
 def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
+    """Return an effect on joints and shapes as one vector."""
     return np.concatenate([part.ravel() for part in effect])
 
 
 def _control_effect(
-    rig: Rig, c: int, sign: float, turned: FloatArray
+    rig: Rig, control_index: int, sign: float, rest_rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return the effect of a small change of a control, in direction 1 or -1.
 
     On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
-    [m]; and on each shape ``(S,)``. ``turned``: world rotations of the joints at rest
-    ``(J, 3, 3)``.
+    [m]; and on each shape ``(S,)``. ``rest_rotations``: world rotations of the joints
+    at rest ``(J, 3, 3)``.
     """
-    control = rig.controls[c]
+    control = rig.controls[control_index]
     range_width = 1.0
     if control.low is not None and control.high is not None:
         range_width = control.high - control.low
     base_value = np.array([_pivot(control)])
-    changed = base_value + sign * PROBE_CHANGE * range_width
+    changed_value = base_value + sign * PROBE_CHANGE * range_width
     targets_before = evaluate_controls(rig.controls, {control.name: base_value}).targets
-    targets_after = evaluate_controls(rig.controls, {control.name: changed}).targets
+    targets_after = evaluate_controls(
+        rig.controls, {control.name: changed_value}
+    ).targets
     local, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in targets_after:
@@ -141,7 +146,7 @@ def _control_effect(
             axis = np.eye(3)["xyz".index(part[-1])]
         local[j, first_row : first_row + 3] += axis * change
     row_parts = (
-        np.einsum("jab,jb->ja", turned, half) for half in np.split(local, 2, 1)
+        np.einsum("jab,jb->ja", rest_rotations, half) for half in np.split(local, 2, 1)
     )
     return np.concatenate(list(row_parts), axis=1), weights
 
@@ -207,6 +212,7 @@ def mirror(
 
 
 def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
+    """Return pairs as tuples; refuse anything but pairs of names."""
     if any(isinstance(pair, str) or len(pair) != 2 for pair in pairs):
         message = f"pairs must be pairs of joint names, not {list(pairs)!r:.80}"
         raise OptionError(Fault("SCN019", message))
@@ -216,6 +222,7 @@ def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
 def _with_rig_pairs(
     rig: Rig, pairs: Sequence[tuple[str, str]]
 ) -> list[tuple[str, str]]:
+    """Return the requested pairs, and those that the rig states for other joints."""
     for name in (name for pair in pairs for name in pair):
         joint_index(rig, name, "pairs")
     stated_pairs = [(j.name, str(getattr(j, "mirror", ""))) for j in rig.joints]
@@ -225,6 +232,7 @@ def _with_rig_pairs(
 def _run_mirror(
     stream: TakeStream, options: MirrorOptions, context: PassContext | None = None
 ) -> TakeStream:
+    """Run the pass: swap left and right."""
     rig = stream.rig
     pairs = pair_sides(
         rig.names, rig.parents, _with_rig_pairs(rig, _pair_tuples(options.pairs))
@@ -238,20 +246,32 @@ def _run_mirror(
         kind: [part.name for part in getattr(rig, kind, ())]
         for kind in ("shapes", "controls")
     }
-    swaps = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
+    side_pairs_by_kind = {
+        kind: pair_sides(names) for kind, names in names_by_kind.items()
+    }
     if context is not None:
         context.notices.extend(_unpaired_warnings("joints", rig.names, pairs, is_kept))
         for kind, names in names_by_kind.items():
-            context.notices.extend(_unpaired_warnings(kind, names, swaps[kind]))
-        keeps_values = is_kept.copy()
-        keeps_values[list(pairs.unpaired)] = True
-        context.notices.extend(_asymmetry_warnings(rig, partners, ~keeps_values, axis))
-    joint_mirror = _JointMirror.of(rig, partners, is_kept, axis)
-    shapes = swaps["shapes"].partners
-    controls = ControlMirror.of(
-        rig, swaps["controls"].partners, partners, shapes, joint_mirror.normal
+            context.notices.extend(
+                _unpaired_warnings(kind, names, side_pairs_by_kind[kind])
+            )
+        is_counted_unpaired = is_kept.copy()
+        is_counted_unpaired[list(pairs.unpaired)] = True
+        context.notices.extend(
+            _asymmetry_warnings(rig, partners, ~is_counted_unpaired, axis)
+        )
+    joint_mirror = _JointMirror.from_rig(rig, partners, is_kept, axis)
+    shapes = side_pairs_by_kind["shapes"].partners
+    controls = ControlMirror.from_rig(
+        rig,
+        side_pairs_by_kind["controls"].partners,
+        partners,
+        shapes,
+        joint_mirror.normal,
     )
-    return replace(stream, blocks=_blocks(stream, joint_mirror, shapes, controls))
+    return replace(
+        stream, blocks=_mirrored_blocks(stream, joint_mirror, shapes, controls)
+    )
 
 
 def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
@@ -265,13 +285,13 @@ def _unpaired_warnings(
     kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
-    stray_indices = {
+    unpaired_indices = {
         *pairs.unpaired,
         *([] if is_kept is None else np.flatnonzero(is_kept).tolist()),
     }
-    if not stray_indices:
+    if not unpaired_indices:
         return
-    names_text = listed([repr(names[i]) for i in sorted(stray_indices)])
+    names_text = listed([repr(names[i]) for i in sorted(unpaired_indices)])
     message = f"mirror: {kind} of one side have no partner: {names_text}"
     likely_pairs = find_likely_pairs(names, pairs)
     if kind != "joints":
@@ -282,10 +302,9 @@ def _unpaired_warnings(
         written_pairs = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
         hint = f"add pairs: [{written_pairs}] to the pass's options to pair them"
     else:
-        stray = names[min(stray_indices)]
-        hint = (
-            f"add pairs: [[{stray}, OTHER]] to the pass's options to pair two joints; "
-        )
+        unpaired_name = names[min(unpaired_indices)]
+        hint = f"add pairs: [[{unpaired_name}, OTHER]] to the pass's options "
+        hint += "to pair two joints; "
         hint += "without a pair each keeps its own motion"
     yield Fault("SCN082", message, hint=hint, severity=Severity.WARNING)
 
@@ -350,6 +369,7 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
 
 
 def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
+    """Refuse a joint whose parent is not the partner of its partner's parent."""
     for i, joint in enumerate(rig.joints):
         if is_kept[i]:
             continue
@@ -368,68 +388,106 @@ class _JointMirror:
     """How values of each joint map to its partner."""
 
     partners: IntArray
-    kept: BoolArray  # mask of the joints that keep their values (J,)
+    is_kept: BoolArray  # mask of the joints that keep their values (J,)
     normal: FloatArray
-    world: FloatArray  # world rotations at rest (J, 4)
+    rest_world_rotations: FloatArray  # world rotations at rest (J, 4)
     parent_rotations: FloatArray  # world rotations of the parents at rest
-    rest: FloatArray
+    rest_translations: FloatArray
 
     @staticmethod
-    def of(rig: Rig, partners: IntArray, kept: BoolArray, axis: int) -> _JointMirror:
-        world = rig.rest_rotations.copy()
-        parent_rotations = np.tile(so3.IDENTITY, (len(world), 1))
+    def from_rig(
+        rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
+    ) -> _JointMirror:
+        """Return how the joints of a rig are mirrored."""
+        rest_world_rotations = rig.rest_rotations.copy()
+        parent_rotations = np.tile(so3.IDENTITY, (len(rest_world_rotations), 1))
         for i, joint in enumerate(rig.joints):
             if joint.parent >= 0:
-                parent_rotations[i] = world[joint.parent]
-                world[i] = so3.multiply(parent_rotations[i], world[i])
+                parent_rotations[i] = rest_world_rotations[joint.parent]
+                rest_world_rotations[i] = so3.multiply(
+                    parent_rotations[i], rest_world_rotations[i]
+                )
         normal = np.where(np.arange(3) == axis, -1.0, 1.0)
         return _JointMirror(
-            partners, kept, normal, world, parent_rotations, rig.rest_translations
+            partners,
+            is_kept,
+            normal,
+            rest_world_rotations,
+            parent_rotations,
+            rig.rest_translations,
         )
 
-    def rotations(self, values: FloatArray, j: IntArray) -> FloatArray:
-        p = self.partners[j]
-        world_rotations = so3.multiply(self.parent_rotations[j], values)
-        world_rotations = so3.multiply(world_rotations, so3.conjugate(self.world[j]))
+    def mirror_rotations(
+        self, values: FloatArray, joint_indices: IntArray
+    ) -> FloatArray:
+        """Return local rotations ``(..., A, 4)`` mapped to the joints' partners."""
+        partner_indices = self.partners[joint_indices]
+        world_rotations = so3.multiply(self.parent_rotations[joint_indices], values)
+        world_rotations = so3.multiply(
+            world_rotations, so3.conjugate(self.rest_world_rotations[joint_indices])
+        )
         # A mirror reverses axes of rotation.
         world_rotations = world_rotations * np.append(-self.normal, 1.0)
         world_rotations = so3.multiply(
-            so3.conjugate(self.parent_rotations[p]), world_rotations
+            so3.conjugate(self.parent_rotations[partner_indices]), world_rotations
         )
-        world_rotations = so3.multiply(world_rotations, self.world[p])
-        return np.where(self.kept[j, None], values, world_rotations)
+        world_rotations = so3.multiply(
+            world_rotations, self.rest_world_rotations[partner_indices]
+        )
+        return np.where(self.is_kept[joint_indices, None], values, world_rotations)
 
-    def translations(self, values: FloatArray, j: IntArray) -> FloatArray:
-        p = self.partners[j]
+    def mirror_translations(
+        self, values: FloatArray, joint_indices: IntArray
+    ) -> FloatArray:
+        """Return local translations ``(..., A, 3)`` mapped to the joints' partners."""
+        partner_indices = self.partners[joint_indices]
         mirrored_offset = (
-            so3.rotate(self.parent_rotations[j], values - self.rest[j]) * self.normal
+            so3.rotate(
+                self.parent_rotations[joint_indices],
+                values - self.rest_translations[joint_indices],
+            )
+            * self.normal
         )
-        reflected = self.rest[p] + so3.rotate(
-            so3.conjugate(self.parent_rotations[p]), mirrored_offset
+        reflected = self.rest_translations[partner_indices] + so3.rotate(
+            so3.conjugate(self.parent_rotations[partner_indices]), mirrored_offset
         )
-        return np.where(self.kept[j, None], values, reflected)
+        return np.where(self.is_kept[joint_indices, None], values, reflected)
 
-    def scales(self, values: FloatArray, j: IntArray) -> FloatArray:
+    def mirror_scales(self, values: FloatArray, joint_indices: IntArray) -> FloatArray:
+        """Return local scales ``(..., A, 3)`` mapped to the joints' partners."""
         source_axes, partner_axes = (
-            so3.to_matrix(self.world[k]) for k in (j, self.partners[j])
+            so3.to_matrix(self.rest_world_rotations[k])
+            for k in (joint_indices, self.partners[joint_indices])
         )
         change = np.swapaxes(partner_axes, -1, -2) @ (
             self.normal[:, None] * source_axes
         )
         mirrored_scales = np.asarray((change**2 @ values[..., None])[..., 0])
-        return np.where(self.kept[j, None], values, mirrored_scales)
+        return np.where(self.is_kept[joint_indices, None], values, mirrored_scales)
 
 
-def _blocks(
-    stream: TakeStream, glass: _JointMirror, shapes: IntArray, controls: ControlMirror
+def _mirrored_blocks(
+    stream: TakeStream,
+    joint_mirror: _JointMirror,
+    shapes: IntArray,
+    controls: ControlMirror,
 ) -> Iterator[Motion]:
+    """Yield the mirrored motion."""
     for block in stream.blocks:
         yield Motion(
-            _mirrored_channel(block.translations, glass.partners, glass.translations),
-            _mirrored_channel(block.rotations, glass.partners, glass.rotations),
+            _mirror_channel(
+                block.translations,
+                joint_mirror.partners,
+                joint_mirror.mirror_translations,
+            ),
+            _mirror_channel(
+                block.rotations, joint_mirror.partners, joint_mirror.mirror_rotations
+            ),
             None
             if block.scales is None
-            else _mirrored_channel(block.scales, glass.partners, glass.scales),
+            else _mirror_channel(
+                block.scales, joint_mirror.partners, joint_mirror.mirror_scales
+            ),
             _swap_partners(block.weights, shapes, lambda values, _: values),
             _swap_partners(block.controls, controls.partners, controls),
             block.track_times,
@@ -437,17 +495,21 @@ def _blocks(
 
 
 def _swap_partners(
-    channel: Channel | None, partners: IntArray, look: _ValueMap
+    channel: Channel | None, partners: IntArray, map_values: _ValueMap
 ) -> Channel | None:
+    """Return a channel with values mapped to partners; None stays None."""
     if channel is None or len(partners) != len(channel.rest):
         return channel
-    return _mirrored_channel(channel, partners, look)
+    return _mirror_channel(channel, partners, map_values)
 
 
-def _mirrored_channel(channel: Channel, partners: IntArray, look: _ValueMap) -> Channel:
+def _mirror_channel(
+    channel: Channel, partners: IntArray, map_values: _ValueMap
+) -> Channel:
+    """Return a channel with the values of each row given to its partner."""
     all_joints = np.arange(len(channel.rest))
-    rest_values = look(channel.rest, all_joints)[partners]
-    values = look(channel.values, channel.animated)
+    rest_values = map_values(channel.rest, all_joints)[partners]
+    values = map_values(channel.values, channel.animated)
     order = np.argsort(partners[channel.animated])
     return Channel(rest_values, partners[channel.animated][order], values[:, order])
 
@@ -456,7 +518,7 @@ PASS = Pass(
     "mirror",
     "Swap left and right",
     MirrorOptions,
-    Scope.FRAME,
+    FrameScope.FRAME,
     _run_mirror,
     reads=EVERY_PART - {TakePart.CLOCK},
     changes=MOTION_PARTS,

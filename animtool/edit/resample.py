@@ -24,11 +24,11 @@ from animtool.maths import filters, so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
+    FrameScope,
     LinearTime,
     OptionChecks,
     Pass,
     PassContext,
-    Scope,
 )
 from animtool.motion.take import Take
 
@@ -47,9 +47,9 @@ class SampleTimes:
     frames: IntArray  # frame of the source at or before each sample ``(N,)``
     fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
     # Number of dropped source samples between full frames of the result.
-    between: int = 0
+    dropped_between_frames: int = 0
     # Remainder of the source after the last full frame [time codes].
-    dropped: Fraction = Fraction(0)
+    dropped_at_end: Fraction = Fraction(0)
 
 
 def plan_samples(
@@ -60,7 +60,7 @@ def plan_samples(
     frame_range: FrameRange | None = None,
     offsets: Sequence[Fraction] = (),
     keep_samples: bool = False,
-    hold: bool = False,
+    extend: bool = False,
 ) -> SampleTimes:
     """Return the sample times of a take that starts at time code ``start``.
 
@@ -73,28 +73,28 @@ def plan_samples(
             the frame.
         keep_samples: Keep every sample of the source at its exact time, instead of one
             per frame.
-        hold: Keep every frame of the range; outside the take, its first or last pose is
-            held.
+        extend: Keep every frame of the range; outside the take, its first or last pose
+            is held.
     """
     ratio = clock.rate / fps  # source frames per time code
     frame_span = Fraction(clock.count - 1) / ratio
     if keep_samples:
         return _source_samples(clock, start, 1 / ratio, frame_range)
     # Frames are counted from the integer time code at or before the take's first frame.
-    origin, shift = start, Fraction(0)
+    origin, frame_shift = start, Fraction(0)
     frame_numbers = range(int(frame_span) + 1)
     if frame_range is not None:
         origin = Fraction(math.floor(start))
-        shift = origin - start
-        frame_numbers = _covered_frames(frame_range, start, frame_span, hold=hold)
+        frame_shift = origin - start
+        frame_numbers = _covered_frames(frame_range, start, frame_span, extend=extend)
     if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAMES:
-        raise _refusal(
+        raise _range_error(
             f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
         )
     first, last = origin + frame_numbers[0], origin + frame_numbers[-1]
     index = np.arange(frame_numbers[0], frame_numbers[-1] + 1, frame_numbers.step)
     positions_by_offset = [
-        even_positions(index, shift + offset, ratio, clock.count)
+        even_positions(index, frame_shift + offset, ratio, clock.count)
         for offset in offsets or (0,)
     ]
     codes = np.stack([_time_codes(first + o, frame_numbers) for o in offsets or (0,)])
@@ -105,9 +105,9 @@ def plan_samples(
     fractions = np.stack(
         [positions.fractions for positions in positions_by_offset]
     ).T.ravel()[sort_order]
-    end_position = frame_span - shift  # of the take, in the same count
+    end_position = frame_span - frame_shift  # of the take, in the same count
     last_frame = math.floor(end_position)
-    remainder = not hold and frame_numbers[-1] == last_frame
+    remainder = not extend and frame_numbers[-1] == last_frame
     if frame_range is not None and frame_range.last <= origin + last_frame:
         remainder = False
     return SampleTimes(
@@ -117,7 +117,7 @@ def plan_samples(
         frames,
         fractions,
         _dropped_samples(
-            frame_numbers, shift, ratio, clock.count, frames[fractions == 0]
+            frame_numbers, frame_shift, ratio, clock.count, frames[fractions == 0]
         ),
         end_position - last_frame if remainder else Fraction(0),
     )
@@ -154,11 +154,12 @@ def _dropped_samples(
     )
 
 
-def _refusal(message: str) -> OptionError:
+def _range_error(message: str) -> OptionError:
+    """Return the error of an invalid range (SCN021)."""
     return OptionError(Fault("CLI005", message))
 
 
-def outside_take(
+def missing_frames_fault(
     frame_range: FrameRange,
     first: Fraction,
     last: Fraction,
@@ -175,7 +176,8 @@ def outside_take(
         name: Argument that names the frames.
         noun: What has the frames.
 
-    >>> outside_take(FrameRange(0, 0), Fraction(1), Fraction(64), name="rest").message
+    >>> missing = FrameRange(0, 0)
+    >>> missing_frames_fault(missing, Fraction(1), Fraction(64), name="rest").message
     'rest: frame 0 is not in the take, which has frames 1-64'
     """
     low, high = frame_range.first, frame_range.last
@@ -186,36 +188,38 @@ def outside_take(
 
 
 def _time_codes(first: Fraction, frames: range) -> FloatArray:
+    """Return the time codes of frames from a first one."""
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
 def _covered_frames(
-    frame_range: FrameRange, start: Fraction, span: Fraction, *, hold: bool
+    frame_range: FrameRange, start: Fraction, span: Fraction, *, extend: bool
 ) -> range:
     """Return the frames of the range that the take covers, from ``floor(start)``.
 
-    With ``hold``, all frames of the range.
+    With ``extend``, all frames of the range.
     """
     origin = math.floor(start)
     step = frame_range.step
     range_first, range_last = frame_range.first - origin, frame_range.last - origin
-    if hold:
+    if extend:
         return range(range_first, range_last + 1, step)
     take_first, take_last = start - origin, start - origin + span
     range_first += max(0, math.ceil((take_first - range_first) / step)) * step
     frames = range(range_first, min(range_last, math.floor(take_last)) + 1, step)
     if not frames:
-        raise OptionError(outside_take(frame_range, start, start + span))
+        raise OptionError(missing_frames_fault(frame_range, start, start + span))
     return frames
 
 
 def _source_samples(
     clock: Clock, start: Fraction, step: Fraction, frame_range: FrameRange | None
 ) -> SampleTimes:
+    """Return the source's own samples at their exact times."""
     first_index, last_index = 0, clock.count - 1
     if frame_range is not None:
         if frame_range.step != 1:
-            raise _refusal(
+            raise _range_error(
                 f"{argument('keep_samples', True)} needs a {argument('frame_range')} "
                 "without a step"
             )
@@ -223,7 +227,7 @@ def _source_samples(
         last_index = min(last_index, (frame_range.last - start) // step)
         if first_index > last_index:
             last = start + (clock.count - 1) * step
-            raise OptionError(outside_take(frame_range, start, last))
+            raise OptionError(missing_frames_fault(frame_range, start, last))
     frames = np.arange(first_index, last_index + 1)
     first = start + first_index * step
     codes = time_codes(first, step, len(frames))
@@ -264,22 +268,24 @@ def sample_blocks(
     linear. With ``smooth``, joints follow splines of class C1; weights and controls,
     which may have bounds, do not. Curves of the take are evaluated.
     """
-    sampler = take if isinstance(take, TakeSampler) else TakeSampler.of(take)
+    sampler = take if isinstance(take, TakeSampler) else TakeSampler.from_take(take)
     previous_rotations = None
     # Blocks share their animated rows, which depend on the complete take.
-    length = max(1, len(times.codes)) if sampler.curved else BLOCK_FRAMES
-    for block_start in range(0, len(times.codes), length):
-        part = slice(block_start, block_start + length)
-        positions = FramePositions(times.frames[part], times.fractions[part])
-        motion = sampler.at(positions, smooth=smooth)
+    block_length = max(1, len(times.codes)) if sampler.rows_on_curve else BLOCK_FRAMES
+    for block_start in range(0, len(times.codes), block_length):
+        block_samples = slice(block_start, block_start + block_length)
+        positions = FramePositions(
+            times.frames[block_samples], times.fractions[block_samples]
+        )
+        motion = sampler.sample(positions, smooth=smooth)
         if smooth:
             rotations = motion.rotations
-            aligned = so3.align_signs(rotations.values, previous_rotations)
+            aligned_rotations = so3.align_signs(rotations.values, previous_rotations)
             motion, previous_rotations = (
-                replace(motion, rotations=replace(rotations, values=aligned)),
-                aligned[-1],
+                replace(motion, rotations=replace(rotations, values=aligned_rotations)),
+                aligned_rotations[-1],
             )
-        yield times.codes[part], motion
+        yield times.codes[block_samples], motion
 
 
 # Before downsampling, the filter halves amplitudes at this fraction of the new rate,
@@ -290,13 +296,13 @@ CUTOFF_FRACTION, FILTER_ORDER = 0.35, 4
 def filter_motion(motion: Motion, cutoff: float, rate: float) -> Motion:
     """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
-    def slow(channel: Channel) -> Channel:
+    def filter_channel(channel: Channel) -> Channel:
         is_rotation = channel is motion.rotations
-        run = filters.lowpass_rotations if is_rotation else filters.lowpass
-        values = run(channel.values, cutoff, rate, order=FILTER_ORDER)
+        lowpass_filter = filters.lowpass_rotations if is_rotation else filters.lowpass
+        values = lowpass_filter(channel.values, cutoff, rate, order=FILTER_ORDER)
         return replace(channel, values=values)
 
-    return replace(motion.map(slow), track_times=motion.track_times)
+    return replace(motion.map(filter_channel), track_times=motion.track_times)
 
 
 def resampled(
@@ -325,7 +331,7 @@ def resampled(
     if lowpass and fps < rate:
         cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=filter_motion(take.motion, cutoff, float(rate)))
-    sampler = TakeSampler.of(source)
+    sampler = TakeSampler.from_take(source)
     motion = Motion.concatenate(
         [block for _, block in sample_blocks(sampler, times, smooth=smooth)]
     )
@@ -337,15 +343,15 @@ def resampled(
         notices = (*notices, *interpolation_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
     notices = (*notices, *single_frame_warning(times, take.clock, fps))
-    if times.dropped:
-        notices = (*notices, dropped_notice(times.dropped, fps, times.last))
+    if times.dropped_at_end:
+        notices = (*notices, dropped_notice(times.dropped_at_end, fps, times.last))
     first_code = float(new_start)
     return replace(
         take,
         clock=clock,
-        motion=motion.map(Channel.compact) if sampler.curved else motion,
+        motion=motion.map(Channel.compact) if sampler.rows_on_curve else motion,
         notices=notices,
-        curve=sampler.curve(
+        curve=sampler.retimed_curve(
             lambda codes: first_code + (codes - first_code) * codes_ratio
         ),
     )
@@ -368,16 +374,18 @@ class ResampleOptions:
 
 
 def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
+    """Run the pass: resample at the new rate."""
     if options.fps is None:
         return take
     result = resampled(
         take, options.fps, lowpass=options.lowpass, smooth=options.smooth
     )
-    context.note_once(result.notices[len(take.notices) :])
+    context.add_notices_once(result.notices[len(take.notices) :])
     return result
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:
+    """Return the checks of each option."""
     if options.fps is None:
         return {}
     fps = options.fps
@@ -385,6 +393,7 @@ def _checks(options: ResampleOptions) -> OptionChecks:
 
 
 def _linear_time(options: ResampleOptions, clock: Clock) -> LinearTime | None:
+    """Return how the pass maps time codes of the take."""
     if options.fps is None or options.lowpass:
         return None
     start = float(clock.start)
@@ -395,10 +404,10 @@ PASS = Pass(
     "resample",
     "Resample at another rate",
     ResampleOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
     _checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
-    even=_linear_time,
+    linear_time=_linear_time,
 )

@@ -35,11 +35,11 @@ from animtool.motion.keyed import (
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
     RETIMED_PARTS,
+    FrameScope,
     LinearTime,
     OptionChecks,
     Pass,
     PassContext,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import Take, TakeStream
@@ -83,6 +83,7 @@ def trim(take: Take, first: float | None = None, last: float | None = None) -> T
 def _run_trim(
     stream: TakeStream, options: TrimOptions, context: PassContext | None = None
 ) -> TakeStream:
+    """Run the pass: keep a range of frames."""
     # The frames of a shot at the ends of the range may be between two samples.
     in_shot = context is not None and context.in_shot
     check_range(options.first, options.last)
@@ -108,7 +109,7 @@ def _run_trim(
             else math.floor(frames_from_start + FRAME_TOLERANCE)
         )
     if last_index is not None and last_index < first_index:
-        raise frame_refusal(
+        raise frame_error(
             f"there is no frame from {_frame_text(options.first, first_code)} to "
             f"{options.last:g}; the take begins at {float(first_code):g}",
             _trim_hint(options, first_code, stream.fps),
@@ -132,10 +133,12 @@ def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | No
 
 
 def _trim_checks(options: TrimOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {"last": lambda: check_range(options.first, options.last)}
 
 
 def _frame_text(frame: float | None, start: Fraction) -> str:
+    """Return a bound of a range as text; None is an end of the take."""
     return f"{float(start) if frame is None else frame:g}"
 
 
@@ -147,21 +150,22 @@ def _trim_blocks(
     *,
     in_shot: bool,
 ) -> Iterator[Motion]:
+    """Yield the frames of a range; refuse a range outside the take."""
     count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
-        first_kept = max(0, first_index - count)
-        end_kept = (
+        first_in_block = max(0, first_index - count)
+        end_in_block = (
             block.frames
             if last_index is None
             else min(block.frames, last_index + 1 - count)
         )
-        if first_kept < end_kept:
-            yield block.select(slice(first_kept, end_kept))
+        if first_in_block < end_in_block:
+            yield block.select(slice(first_in_block, end_in_block))
         count += block.frames
     if first_index >= count:
         last = start + (count - 1) * stream.step
-        raise frame_refusal(
+        raise frame_error(
             f"the first frame to keep is {float(start + first_index * stream.step):g}, "
             f"but the take has {float(start):g}-{float(last):g}",
             f"write frames from {float(start):g} to {float(last):g}",
@@ -183,7 +187,7 @@ TRIM = Pass(
     "trim",
     "Keep a range of frames",
     TrimOptions,
-    Scope.FRAME,
+    FrameScope.FRAME,
     _run_trim,
     _trim_checks,
     reads=frozenset({TakePart.CLOCK}),
@@ -238,7 +242,7 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     )
     first_index, last_index = math.ceil(end_positions[0]), math.floor(end_positions[1])
     if first_index > last_index:
-        raise frame_refusal(f"at speed {speed:g} no frame remains")
+        raise frame_error(f"at speed {speed:g} no frame remains")
     check_count(last_index - first_index + 1)
     index = np.arange(first_index, last_index + 1)
     positions = even_positions(
@@ -257,58 +261,66 @@ def _resample_at(
     take: Take,
     clock: Clock,
     positions: FramePositions,
-    shown: Callable[[FloatArray], FloatArray],
+    source_times: Callable[[FloatArray], FloatArray],
 ) -> Take:
     """Return a take resampled at fractional frame positions.
 
-    clock: clock of the result, whose time t shows time ``shown(t)`` of the take.
+    clock: clock of the result, whose time t shows time ``source_times(t)`` of the take.
     """
-    sampler = TakeSampler.of(take)
+    sampler = TakeSampler.from_take(take)
     return replace(
         take,
         clock=clock,
-        motion=align_signs(sampler.at(positions)).map(Channel.compact),
+        motion=align_signs(sampler.sample(positions)).map(Channel.compact),
         notices=(
             *take.notices,
             *interpolation_notices(sampler, positions, RESAMPLE_HINT),
         ),
-        curve=sampler.curve(shown),
+        curve=sampler.retimed_curve(source_times),
     )
 
 
 def _check_speed(speed: float) -> None:
+    """Raise if the speed is 0 or not finite."""
     if not math.isfinite(speed) or speed == 0:
         message = f"speed is {speed}; it must be finite and not 0"
         raise OptionError(Fault("SCN016", message))
 
 
-def _speed_warnings(speed: float, before: Clock, after: Clock) -> list[Fault]:
+def _percentage_warnings(
+    speed: float, clock_before: Clock, clock_after: Clock
+) -> list[Fault]:
     """Return a warning about a speed that looks like a percentage (SCN117)."""
-    if abs(speed) < MAX_SPEED or before.count < 2:
+    if abs(speed) < MAX_SPEED or clock_before.count < 2:
         return []
-    stated = argument("speed", f"{speed:g}")
+    speed_option = argument("speed", f"{speed:g}")
     message = (
-        f"{stated} plays {abs(speed):g} times as fast: of {before.count} frames "
-        f"{after.count} remain"
+        f"{speed_option} plays {abs(speed):g} times as fast: "
+        f"of {clock_before.count} frames {clock_after.count} remain"
     )
     hint = f"for {speed:g}% write {speed / 100:g}"
     return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
 
 
 def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {"speed": lambda: _check_speed(options.speed)}
 
 
 def _run_time_scale(
     take: Take, options: TimeScaleOptions, context: PassContext
 ) -> Take:
+    """Run the pass: play at another speed."""
     result = time_scale(take, options.speed, options.pivot)
-    context.notices.extend(_speed_warnings(options.speed, take.clock, result.clock))
-    context.note_once(result.notices[len(take.notices) :])
+    context.notices.extend(
+        _percentage_warnings(options.speed, take.clock, result.clock)
+    )
+    context.add_notices_once(result.notices[len(take.notices) :])
     return result
 
 
 def _linear_time(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
+    """Return how the pass maps time codes of the take."""
     if options.speed <= 0:
         return None
     pivot = float(clock.start) if options.pivot is None else options.pivot
@@ -319,12 +331,12 @@ TIME_SCALE = Pass(
     "time_scale",
     "Play at another speed",
     TimeScaleOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run_time_scale,
     _scale_checks,
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
-    even=_linear_time,
+    linear_time=_linear_time,
 )
 
 
@@ -377,7 +389,7 @@ def time_warp(
         message = (
             f"the curve from {first_code:g} to {last_code:g} contains no whole frame"
         )
-        raise frame_refusal(message)
+        raise frame_error(message)
     check_count(last_index - first_index + 1)
     start, step = float(clock.start), float(clock.step)
     result_clock = replace(
@@ -386,16 +398,17 @@ def time_warp(
         count=last_index - first_index + 1,
     )
 
-    def shown(times: FloatArray) -> FloatArray:
+    def source_times(times: FloatArray) -> FloatArray:
         return interpolate_keys(key_times, values, times, interpolation)
 
     positions = nearby_positions(
-        (shown(result_clock.times) - start) / step, clock.count
+        (source_times(result_clock.times) - start) / step, clock.count
     )
-    return _resample_at(take, result_clock, positions, shown)
+    return _resample_at(take, result_clock, positions, source_times)
 
 
 def _check_curve_range(clock: Clock, values: FloatArray) -> None:
+    """Raise if the curve shows frames that the take lacks."""
     first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
     tolerance = 1e-6 * float(clock.step)
     outside_values = values[(values < first - tolerance) | (values > last + tolerance)]
@@ -407,18 +420,20 @@ def _check_curve_range(clock: Clock, values: FloatArray) -> None:
         has_fractions = bool((values != np.round(values)).any())
         if np.min(values) >= 0 and has_fractions and code <= last + 1:
             hint = f"a curve has frames, not seconds: {seconds:g} s is frame {code:g}"
-        raise frame_refusal(f"{message}{first:g}-{last:g}", hint)
+        raise frame_error(f"{message}{first:g}-{last:g}", hint)
 
 
 def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -> Take:
+    """Run the pass: retime by a curve."""
     if not options.curve:
         return take
     result = time_warp(take, options.curve, options.interpolation)
-    context.note_once(result.notices[len(take.notices) :])
+    context.add_notices_once(result.notices[len(take.notices) :])
     return result
 
 
 def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
 
 
@@ -426,7 +441,7 @@ TIME_WARP = Pass(
     "time_warp",
     "Retime by a curve",
     TimeWarpOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run_time_warp,
     _warp_checks,
     reads=RETIMED_PARTS,

@@ -20,7 +20,7 @@ from animtool.edit.travel import (
     vertical_twist,
 )
 from animtool.edit.tree import (
-    LocalPlacement,
+    JointTransforms,
     insert_joint,
     joint_index,
     remove_joint,
@@ -29,7 +29,7 @@ from animtool.edit.tree import (
 from animtool.maths import so3
 from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
-from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
@@ -100,9 +100,9 @@ def extract_root(
     joint = take.rig.index(root)
     if joint not in take.rig.upwards(hip)[1:]:
         name = take.rig.names[hip]
-        raise _refusal(f"{root!r} is not above {name!r}", "choose other hips")
-    placing = _root_path(take, joint, hip, axes.lower(), yaw)
-    return _compact_take(set_joint(take, joint, placing))
+        raise _root_error(f"{root!r} is not above {name!r}", "choose other hips")
+    root_transforms = _root_transforms(take, joint, hip, axes.lower(), yaw)
+    return _compact_take(set_joint(take, joint, root_transforms))
 
 
 def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Take:
@@ -123,43 +123,49 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
     rig = take.rig
     joint = joint_index(rig, root, "root")
     if joint not in rig.parents:
-        raise _refusal(f"{root!r} has no joint below it", "name one above the hips")
+        raise _root_error(f"{root!r} has no joint below it", "name one above the hips")
     entry = rig.joints[joint]
-    identity = LocalPlacement(np.zeros((1, 3)), so3.IDENTITY[None])
+    identity = JointTransforms(np.zeros((1, 3)), so3.IDENTITY[None])
     if keep:
-        identity = LocalPlacement(
+        identity = JointTransforms(
             np.array([entry.translation]), np.array([entry.rotation])
         )
-    at_rest = set_joint(take, joint, identity)
-    return _compact_take(at_rest if keep else remove_joint(at_rest, joint))
+    take_with_root_at_rest = set_joint(take, joint, identity)
+    return _compact_take(
+        take_with_root_at_rest if keep else remove_joint(take_with_root_at_rest, joint)
+    )
 
 
 def _check_axes(axes: str) -> None:
+    """Raise unless axes are some of x, y and z."""
     if not set(axes.lower()) <= set("xyz"):
-        raise _refusal(
+        raise _root_error(
             f"axes {axes!r} may contain only x, y and z", "write xz, for example"
         )
 
 
-def _checks(options: RootMotionOptions) -> OptionChecks:
+def _option_checks(options: RootMotionOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {"axes": lambda: _check_axes(options.axes)}
 
 
-def _refusal(message: str, hint: str) -> OptionError:
+def _root_error(message: str, hint: str) -> OptionError:
+    """Return the error of a root joint that cannot be used (SCN020)."""
     return OptionError(Fault("SCN020", message, hint=hint))
 
 
 def _hips_index(take: Take, root: str, hips: str) -> int:
+    """Return the joint whose travel is moved, as named or detected."""
     rig = take.rig
     if hips:
         return joint_index(rig, hips, "hips")
     if not rig.joints:
-        raise _refusal(
+        raise _root_error(
             "the rig has no joints, so there is no root motion", "remove the pass"
         )
     has_root = root in rig.names
     topmost = rig.index(root) if has_root else rig.roots[0]
-    traveller_joint = travelling_joint(rig, take.motion, topmost, below=has_root)
+    traveller_joint = travelling_joint(rig, take.motion, topmost, exclude_root=has_root)
     if traveller_joint is None and has_root:
         traveller_joint = next(
             (
@@ -172,7 +178,9 @@ def _hips_index(take: Take, root: str, hips: str) -> int:
     return topmost if traveller_joint is None else traveller_joint
 
 
-def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPlacement:
+def _root_transforms(
+    take: Take, root: int, hip: int, axes: str, yaw: bool
+) -> JointTransforms:
     """Return the local transform of the root joint that carries the hips' travel."""
     rig, motion = take.rig, take.motion
     up = np.array(rig.up.vector)
@@ -181,7 +189,9 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPl
     frame = parent_frame(rig, motion, root)
     if (np.linalg.det(frame.linear) == 0).any():
         name = rig.names[root]
-        raise _refusal(f"a joint above {name!r} has a scale of 0", "set another scale")
+        raise _root_error(
+            f"a joint above {name!r} has a scale of 0", "set another scale"
+        )
     position = np.where(has_root_axes, hips.position, root_frame.position)
     offset = (position - frame.position)[..., None]
     translations = np.asarray(np.linalg.solve(frame.linear, offset)[..., 0], np.float64)
@@ -191,10 +201,11 @@ def _root_path(take: Take, root: int, hip: int, axes: str, yaw: bool) -> LocalPl
         yaw_rotation = vertical_twist(so3.multiply(hips.rotation, inverse_rest), up)
         full_rotation = so3.multiply(yaw_rotation, rest_rotation(rig, root))
         rotations = so3.multiply(so3.conjugate(frame.rotation), full_rotation)
-    return LocalPlacement(translations, rotations)
+    return JointTransforms(translations, rotations)
 
 
 def _compact_take(take: Take) -> Take:
+    """Return a take whose constant channels are stored once."""
     return replace(take, motion=align_signs(take.motion).map(Channel.compact))
 
 
@@ -236,9 +247,9 @@ PASS = Pass(
     "root_motion",
     "Move the root motion to a root joint",
     RootMotionOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
-    _checks,
+    _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
 )

@@ -38,7 +38,7 @@ class InterpolationError:
 
 
 def interpolation_errors(
-    between: TakeSampler, positions: FramePositions
+    sampler: TakeSampler, positions: FramePositions
 ) -> list[InterpolationError]:
     """Return the largest interpolation error of each kind of channel.
 
@@ -47,16 +47,16 @@ def interpolation_errors(
     Rotations likewise, from the change of angular velocity. A motion that jumps
     deviates more than a smooth one.
     """
-    motion = between.take.motion
+    motion = sampler.take.motion
     errors = []
     for name in ("translations", "rotations", "scales", "weights", "controls"):
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
-        straight = np.ones(len(channel.animated), bool)
-        if name in between.curved:
-            straight = ~between.curved[name][channel.animated]
-        largest = _largest_error(channel, np.flatnonzero(straight), positions)
+        is_interpolated = np.ones(len(channel.animated), bool)
+        if name in sampler.rows_on_curve:
+            is_interpolated = ~sampler.rows_on_curve[name][channel.animated]
+        largest = _largest_error(channel, np.flatnonzero(is_interpolated), positions)
         if largest is not None:
             frame, column, largest_size = largest
             channel_row = int(channel.animated[column])
@@ -65,20 +65,20 @@ def interpolation_errors(
 
 
 def interpolation_notices(
-    between: TakeSampler, positions: FramePositions, hint: str
+    sampler: TakeSampler, positions: FramePositions, hint: str
 ) -> list[Fault]:
     """Return the note of the estimated interpolation error (TAKE007), if it matters.
 
     hint: How the caller can avoid it.
     """
-    take = between.take
+    take = sampler.take
     rig = take.rig
     thresholds = {
         "translations": NEGLIGIBLE_LENGTH * (rest_size(rig) or 1.0),
         "rotations": NEGLIGIBLE_ANGLE,
     }
     error_texts = []
-    for error in interpolation_errors(between, positions):
+    for error in interpolation_errors(sampler, positions):
         if error.size <= thresholds.get(error.channel, NEGLIGIBLE_WEIGHT):
             continue
         size = plain_number(error.size)
@@ -117,36 +117,36 @@ def _largest_error(
     for block in _blocks(indices_between):
         frames, fraction = positions.frames[block], positions.fractions[block]
         # Curvature at the frames before and after each position.
-        first_bend = int(np.clip(frames.min(), 1, count - 2))
-        last_bend = int(np.clip(frames.max() + 1, 1, count - 2))
+        first_inner = int(np.clip(frames.min(), 1, count - 2))
+        last_inner = int(np.clip(frames.max() + 1, 1, count - 2))
         second_differences = _second_differences(
-            channel.values[first_bend - 1 : last_bend + 2], columns
+            channel.values[first_inner - 1 : last_inner + 2], columns
         )
         peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
-        bend_indices = [
-            np.clip(frame_indices, first_bend, last_bend) - first_bend
+        inner_indices = [
+            np.clip(frame_indices, first_inner, last_inner) - first_inner
             for frame_indices in (frames, frames + 1)
         ]
-        i = int(
+        worst_sample = int(
             np.argmax(
-                np.maximum(*(peaks[frame_indices] for frame_indices in bend_indices))
+                np.maximum(*(peaks[frame_indices] for frame_indices in inner_indices))
                 * factor
             )
         )
         sizes = (
             np.maximum(
                 *(
-                    second_differences[frame_indices[i]]
-                    for frame_indices in bend_indices
+                    second_differences[frame_indices[worst_sample]]
+                    for frame_indices in inner_indices
                 )
             )
-            * factor[i]
+            * factor[worst_sample]
         )
         column = int(np.argmax(sizes))
         column_size = float(sizes[column])
         if largest_error is None or column_size > largest_error[2]:
             largest_error = (
-                float(frames[i] + fraction[i]),
+                float(frames[worst_sample] + fraction[worst_sample]),
                 int(columns[column]),
                 column_size,
             )
@@ -154,6 +154,7 @@ def _largest_error(
 
 
 def _blocks(indices: IntArray) -> Iterator[IntArray]:
+    """Yield indices in blocks."""
     for start in range(0, len(indices), BLOCK_FRAMES):
         yield indices[start : start + BLOCK_FRAMES]
 

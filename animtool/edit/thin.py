@@ -31,16 +31,16 @@ class ThinnedSamples:
     """Which samples are kept, and the resulting error."""
 
     samples: int  # number of samples before thinning
-    kept: IntArray  # indices of the kept samples, ascending ``(N,)``
+    kept_samples: IntArray  # indices of the kept samples, ascending ``(N,)``
     error: float  # largest distance of a point from its original position [m]
     joint_index: int  # of the joint of that point
-    code: float  # time code of that error
+    worst_code: float  # time code of that error
     weight_error: float  # largest error of a shape's weight [1]
 
     @property
     def count(self) -> int:
         """Number of kept samples."""
-        return len(self.kept)
+        return len(self.kept_samples)
 
 
 def thin_samples(
@@ -78,42 +78,53 @@ def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
         interval = np.searchsorted(kept_samples, frames) - 1
         starts = np.flatnonzero(np.diff(interval, prepend=-1))
         worst_ratios = np.maximum.reduceat(ratios, starts)
-        is_beyond = worst_ratios > 1
-        if not is_beyond.any():
+        is_over_tolerance = worst_ratios > 1
+        if not is_over_tolerance.any():
             break
-        of_frame = np.repeat(np.arange(len(starts)), np.diff([*starts, len(frames)]))
-        peaks = np.flatnonzero(ratios == worst_ratios[of_frame])
-        _, first_peaks = np.unique(of_frame[peaks], return_index=True)
-        splits = frames[peaks[first_peaks]][is_beyond]
+        interval_of_frame = np.repeat(
+            np.arange(len(starts)), np.diff([*starts, len(frames)])
+        )
+        peaks = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
+        _, first_peaks = np.unique(interval_of_frame[peaks], return_index=True)
+        split_frames = frames[peaks[first_peaks]][is_over_tolerance]
         interval_starts, interval_ends = (
-            kept_samples[interval[starts[is_beyond]]],
-            kept_samples[interval[starts[is_beyond]] + 1],
+            kept_samples[interval[starts[is_over_tolerance]]],
+            kept_samples[interval[starts[is_over_tolerance]] + 1],
         )
         margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)
-        splits = np.clip(splits, interval_starts + margin, interval_ends - margin)
-        frames = np.setdiff1d(frames[is_beyond[of_frame]], splits)
-        kept_samples = np.union1d(kept_samples, splits)
+        split_frames = np.clip(
+            split_frames, interval_starts + margin, interval_ends - margin
+        )
+        frames = np.setdiff1d(
+            frames[is_over_tolerance[interval_of_frame]], split_frames
+        )
+        kept_samples = np.union1d(kept_samples, split_frames)
     return kept_samples
 
 
 def _drop_alternate(
-    measure: _RestoredError, kept_samples: IntArray, skip: int
+    measure: _RestoredError, kept_samples: IntArray, first_dropped: int
 ) -> IntArray:
     """Return the samples without every second unnecessary one."""
-    trial = np.arange(1 + skip, len(kept_samples) - 1, 2)
-    if not len(trial):
+    dropped_positions = np.arange(1 + first_dropped, len(kept_samples) - 1, 2)
+    if not len(dropped_positions):
         return kept_samples
-    fewer_samples = np.delete(kept_samples, trial)
+    fewer_samples = np.delete(kept_samples, dropped_positions)
     frames = np.setdiff1d(
-        np.arange(kept_samples[trial[0] - 1], kept_samples[trial[-1] + 1]),
+        np.arange(
+            kept_samples[dropped_positions[0] - 1],
+            kept_samples[dropped_positions[-1] + 1],
+        ),
         fewer_samples,
     )
     ratios = measure.ratios(fewer_samples, frames)
     # Every interval of the trial contains one frame: the sample that it drops.
-    interval = np.searchsorted(kept_samples[trial - 1], frames, side="right") - 1
-    worst_ratios = np.zeros(len(trial))
+    interval = (
+        np.searchsorted(kept_samples[dropped_positions - 1], frames, side="right") - 1
+    )
+    worst_ratios = np.zeros(len(dropped_positions))
     np.maximum.at(worst_ratios, interval, ratios)
-    return np.delete(kept_samples, trial[worst_ratios <= 1])
+    return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])
 
 
 class _RestoredError:
@@ -129,7 +140,7 @@ class _RestoredError:
         self.rig, self.codes, self.motion = rig, codes, motion
         self.bounds = bounds
         self.points = attached_points(rig, SHELL_DISTANCE)
-        self.truth = motion.world(rig)
+        self.original_world = motion.world(rig)
 
     def errors(
         self, kept_samples: IntArray, frames: IntArray
@@ -137,7 +148,9 @@ class _RestoredError:
         """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
         restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
-        truth = WorldTransforms(self.truth.positions[frames], self.truth.linear[frames])
+        truth = WorldTransforms(
+            self.original_world.positions[frames], self.original_world.linear[frames]
+        )
         world = restored_motion.world(self.rig)
         weights = np.zeros(len(frames))
         if restored_motion.weights is not None and self.motion.weights is not None:

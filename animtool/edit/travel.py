@@ -28,12 +28,12 @@ class JointFrame:
 
 def parent_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return the world frame that contains a joint's local transform."""
-    return _travel_frame(motion, rig.upwards(joint)[:0:-1])
+    return _product_frame(motion, rig.upwards(joint)[:0:-1])
 
 
 def joint_frame(rig: Rig, motion: Motion, joint: int) -> JointFrame:
     """Return a joint's world frame in every frame."""
-    return _travel_frame(motion, rig.upwards(joint)[::-1])
+    return _product_frame(motion, rig.upwards(joint)[::-1])
 
 
 def rest_rotation(rig: Rig, joint: int) -> FloatArray:
@@ -44,7 +44,8 @@ def rest_rotation(rig: Rig, joint: int) -> FloatArray:
     return rotation
 
 
-def _travel_frame(motion: Motion, joints: list[int]) -> JointFrame:
+def _product_frame(motion: Motion, joints: list[int]) -> JointFrame:
+    """Return the product of the local transforms of joints, from the first on."""
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
@@ -106,7 +107,7 @@ class FramePositions:
                 values[is_between] = lower + (upper - lower) * weight[..., None]
         return Channel(channel.rest, channel.animated, values)
 
-    def curve(self, channel: Channel) -> Channel:
+    def interpolate_spline(self, channel: Channel) -> Channel:
         """Return the channel at these positions, on a spline through its frames.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
@@ -129,10 +130,12 @@ class FramePositions:
         (is_between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[is_between, None, None]
         a, b, c, d = (extended_values[self.frames[is_between] + k] for k in range(4))
-        curve = b + t / 2 * (
+        spline_values = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        values_at_frames[is_between] = so3.normalize(curve) if is_rotation else curve
+        values_at_frames[is_between] = (
+            so3.normalize(spline_values) if is_rotation else spline_values
+        )
         return Channel(channel.rest, channel.animated, values_at_frames)
 
 
@@ -156,9 +159,11 @@ def even_positions(
         frames, remainders = np.divmod(numerators, scale)
         fractions = remainders / float(scale)
     else:
-        pairs = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array([min(max(frame, -1), count) for frame, _ in pairs], np.int64)
-        fractions = np.array([float(remainders) for _, remainders in pairs])
+        quotients = [divmod((int(i) + shift) * ratio, 1) for i in index]
+        frames = np.array(
+            [min(max(frame, -1), count) for frame, _ in quotients], np.int64
+        )
+        fractions = np.array([float(remainders) for _, remainders in quotients])
     return _clamp_positions(frames, fractions, count)
 
 
@@ -181,7 +186,7 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     return _clamp_positions(frames, clamped_positions - frames, count)
 
 
-def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
+def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePositions:
     """Return positions of times ``(N,)`` among the times of samples ``(F,)``.
 
     Times are clamped at the ends.
@@ -189,7 +194,7 @@ def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
     >>> positions_between(np.array([1.0, 2.0, 4.0]), [1.0, 3.0, 9.0]).fractions.tolist()
     [0.0, 0.5, 0.0]
     """
-    times = np.clip(np.asarray(at, np.float64), codes[0], codes[-1])
+    times = np.clip(np.asarray(requested_times, np.float64), codes[0], codes[-1])
     frames = np.searchsorted(codes, times, side="right") - 1
     next_frames = np.minimum(frames + 1, len(codes) - 1)
     spans = np.where(next_frames > frames, codes[next_frames] - codes[frames], 1.0)
@@ -199,6 +204,7 @@ def positions_between(codes: FloatArray, at: ArrayLike) -> FramePositions:
 def _clamp_positions(
     frames: IntArray, fractions: FloatArray, count: int
 ) -> FramePositions:
+    """Return positions clamped to the first and last frame."""
     is_outside = (frames < 0) | (frames >= count - 1)
     return FramePositions(
         np.clip(frames, 0, count - 1), np.where(is_outside, 0.0, fractions)
@@ -224,7 +230,7 @@ class CycleTravel:
 
 
 def travelling_joint(
-    rig: Rig, motion: Motion, root: int, *, below: bool = False
+    rig: Rig, motion: Motion, root: int, *, exclude_root: bool = False
 ) -> int | None:
     """Return the joint that carries the full character, from a root down.
 
@@ -232,10 +238,12 @@ def travelling_joint(
     below static joints only: the one with the most descendants, then the first. None if
     nothing travels.
     """
-    if not below and (_is_translated(rig, motion, root) or _is_rotated(motion, root)):
+    if not exclude_root and (
+        _is_translated(rig, motion, root) or _is_rotated(motion, root)
+    ):
         return root
-    travellers = _travelling_joints(rig, motion, root)
-    return max(travellers, key=lambda j: (_subtree_size(rig, j), -j), default=None)
+    moving_joints = _travelling_joints(rig, motion, root)
+    return max(moving_joints, key=lambda j: (_subtree_size(rig, j), -j), default=None)
 
 
 def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
@@ -279,11 +287,11 @@ def _store_travel(
     rig: Rig,
     ends: Motion,
     world_rotation: FloatArray,
-    slide: FloatArray,
+    displacement: FloatArray,
 ) -> None:
     """Store a world step as a step in the frame of a joint's parent."""
     if rig.joints[joint].parent < 0:
-        travel.rotations[joint], travel.shifts[joint] = world_rotation, slide
+        travel.rotations[joint], travel.shifts[joint] = world_rotation, displacement
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
     frame = parent_frame(rig, ends, joint)
@@ -295,7 +303,7 @@ def _store_travel(
     travel.rotations[joint] = so3.multiply(
         so3.multiply(so3.conjugate(rotation), world_rotation), rotation
     )
-    shift = so3.rotate(world_rotation, position) + slide - position
+    shift = so3.rotate(world_rotation, position) + displacement - position
     travel.linear[joint] = np.linalg.solve(
         linear, so3.to_matrix(world_rotation) @ linear
     )
@@ -304,29 +312,32 @@ def _store_travel(
 
 def _travelling_joints(rig: Rig, motion: Motion, root: int) -> list[int]:
     """Return the topmost moving free joints below a root."""
-    travellers: list[int] = []
-    static = {root}
+    moving_joints: list[int] = []
+    static_joints = {root}
     for j, joint in enumerate(rig.joints):
-        if joint.parent not in static:
+        if joint.parent not in static_joints:
             continue
         if joint.type is JointType.FREE and _is_translated(rig, motion, j):
-            travellers.append(j)
+            moving_joints.append(j)
         elif not _is_rotated(motion, j):
-            static.add(j)
-    return travellers
+            static_joints.add(j)
+    return moving_joints
 
 
 def _is_translated(rig: Rig, motion: Motion, joint: int) -> bool:
+    """Return whether a joint's translation moves noticeably."""
     extent = np.ptp(motion.translations.gather(np.array([joint])), axis=0)
     return bool(np.linalg.norm(extent) > STATIC_FRACTION * rest_size(rig))
 
 
 def _is_rotated(motion: Motion, joint: int) -> bool:
+    """Return whether a joint's rotation moves noticeably."""
     values = motion.rotations.gather(np.array([joint]))
     return bool(so3.angle_between(values, values[:1]).max() > STATIC_FRACTION)
 
 
 def _subtree_size(rig: Rig, joint: int) -> int:
+    """Return the number of joints in a subtree."""
     subtree = {joint}
     for j, rig_joint in enumerate(rig.joints):
         if rig_joint.parent in subtree:

@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.drivers import split_coordinate
 from animtool.rig.kinematics import WorldTransforms, rest_world
@@ -30,14 +30,14 @@ def joint_index(rig: Rig, name: str, option: str) -> int:
     return rig.index(name)
 
 
-def joints_matching(
+def match_joints(
     rig: Rig, patterns: str | Sequence[str], *, children: bool = False
 ) -> list[int]:
     """Return the joints that match names or glob patterns, ascending.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0), Joint("c", -1)))
-    >>> joints_matching(arm, ["a"], children=True)
+    >>> match_joints(arm, ["a"], children=True)
     [0, 1]
     """
     is_selected = [False] * len(rig.joints)
@@ -45,7 +45,10 @@ def joints_matching(
         matches = [fnmatchcase(name, pattern) for name in rig.names]
         if not any(matches):
             raise _unknown_joint_error(rig, pattern, "joints")
-        is_selected = [a or b for a, b in zip(is_selected, matches, strict=True)]
+        is_selected = [
+            was_selected or is_match
+            for was_selected, is_match in zip(is_selected, matches, strict=True)
+        ]
     if children:
         for i, joint in enumerate(rig.joints):
             is_selected[i] = is_selected[i] or (
@@ -69,32 +72,32 @@ EQUAL_VALUES = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
-class LocalPlacement:
+class JointTransforms:
     """The local transform of one joint: ``(F, 3)`` [m] and ``(F, 4)``, or one frame."""
 
     translations: FloatArray
     rotations: FloatArray
 
 
-def set_joint(take: Take, joint: int, placing: LocalPlacement) -> Take:
+def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     """Return the take with a joint moved, its children left in place."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
     translations = motion.translations.gather(family)
     rotations = motion.rotations.gather(family)
-    inverse_rotations = so3.conjugate(placing.rotations)
+    inverse_rotations = so3.conjugate(transforms.rotations)
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
-    rotates = so3.angle_between(placing.rotations, rotations[:, 0]) > EQUAL_VALUES
-    scale = _joint_scale(take, joint, rotates)[:, None]
-    shift = so3.rotate(inverse_rotations, translations[:, 0] - placing.translations)[
+    is_rotated = so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUES
+    scale = _joint_scale(take, joint, is_rotated)[:, None]
+    shift = so3.rotate(inverse_rotations, translations[:, 0] - transforms.translations)[
         :, None
     ]
     translations[:, 1:] = (
         so3.rotate(rotation, scale * translations[:, 1:]) + shift
     ) / scale
     rotations[:, 1:] = so3.multiply(rotation, rotations[:, 1:])
-    translations[:, 0], rotations[:, 0] = placing.translations, placing.rotations
+    translations[:, 0], rotations[:, 0] = transforms.translations, transforms.rotations
     return replace(
         take,
         motion=replace(
@@ -125,26 +128,26 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     return values
 
 
-def insert_joint(take: Take, name: str, below: int) -> Take:
+def insert_joint(take: Take, name: str, child: int) -> Take:
     """Return the take with a new static joint right above another.
 
     The new joint takes the other's index, and the other the next one.
     """
     joints = [
-        replace(j, parent=j.parent + (j.parent >= below)) for j in take.rig.joints
+        replace(j, parent=j.parent + (j.parent >= child)) for j in take.rig.joints
     ]
-    parent = joints[below].parent
-    joints[below] = replace(joints[below], parent=below)
-    joints.insert(below, Joint(name, parent))
+    parent = joints[child].parent
+    joints[child] = replace(joints[child], parent=child)
+    joints.insert(child, Joint(name, parent))
 
     def grown(channel: Channel, neutral: FloatArray) -> Channel:
         return Channel(
-            np.insert(channel.rest, below, neutral, axis=0),
-            channel.animated + (channel.animated >= below),
+            np.insert(channel.rest, child, neutral, axis=0),
+            channel.animated + (channel.animated >= child),
             channel.values,
         )
 
-    return _with_rig(take, replace(take.rig, joints=tuple(joints)), grown)
+    return _with_changed_channels(take, replace(take.rig, joints=tuple(joints)), grown)
 
 
 def remove_joint(take: Take, joint: int) -> Take:
@@ -182,8 +185,10 @@ def remove_joint(take: Take, joint: int) -> Take:
             channel.values[:, is_kept],
         )
 
-    smaller_rig = replace(rig, joints=tuple(joints), bind=_bind_without(rig, joint))
-    return _with_rig(take, smaller_rig, shrunk)
+    smaller_rig = replace(
+        rig, joints=tuple(joints), bind=_bind_poses_without(rig, joint)
+    )
+    return _with_changed_channels(take, smaller_rig, shrunk)
 
 
 def _move_scale_to_children(take: Take, joint: int) -> Take:
@@ -205,9 +210,10 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
     return replace(take, motion=motion)
 
 
-def _with_rig(
+def _with_changed_channels(
     take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]
 ) -> Take:
+    """Return a take on a rig with other joints, with changed channels."""
     motion = take.motion
     return replace(
         take,
@@ -222,6 +228,7 @@ def _with_rig(
 
 
 def _rest_pose(joint: Joint) -> Pose:
+    """Return the rest pose of a joint."""
     return Pose(joint.translation, joint.rotation)
 
 
@@ -235,7 +242,7 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
     return Pose((x, y, z), (a, b, c, w))
 
 
-def _bind_without(rig: Rig, joint: int) -> dict[str, Pose]:
+def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig without a joint."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
@@ -325,11 +332,11 @@ def hang(
     _check_axis(axis)
     if joint not in rig.names:
         hint = nearest(joint, rig.names)
-        raise _refusal(f"unknown joint {joint!r}", "joint", hint)
+        raise _hang_error(f"unknown joint {joint!r}", "joint", hint)
     j = rig.index(joint)
     if rig.joints[j].type is not JointType.FREE:
         message = f"joint {joint!r} is of type {rig.joints[j].type}, and cannot leave "
-        raise _refusal(f"{message}its parent", "joint", "make it `type: free`")
+        raise _hang_error(f"{message}its parent", "joint", "make it `type: free`")
     frame_and_world, world = np.array([j]), take.world()
     _check_scales(take, world, j)
     rotation = world.rotations[:, j]
@@ -366,14 +373,19 @@ def _hanging_axis(take: Take, joint: int) -> FloatArray:
     return np.asarray(so3.rotate(so3.conjugate(rest_rotation), down_vector))
 
 
-def _shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
+def _shortest_rotations(
+    start_directions: FloatArray, end_directions: FloatArray
+) -> FloatArray:
     """Return the shortest rotations ``(F, 4)`` between directions ``(F, 3)``."""
-    sizes = [np.linalg.norm(v, axis=1, keepdims=True) for v in (before, after)]
+    sizes = [
+        np.linalg.norm(v, axis=1, keepdims=True)
+        for v in (start_directions, end_directions)
+    ]
     # A segment without length has no direction.
-    no_length = (sizes[0] == 0) | (sizes[1] == 0)
+    is_zero = (sizes[0] == 0) | (sizes[1] == 0)
     a, b = (
         np.divide(v, size, out=np.zeros_like(v), where=size > 0)
-        for v, size in zip((before, after), sizes, strict=True)
+        for v, size in zip((start_directions, end_directions), sizes, strict=True)
     )
     cross = np.cross(a, b)
     angle = np.arctan2(
@@ -381,10 +393,10 @@ def _shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     )
     # Half a revolution may be about any perpendicular axis.
     perpendicular = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=1)])
-    parallel = np.linalg.norm(cross, axis=1, keepdims=True) < 1e-12
-    axis = np.where(parallel, perpendicular, cross)
+    is_parallel = np.linalg.norm(cross, axis=1, keepdims=True) < 1e-12
+    axis = np.where(is_parallel, perpendicular, cross)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    return so3.exp(np.where(no_length, 0.0, axis * angle))
+    return so3.exp(np.where(is_zero, 0.0, axis * angle))
 
 
 def _to_parent_space(
@@ -393,10 +405,12 @@ def _to_parent_space(
     """Return world transforms of a joint in the space of its parent."""
     if parent < 0:
         return positions, rotations
-    inverse = np.linalg.inv(world.linear[:, parent])
-    local = np.einsum("fij,fj->fi", inverse, positions - world.positions[:, parent])
-    undo = so3.conjugate(world.rotations[:, parent])
-    return np.ascontiguousarray(local), so3.multiply(undo, rotations)
+    inverse_linear = np.linalg.inv(world.linear[:, parent])
+    local = np.einsum(
+        "fij,fj->fi", inverse_linear, positions - world.positions[:, parent]
+    )
+    inverse_parent = so3.conjugate(world.rotations[:, parent])
+    return np.ascontiguousarray(local), so3.multiply(inverse_parent, rotations)
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
@@ -410,29 +424,35 @@ def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
             f"joint {take.rig.names[joint]!r} cannot be attached: a joint above it "
             f"has a scale of 0 at frame {take.clock.times[singular_frames[0]]:g}"
         )
-        raise _refusal(message, "joint", "set another scale there")
+        raise _hang_error(message, "joint", "set another scale there")
 
 
 def _check_axis(axis: Sequence[float] | None) -> None:
+    """Raise if an axis is not three finite numbers."""
     if axis is None:
         return
     if len(axis) != 3 or not all(math.isfinite(value) for value in axis):
-        raise _refusal(f"axis must be three finite numbers, not {list(axis)}", "axis")
+        raise _hang_error(
+            f"axis must be three finite numbers, not {list(axis)}", "axis"
+        )
 
 
 def _require_option(options: HangOptions, key: str) -> None:
+    """Raise if an option is empty."""
     if not getattr(options, key):
-        raise _refusal(f"{key} is missing", key)
+        raise _hang_error(f"{key} is missing", key)
 
 
-def _refusal(message: str, where: str, hint: str | None = None) -> OptionError:
+def _hang_error(message: str, where: str, hint: str | None = None) -> OptionError:
+    """Return the error of a joint that cannot hang on a rope (SIM192)."""
     return OptionError(Fault("SIM192", message, where=where, hint=hint))
 
 
 def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
+    """Run the pass: simulate the rope and attach the joint."""
     if context.simulate_segments is None:
         message = "attaching a joint needs a scene with systems"
-        raise _refusal(message, "system")
+        raise _hang_error(message, "system")
     ends = context.simulate_segments(
         take, options.system, options.particle, context.progress
     )
@@ -440,6 +460,7 @@ def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
 
 
 def _checks(options: HangOptions) -> OptionChecks:
+    """Return the checks of each option."""
     return {
         "joint": lambda: _require_option(options, "joint"),
         "system": lambda: _require_option(options, "system"),
@@ -451,10 +472,10 @@ PASS = Pass(
     "hang",
     "Attach a joint to the end of a simulated rope",
     HangOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),
-    tells=True,
+    reports_progress=True,
 )

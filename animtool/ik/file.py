@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clip.channels import ClipUnits
-from animtool.clip.file import checked_range
+from animtool.clip.file import read_range
 from animtool.clip.schema import CurveModel
 from animtool.core.config import project_roots
 from animtool.core.errors import listed
@@ -170,7 +170,7 @@ class _TargetsReader:
         if self.model.range is None or self.document.is_placeholder(("range",)):
             return None, None
         first, last = self.model.range
-        return checked_range(self.document, first, last)
+        return read_range(self.document, first, last)
 
     def _read_goal(self, location: Location, model: GoalModel) -> GoalTrack | None:
         """Return the track of a goal; None if it is faulty."""

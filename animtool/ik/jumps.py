@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.maths.pops import rotation_pops, translation_pops
+from animtool.maths.pops import find_rotation_pops, find_translation_pops
 from animtool.rig.joints import LocalTransforms
 
 # A joint jumps if it moves by more than this [rad] or fraction of the chain's length,
@@ -114,8 +114,8 @@ def find_jumps(
     excess = angles - source_angles
     is_jump = (angles > MAX_ROTATION) & (excess > MIN_JUMP)
     is_jump |= (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
-    is_pop = rotation_pops(rotations, 1.0 / fps, is_cut_before)[0]
-    is_jump |= is_pop & ~rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
+    is_pop = find_rotation_pops(rotations, 1.0 / fps, is_cut_before)[0]
+    is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
     jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
     displacements = np.diff(solved_poses.translations, axis=0)
     source_steps = np.zeros_like(displacements)
@@ -128,8 +128,8 @@ def find_jumps(
     is_jump = (excess > jump_threshold(fps)) | _find_jerks(excess, goal_steps)
     limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_jump |= (
-        translation_pops(displacements, *limits)[0]
-        & ~translation_pops(source_steps, *limits)[0]
+        find_translation_pops(displacements, *limits)[0]
+        & ~find_translation_pops(source_steps, *limits)[0]
     )
     jumps += _jumps_at(names, is_jump, sizes, source_sizes, goal_steps, length=length)
     return tuple(sorted(jumps, key=lambda jump: jump.frame))

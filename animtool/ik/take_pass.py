@@ -139,10 +139,10 @@ PASS = Pass(
     "ik",
     "Solve joints for targets: hold feet, put hands on props",
     IkPassOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     _run,
     _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
-    tells=True,
+    reports_progress=True,
 )

@@ -263,12 +263,12 @@ class ValueReader:
     ) -> Keyed | None:
         """Return a curve of keys; ``weight`` is a key too."""
         reader = ChannelReader(self.document)
-        reader.check(location, model)
+        reader.check_curve(location, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
         target = {"rotation": "joint/x.rotation", "control": "control/x"}
         target_name = target.get(kind, "joint/x.translation")
-        unit = self.units.of(target_name, model.euler or "")
-        channel = reader.channel(location, model, key, kind, unit)
+        unit = self.units.unit_of(target_name, model.euler or "")
+        channel = reader.read_channel(location, model, key, kind, unit)
         return None if channel is None else Keyed(channel)
 
     def read_value(

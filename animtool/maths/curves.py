@@ -46,7 +46,7 @@ class Extrapolation(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Folded:
+class FoldedTimes:
     """Times folded into the range of the keys, with the remainders."""
 
     times: FloatArray  # within the range ``(F,)``
@@ -58,41 +58,45 @@ class Folded:
     cycles: FloatArray
 
 
-def fold(
+def fold_times(
     times: FloatArray,
     start: float,
     end: float,
     pre: Extrapolation = Extrapolation.HOLD,
     post: Extrapolation = Extrapolation.HOLD,
-) -> Folded:
+) -> FoldedTimes:
     """Fold times into the range from ``start`` to ``end``.
 
     A time at an integer number of cycles belongs to the cycle nearer to the range:
     after the range it gets the last key's value, before it the first key's. In a range
     of length 0, the value is held.
 
-    >>> fold(np.array([-1.0, 4.0, 5.0]), 0.0, 4.0, post=Extrapolation.CYCLE).times
+    >>> fold_times(np.array([-1.0, 4.0, 5.0]), 0.0, 4.0, post=Extrapolation.CYCLE).times
     array([0., 4., 1.])
     """
     clamped_times = np.clip(times, start, end)
     overshoot, cycles = np.zeros(times.shape), np.zeros(times.shape)
     length = end - start
-    for before, mode, edge in ((True, pre, start), (False, post, end)):
-        is_outside = times < start if before else times > end
-        if mode is Extrapolation.HOLD or not is_outside.any():
+    for is_before, extrapolation, edge in ((True, pre, start), (False, post, end)):
+        is_outside = times < start if is_before else times > end
+        if extrapolation is Extrapolation.HOLD or not is_outside.any():
             continue
         distance = np.abs(times[is_outside] - edge)
-        if mode is Extrapolation.LINEAR:
-            overshoot[is_outside] = -distance if before else distance
+        if extrapolation is Extrapolation.LINEAR:
+            overshoot[is_outside] = -distance if is_before else distance
         elif length > 0:
             cycles_away = np.ceil(distance / length)
             remainder = cycles_away * length - distance  # to the far edge of that cycle
-            is_mirrored = (mode is Extrapolation.OSCILLATE) & (cycles_away % 2 == 1)
-            from_start = np.where(is_mirrored ^ before, remainder, length - remainder)
+            is_mirrored = (extrapolation is Extrapolation.OSCILLATE) & (
+                cycles_away % 2 == 1
+            )
+            from_start = np.where(
+                is_mirrored ^ is_before, remainder, length - remainder
+            )
             clamped_times[is_outside] = np.clip(start + from_start, start, end)
-            if mode is Extrapolation.CYCLE_OFFSET:
-                cycles[is_outside] = -cycles_away if before else cycles_away
-    return Folded(clamped_times, overshoot, cycles)
+            if extrapolation is Extrapolation.CYCLE_OFFSET:
+                cycles[is_outside] = -cycles_away if is_before else cycles_away
+    return FoldedTimes(clamped_times, overshoot, cycles)
 
 
 class SegmentKind(IntEnum):
@@ -130,11 +134,11 @@ class Curves:
         """Return every curve's values ``(C, F)`` at times ``(F,)``; see `evaluate`."""
         return evaluate(self, times, out=out)
 
-    def retimed(self, start: float, ratio: float, first: float) -> Curves:
+    def with_linear_time(self, start: float, ratio: float, first: float) -> Curves:
         """Return the curves with time t mapped to ``first + (t - start) · ratio``.
 
         >>> zero = np.zeros((2, 1))
-        >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).retimed(
+        >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).with_linear_time(
         ...     0.0, 0.5, 1001.0
         ... ).times.tolist()
         [1001.0, 1002.0]
@@ -171,7 +175,7 @@ def key_handles(
     if keys == 1:
         return ins, outs, kinds
     thirds = np.diff(slopes.times) / 3
-    for interp, rows in _groups(interps[:-1]):
+    for interp, rows in _indices_by_value(interps[:-1]):
         if interp in _KINDS:
             kinds[rows] = _KINDS[interp]
             continue
@@ -181,21 +185,29 @@ def key_handles(
         if interp is Interp.CATMULL_ROM:
             outs[rows, 1:], ins[rows + 1, 1:] = slopes.catmull_rom(rows, third[:, None])
             continue
-        for side, handles, free in ((1, outs, free_outs), (0, ins, free_ins)):
-            key_rows, signed_thirds = rows + 1 - side, third if side else -third
+        for handle_side, handles, free_handles in (
+            (1, outs, free_outs),
+            (0, ins, free_ins),
+        ):
+            key_rows, signed_thirds = (
+                rows + 1 - handle_side,
+                third if handle_side else -third,
+            )
             if interp is Interp.TCB:
                 handles[key_rows, 1:] = (
-                    slopes.tcb[side][key_rows] * signed_thirds[:, None]
+                    slopes.tcb[handle_side][key_rows] * signed_thirds[:, None]
                 )
                 continue
-            for tangent, subset in _tangent_groups(tangents, key_rows, side):
+            for tangent, subset in _indices_by_tangent(tangents, key_rows, handle_side):
                 key, length = key_rows[subset], signed_thirds[subset]
                 if tangent is Tangent.FREE and interp is not Interp.HERMITE:
-                    handles[key] = free[key]
-                    kinds[rows[subset][free[key, 0] != length]] = SegmentKind.BEZIER
+                    handles[key] = free_handles[key]
+                    kinds[rows[subset][free_handles[key, 0] != length]] = (
+                        SegmentKind.BEZIER
+                    )
                     continue
                 slope = (
-                    _free_slopes(free[key])
+                    _free_slopes(free_handles[key])
                     if tangent is Tangent.FREE
                     else slopes.by_rule(tangent, key, rows[subset])
                 )
@@ -206,7 +218,7 @@ def key_handles(
 _Group = TypeVar("_Group")
 
 
-def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
+def _indices_by_value(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
     """Yield the distinct values of a sequence, each with its indices."""
     if values.count(values[0]) == len(values):
         yield values[0], np.arange(len(values))
@@ -218,14 +230,14 @@ def _groups(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArray]]:
         yield value, np.flatnonzero(matches)
 
 
-def _tangent_groups(
+def _indices_by_tangent(
     tangents: Sequence[tuple[Tangent, Tangent]], keys: IntArray, side: int
 ) -> Iterator[tuple[Tangent, IntArray]]:
     """Yield the distinct tangents of keys on a side, each with indices of keys."""
     if tangents.count(tangents[0]) == len(tangents):
         yield tangents[0][side], np.arange(len(keys))
     else:
-        yield from _groups([tangents[key][side] for key in keys.tolist()])
+        yield from _indices_by_value([tangents[key][side] for key in keys.tolist()])
 
 
 def _free_slopes(handles: FloatArray) -> FloatArray:
@@ -305,13 +317,13 @@ def evaluate(
         output_array(out, (len(curves.pre), len(at)))
     extrapolated_curves = _extrapolated_curves(curves, at)
     if not len(extrapolated_curves):
-        return _clamped_values(curves, at[None], out)
+        return _values_in_range(curves, at[None], out)
     starts, ends = _end_keys(curves)
     rows = np.tile(at, (len(curves.pre), 1))
     overshoot, cycles = np.zeros(rows.shape), np.zeros(rows.shape)
     for c in extrapolated_curves:
         start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
-        folded_times = fold(at, start, end, curves.pre[c], curves.post[c])
+        folded_times = fold_times(at, start, end, curves.pre[c], curves.post[c])
         rows[c], overshoot[c], cycles[c] = (
             folded_times.times,
             folded_times.beyond,
@@ -319,7 +331,7 @@ def evaluate(
         )
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
-    values = _clamped_values(curves, rows, out)
+    values = _values_in_range(curves, rows, out)
     values += overshoot * np.where(overshoot < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
     return values
@@ -346,9 +358,9 @@ def end_slopes(curves: Curves) -> FloatArray:
     [[0.5, 0.5]]
     """
     starts, ends = _end_keys(curves)
-    single = starts == ends
-    second = np.where(single, starts, starts + 1)
-    second_last = np.where(single, ends, ends - 1)
+    is_single_key = starts == ends
+    second = np.where(is_single_key, starts, starts + 1)
+    second_last = np.where(is_single_key, ends, ends - 1)
     return np.stack(
         [
             _slopes(curves, starts, second, curves.outs[starts]),
@@ -374,6 +386,7 @@ def _slopes(
 
 
 def _end_keys(curves: Curves) -> tuple[IntArray, IntArray]:
+    """Return the first and last key of each curve, each ``(C,)``."""
     return curves.first[:-1], curves.first[1:] - 1
 
 
@@ -382,14 +395,14 @@ def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
     if not len(times):
         return np.zeros(0, np.int64)
     starts, ends = _end_keys(curves)
-    pre = np.array([mode is not Extrapolation.HOLD for mode in curves.pre], bool)
-    post = np.array([mode is not Extrapolation.HOLD for mode in curves.post], bool)
-    before = pre & (times.min() < curves.times[starts])
-    after = post & (times.max() > curves.times[ends])
-    return np.flatnonzero(before | after)
+    has_pre = np.array([mode is not Extrapolation.HOLD for mode in curves.pre], bool)
+    has_post = np.array([mode is not Extrapolation.HOLD for mode in curves.post], bool)
+    is_before = has_pre & (times.min() < curves.times[starts])
+    is_after = has_post & (times.max() > curves.times[ends])
+    return np.flatnonzero(is_before | is_after)
 
 
-def _clamped_values(
+def _values_in_range(
     curves: Curves, times: FloatArray, out: FloatArray | None
 ) -> FloatArray:
     """Return values ``(C, F)`` at ``(1, F)`` or ``(C, F)``, held outside the keys."""
@@ -407,6 +420,7 @@ def _clamped_values(
 
 
 def _check(curves: Curves) -> None:
+    """Raise if the arrays of curves do not fit together."""
     first, keys = curves.first, len(curves.times)
     if first.ndim != 1 or not len(first) or first[0] != 0 or first[-1] != keys:
         raise ValueError("first must run from 0 to the number of keys")

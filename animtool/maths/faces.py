@@ -24,16 +24,16 @@ def directed_edges(counts: IntArray, indices: IntArray) -> IntArray:
     return np.stack([indices, next_corners], axis=1)
 
 
-def distinct_pairs(pairs: IntArray) -> IntArray:
+def unique_pairs(pairs: IntArray) -> IntArray:
     """Return distinct unordered pairs ``(P, 2)``, without pairs of equal numbers.
 
     The pairs are sorted, and so are the numbers of each pair.
 
-    >>> distinct_pairs(np.array([[2, 1], [1, 2], [0, 3], [4, 4]])).tolist()
+    >>> unique_pairs(np.array([[2, 1], [1, 2], [0, 3], [4, 4]])).tolist()
     [[0, 3], [1, 2]]
     """
-    distinct = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
-    return np.unique(distinct, axis=0)
+    sorted_pairs = np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1)
+    return np.unique(sorted_pairs, axis=0)
 
 
 def edges(counts: IntArray, indices: IntArray) -> IntArray:
@@ -46,7 +46,7 @@ def edges(counts: IntArray, indices: IntArray) -> IntArray:
     >>> edges(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3])).tolist()
     [[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]]
     """
-    return distinct_pairs(directed_edges(counts, indices))
+    return unique_pairs(directed_edges(counts, indices))
 
 
 def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray]:
@@ -64,7 +64,7 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     return edges, face_counts
 
 
-def closed(counts: IntArray, indices: IntArray) -> bool:
+def is_closed(counts: IntArray, indices: IntArray) -> bool:
     """Return whether polygons form a closed mesh: every edge has two faces.
 
     Args:
@@ -72,7 +72,7 @@ def closed(counts: IntArray, indices: IntArray) -> bool:
         indices: Corners, one polygon after the other ``(C,)``.
 
     >>> tetrahedron = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3])
-    >>> closed(np.full(4, 3), tetrahedron), closed(np.full(3, 3), tetrahedron[:9])
+    >>> is_closed(np.full(4, 3), tetrahedron), is_closed(np.full(3, 3), tetrahedron[:9])
     (True, False)
     """
     low, high = np.sort(directed_edges(counts, indices), axis=1).astype(np.int64).T
@@ -94,22 +94,22 @@ def coincident_edges(pairs: IntArray) -> tuple[IntArray, IntArray]:
     ends = ends[order]
     edges = [np.zeros((0, 2), np.int64)]
     for gap in range(1, len(order)):
-        equal = (ends[gap:] == ends[:-gap]).all(axis=1)
-        if not equal.any():
+        is_equal = (ends[gap:] == ends[:-gap]).all(axis=1)
+        if not is_equal.any():
             break
-        edges.append(np.stack([order[:-gap][equal], order[gap:][equal]], axis=1))
+        edges.append(np.stack([order[:-gap][is_equal], order[gap:][is_equal]], axis=1))
     first, second = np.concatenate(edges).T
     return first, second
 
 
-def triangulated(counts: IntArray, indices: IntArray) -> IntArray:
+def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the triangle fans of polygons ``(T, 3)``.
 
     Args:
         counts: Corners of each ``(M,)``.
         indices: Corners, one polygon after the other.
 
-    >>> triangulated(np.array([4]), np.array([5, 6, 7, 8])).tolist()
+    >>> triangulate(np.array([4]), np.array([5, 6, 7, 8])).tolist()
     [[5, 6, 7], [5, 7, 8]]
     """
     firsts = np.cumsum(counts) - counts
@@ -149,18 +149,20 @@ def vertex_normals(points: FloatArray, triangles: IntArray) -> FloatArray:
 
 
 # Relative spread below which points count as collinear or coincident.
-FLAT = 1e-9
+FLAT_TOLERANCE = 1e-9
 
 
-def rigid_motion(before: ArrayLike, after: ArrayLike) -> tuple[FloatArray, FloatArray]:
+def rigid_motion(
+    source_points: ArrayLike, target_points: ArrayLike
+) -> tuple[FloatArray, FloatArray]:
     """Return the best-fit rotation ``(4,)`` and translation ``(3,)`` between points.
 
     A point p maps to ``rotate(rotation, p) + translation``. For collinear or coincident
     points, which leave the rotation undetermined, the smallest one is returned.
 
     Args:
-        before: At least one ``(P, 3)``.
-        after: Their targets ``(P, 3)``.
+        source_points: At least one ``(P, 3)``.
+        target_points: Their targets ``(P, 3)``.
 
     References:
         W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.
@@ -169,7 +171,10 @@ def rigid_motion(before: ArrayLike, after: ArrayLike) -> tuple[FloatArray, Float
     >>> rotation.tolist(), translation.tolist()
     ([0.0, 0.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     """
-    start, end = np.asarray(before, np.float64), np.asarray(after, np.float64)
+    start, end = (
+        np.asarray(source_points, np.float64),
+        np.asarray(target_points, np.float64),
+    )
     centre, target_centre = start.mean(axis=0), end.mean(axis=0)
     rotation = _best_rotation(
         (start - centre).T @ (end - target_centre), _scale(start) * _scale(end)
@@ -180,14 +185,16 @@ def rigid_motion(before: ArrayLike, after: ArrayLike) -> tuple[FloatArray, Float
 
 
 def _scale(points: FloatArray) -> float:
+    """Return the root mean square of centred points."""
     return float(np.abs(points).max(initial=0.0))
 
 
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
+    """Return the rotation that maximises the trace with a covariance."""
     left, singular, right_t = np.linalg.svd(covariance)
-    if singular[0] <= FLAT**2 * scale:
+    if singular[0] <= FLAT_TOLERANCE**2 * scale:
         return so3.IDENTITY.copy()
-    if singular[1] <= FLAT * singular[0]:
+    if singular[1] <= FLAT_TOLERANCE * singular[0]:
         return _least_rotation(left[:, 0], right_t[0])
     sign = np.sign(np.linalg.det(left) * np.linalg.det(right_t))
     return so3.from_matrix(right_t.T @ np.diag([1.0, 1.0, sign]) @ left.T)

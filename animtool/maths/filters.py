@@ -28,7 +28,7 @@ MEDIAN_SQUARE = 0.454936
 # An axis with less than this fraction of the largest noise power has no noise.
 NOISY_AXIS_FRACTION = 0.05
 # Coefficient of the median of a chi-squared variable [1] (Wilson and Hilferty).
-_WILSON = 2 / 9
+_WILSON_COEFFICIENT = 2 / 9
 
 
 def lowpass(
@@ -89,6 +89,7 @@ def _penalty(count: int, order: int) -> FloatArray:
 
 
 def _differences(order: int) -> FloatArray:
+    """Return the coefficients of differences of an order."""
     steps = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
     return np.array(steps, np.float64)
 
@@ -103,7 +104,7 @@ def noise_level(values: FloatArray) -> float:
     >>> round(noise_level(slow + 0.01 * rng.standard_normal((2000, 1))), 3)
     0.01
     """
-    return math.sqrt(_noise(values, rotation=False)[0])
+    return math.sqrt(_noise_variance(values, rotation=False)[0])
 
 
 def rotation_noise(rotations: FloatArray) -> float:
@@ -111,10 +112,10 @@ def rotation_noise(rotations: FloatArray) -> float:
 
     It is the value for each noisy axis: three axes, or one for a hinge.
     """
-    return 2 * math.sqrt(_noise(rotations, rotation=True)[0])
+    return 2 * math.sqrt(_noise_variance(rotations, rotation=True)[0])
 
 
-def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
+def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
     """Return the noise variance per direction, and the number of directions."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
@@ -124,21 +125,22 @@ def _noise(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
     if not rotation:
         # Static components have no noise.
         width = max(1, int((np.ptp(values, axis=0) > 0).sum()))
-        middle_power = width * (1 - _WILSON / width) ** 3
+        median_power_factor = width * (1 - _WILSON_COEFFICIENT / width) ** 3
         power = (
-            float(np.median((differences * differences).sum(axis=-1))) / middle_power
+            float(np.median((differences * differences).sum(axis=-1)))
+            / median_power_factor
         )
         return power / gain, width
     # Relative to the middle frame, noise is a rotation vector.
-    middle_frames = values[order // 2 : order // 2 + len(differences)]
-    differences = so3.multiply(so3.conjugate(middle_frames), differences)[:, :3]
+    inner_frames = values[order // 2 : order // 2 + len(differences)]
+    differences = so3.multiply(so3.conjugate(inner_frames), differences)[:, :3]
     components = differences @ np.linalg.eigh(differences.T @ differences)[1]
     powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / gain
     width = max(1, int((powers > NOISY_AXIS_FRACTION * powers.max()).sum()))
     return float(powers.sum()) / width, width
 
 
-def best_cutoff(
+def find_best_cutoff(
     values: FloatArray, rate: float, *, rotation: bool = False
 ) -> float | None:
     """Return the cut-off with the least expected error of a noisy signal [Hz].
@@ -152,7 +154,7 @@ def best_cutoff(
         rate: Frames a second.
         rotation: Whether they are quaternions.
     """
-    variance, width = _noise(values, rotation=rotation)
+    variance, width = _noise_variance(values, rotation=rotation)
     noise = variance * width
     if noise == 0 or len(values) <= NOISE_ORDER:
         return None
@@ -179,10 +181,12 @@ def fill_gaps(values: FloatArray, times: FloatArray | IntArray) -> FloatArray:
     """
     filled_values = values.copy()
     for column in filled_values.T:
-        valid = np.isfinite(column)
-        if not valid.all():
-            any_valid = valid.any()
+        is_valid = np.isfinite(column)
+        if not is_valid.all():
+            any_valid = is_valid.any()
             column[:] = (
-                np.interp(times, times[valid], column[valid]) if any_valid else 0.0
+                np.interp(times, times[is_valid], column[is_valid])
+                if any_valid
+                else 0.0
             )
     return filled_values

@@ -32,13 +32,18 @@ class FittedKeys:
     outs: FloatArray
 
     @property
-    def smooth(self) -> BoolArray:
+    def is_smooth(self) -> BoolArray:
         """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
         flags = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
-        before, after = self.ins[1:-1] / -lengths[:-1], self.outs[1:-1] / lengths[1:]
-        magnitude = np.abs(before) + np.abs(after)
-        flags[1:-1] = (np.abs(before - after) <= 1e-9 * magnitude + 1e-300).all(axis=1)
+        slopes_before, slopes_after = (
+            self.ins[1:-1] / -lengths[:-1],
+            self.outs[1:-1] / lengths[1:],
+        )
+        magnitude = np.abs(slopes_before) + np.abs(slopes_after)
+        flags[1:-1] = (
+            np.abs(slopes_before - slopes_after) <= 1e-9 * magnitude + 1e-300
+        ).all(axis=1)
         return flags
 
 
@@ -48,8 +53,8 @@ def fit_keys(
     *,
     tolerance_scale: ArrayLike | None = None,
     anchors: ArrayLike = (),
-    within: tuple[ArrayLike, ArrayLike] | None = None,
-    straight: ArrayLike = (),
+    bounds_or_none: tuple[ArrayLike, ArrayLike] | None = None,
+    straight_frames: ArrayLike = (),
 ) -> FittedKeys:
     """Return few keys whose cubic segments stay within a tolerance of samples.
 
@@ -62,8 +67,8 @@ def fit_keys(
     Limits: the search is greedy, so slightly fewer keys may be possible. The tolerance
     holds at the samples. A segment passes exactly through any two inner samples, so
     pure noise needs a key at every third sample, and between samples the curve may
-    overshoot, but not beyond ``within``. A tolerance below 1e-13 of the values is less
-    than their rounding.
+    overshoot, but not beyond ``bounds_or_none``. A tolerance below 1e-13 of the values
+    is less than their rounding.
 
     Args:
         values: Evenly spaced samples ``(F, D)``, F > 0, D > 0.
@@ -73,9 +78,9 @@ def fit_keys(
         tolerance_scale: Factor of the tolerance at each frame ``(F,)``, > 0; None is 1.
         anchors: Inner frames that always become keys, ascending [frame]. The keys
             between two anchors, except for slopes, do not depend on other frames.
-        within: Lower and upper bound of each component ``(D,)``, which curves respect
-            between samples within it; infinite or None for no bound.
-        straight: Frames whose segment to the next frame is straight [frame].
+        bounds_or_none: Lower and upper bound of each component ``(D,)``, which curves
+            respect between samples within it; infinite or None for no bound.
+        straight_frames: Frames whose segment to the next frame is straight [frame].
 
     Returns:
         The keys; a single one if all samples are within the tolerance of the first.
@@ -89,9 +94,9 @@ def fit_keys(
     >>> keys.frames.tolist(), keys.outs.round(6).tolist()
     ([0, 100], [[2.0], [0.0]])
     """
-    samples = _samples(values)
-    limits, scales = _tolerances(samples, tolerance, tolerance_scale)
-    bounds = within or (-np.inf, np.inf)
+    samples = _check_samples(values)
+    limits, scales = _check_tolerances(samples, tolerance, tolerance_scale)
+    bounds = bounds_or_none or (-np.inf, np.inf)
     low, high = (
         np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / limits)
         for bound in bounds
@@ -102,12 +107,12 @@ def fit_keys(
         np.ascontiguousarray(anchors, np.int64),
         low,
         high,
-        np.ascontiguousarray(straight, np.int64),
+        np.ascontiguousarray(straight_frames, np.int64),
     )
     return FittedKeys(key_frames, samples[key_frames], ins * limits, outs * limits)
 
 
-def _samples(values: ArrayLike) -> FloatArray:
+def _check_samples(values: ArrayLike) -> FloatArray:
     """Return finite samples ``(F, D)``."""
     samples = as_floats(values, ("F", "D"), "values")
     if not samples.size:
@@ -118,7 +123,7 @@ def _samples(values: ArrayLike) -> FloatArray:
     return samples
 
 
-def _tolerances(
+def _check_tolerances(
     samples: FloatArray, tolerance: ArrayLike, scale: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the tolerance, one or of each component, and its factor ``(F,)``."""

@@ -15,9 +15,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 
 # Matrices are halved until their norm is below this; then the series needs few terms.
-_NORM = 0.5
+_MAX_NORM = 0.5
 # Terms of the series for matrices up to a norm: the remainder is below rounding.
-_TERMS = ((0.02, 7), (0.15, 10), (_NORM, 14))
+_SERIES_TERMS = ((0.02, 7), (0.15, 10), (_MAX_NORM, 14))
 
 
 def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -33,12 +33,14 @@ def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return φ1 and φ2 of distinct matrices by scaling and doubling."""
     norm = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
-    halvings = max(math.ceil(math.log2(norm / _NORM)), 0) if norm > 0 else 0
+    halvings = max(math.ceil(math.log2(norm / _MAX_NORM)), 0) if norm > 0 else 0
     scaled_matrices, identity = matrices / 2.0**halvings, np.eye(matrices.shape[1])
     scaled_norm = norm / 2.0**halvings
     terms = next(
-        (n for max_norm, n in _TERMS if scaled_norm <= max_norm), _TERMS[-1][1]
+        (n for max_norm, n in _SERIES_TERMS if scaled_norm <= max_norm),
+        _SERIES_TERMS[-1][1],
     )
     phi2 = np.broadcast_to(identity / math.factorial(terms + 2), matrices.shape)
     for k in range(terms - 1, -1, -1):

@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 # Smaller deviations from the surrounding motion are not pops [rad].
 MIN_ROTATION = math.radians(17.0)
 # No real motion rotates a joint this far in one frame [rad].
-FLIP = math.radians(120.0)
+FLIP_ANGLE = math.radians(120.0)
 # Roughness of a pop relative to the surrounding motion: kicks, claps and landings at 24
 # to 120 fps reach 6; a 20 degree pop in a smooth walk has 9 or more [1]. The roughness
 # of the motion is at least the noise of captures [rad].
@@ -35,7 +35,7 @@ NEIGHBOURHOOD_GAP = 2
 MIN_FRAMES = 8
 
 
-def rotation_pops(
+def find_rotation_pops(
     rotations: FloatArray, interval: float, cuts: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of rotation pops ``(S, N)``, and the deviations [rad].
@@ -51,42 +51,48 @@ def rotation_pops(
         no_pops = np.zeros(rotations.shape[:2])
         return no_pops.astype(bool), no_pops
     deviations = prediction_errors(rotations, cuts)
-    mask = outliers(rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval)
+    mask = find_outliers(
+        rotations, deviations, cuts, MIN_ROTATION, ROTATION_NOISE, interval
+    )
     # If every second step is a flip, none exceeds its surrounding motion.
-    flips = np.linalg.norm(rotations, axis=2) > FLIP
+    flips = np.linalg.norm(rotations, axis=2) > FLIP_ANGLE
     mask |= flips & (deviations > MIN_ROTATION + 2.0 * np.median(deviations, axis=0))
     return mask, deviations
 
 
-def translation_pops(
-    shifts: FloatArray, interval: float, cuts: BoolArray, smallest: float, noise: float
+def find_translation_pops(
+    shifts: FloatArray,
+    interval: float,
+    cuts: BoolArray,
+    min_deviation: float,
+    noise: float,
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of translation pops ``(S, N)``, and the deviations [m].
 
-    As `rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame. ``least`` is
-    the smallest pop and ``noise`` the noise of the motion [m].
+    As `find_rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame.
+    ``min_deviation`` is the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
         no_pops = np.zeros(shifts.shape[:2])
         return no_pops.astype(bool), no_pops
     deviations = prediction_errors(shifts, cuts)
-    mask = outliers(shifts, deviations, cuts, smallest, noise, interval)
+    mask = find_outliers(shifts, deviations, cuts, min_deviation, noise, interval)
     return mask & (deviations > MIN_CHANGE_RATIO * velocity_changes(shifts)), deviations
 
 
-def outliers(
+def find_outliers(
     steps: FloatArray,
     deviations: FloatArray,
     cuts: BoolArray,
-    smallest: float,
+    min_deviation: float,
     noise: float,
     interval: float,
 ) -> BoolArray:
     """Return a mask of deviations far above those of nearby steps ``(S, N)``.
 
-    ``steps`` ``(S, N, 3)`` and their deviations, ``amounts`` ``(S, N)``.
+    ``steps`` ``(S, N, 3)``, ``deviations`` ``(S, N)``.
     """
-    candidates = (deviations > smallest).any(axis=0)
+    candidates = (deviations > min_deviation).any(axis=0)
     mask = np.zeros(deviations.shape, bool)
     if not candidates.any():
         return mask
@@ -95,12 +101,14 @@ def outliers(
     # Overflowing steps stay unexplained.
     with np.errstate(over="ignore", invalid="ignore"):
         residuals, near_pop_residuals = _unexplained_deviations(steps, deviations)
-        reach = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
-        typical = noise + mean_around(residuals, reach, NEIGHBOURHOOD_GAP)
+        window_steps = max(MIN_STEPS, round(WINDOW_SECONDS / interval))
+        typical_residual = noise + mean_around(
+            residuals, window_steps, NEIGHBOURHOOD_GAP
+        )
     mask[:, candidates] = (
-        (deviations > smallest)
-        & (residuals > MIN_UNEXPLAINED * smallest)
-        & (residuals > MIN_ROUGHNESS_RATIO * typical)
+        (deviations > min_deviation)
+        & (residuals > MIN_UNEXPLAINED * min_deviation)
+        & (residuals > MIN_ROUGHNESS_RATIO * typical_residual)
         & (residuals > MIN_NEIGHBOUR_RATIO * adjacent_level(near_pop_residuals))
     )
     return mask
@@ -146,10 +154,12 @@ def _unexplained_deviations(
     squares = np.einsum("snc,snc->sn", steps, steps)
     for nearer, farther in ((c, b), (d, e)):
         line_errors = _lengths(steps - (2.0 * nearer - farther))
-        similar_speed = (
+        is_similar_speed = (
             np.einsum("snc,snc->sn", nearer, nearer) > SIMILAR_SPEED**2 * squares
         )
-        residuals = np.where(similar_speed, np.fmin(residuals, line_errors), residuals)
+        residuals = np.where(
+            is_similar_speed, np.fmin(residuals, line_errors), residuals
+        )
         line_residuals = np.fmin(line_residuals, line_errors)
     return residuals, line_residuals
 
@@ -161,6 +171,7 @@ def _shift_steps(steps: FloatArray, offset: int) -> FloatArray:
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
+    """Return the lengths of vectors ``(S, N)``."""
     return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
@@ -175,16 +186,16 @@ def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
     return np.asarray(steps[kept_steps[nearest]])
 
 
-def mean_around(values: FloatArray, reach: int, gap: int) -> FloatArray:
-    """Return the mean of rows up to ``reach`` away, without the nearest ``(S, N)``.
+def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
+    """Return the mean of nearby rows, without the nearest ones ``(S, N)``.
 
-    ``values`` ``(S, N)``; rows less than ``gap`` away are left out.
+    ``values`` ``(S, N)``; rows from ``gap`` to ``half_window`` away are averaged.
     """
     count = len(values)
     total = np.concatenate([np.zeros((1, *values.shape[1:])), values.cumsum(axis=0)])
     i = np.arange(count)
-    low = np.clip(np.stack([i - reach, i + gap + 1]), 0, count)
-    high = np.maximum(np.clip(np.stack([i - gap, i + reach + 1]), 0, count), low)
+    low = np.clip(np.stack([i - half_window, i + gap + 1]), 0, count)
+    high = np.maximum(np.clip(np.stack([i - gap, i + half_window + 1]), 0, count), low)
     sums = (total[high] - total[low]).sum(axis=0)
     return np.asarray(sums / np.maximum((high - low).sum(axis=0), 1)[:, None])
 
@@ -200,10 +211,12 @@ def adjacent_level(values: FloatArray) -> FloatArray:
     """
     rows = np.pad(values, ((2, 2), (0, 0)))
     before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
-    stays = np.maximum(before, after)
-    comes_back = np.maximum(before, after2)
-    came_back = np.maximum(before2, after)
-    return np.asarray(np.minimum(stays, np.minimum(comes_back, came_back)))
+    stays_level = np.maximum(before, after)
+    returns_after_level = np.maximum(before, after2)
+    returned_before_level = np.maximum(before2, after)
+    return np.asarray(
+        np.minimum(stays_level, np.minimum(returns_after_level, returned_before_level))
+    )
 
 
 def velocity_changes(steps: FloatArray) -> FloatArray:

@@ -16,10 +16,10 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation, fold
+from animtool.maths.curves import Extrapolation, fold_times
 
 
-def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
+def align_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     """Return normalised keys with signs that give the short arcs.
 
     The first keeps its sign. Neighbours exactly 180 degrees apart keep their relative
@@ -28,17 +28,17 @@ def aligned_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
     ``keys``: quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` of C
     curves.
 
-    >>> aligned_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
+    >>> align_keys([[0, 0, 0, 2], [0, 0, 0, -1]]).tolist()
     [[0.0, 0.0, 0.0, 1.0], [-0.0, -0.0, -0.0, 1.0]]
     """
     is_batched = np.ndim(keys) == 3
     q = as_floats(keys, (count, "C", 4) if is_batched else (count, 4), "keys")
-    for fault, rows in (
+    for fault_text, rows in (
         ("is not finite", ~np.isfinite(q).all(axis=-1)),
         ("is zero, not a rotation", ~q.any(axis=-1)),
     ):
         if rows.any():
-            raise ValueError(f"key {int(np.argwhere(rows)[0, 0])} {fault}")
+            raise ValueError(f"key {int(np.argwhere(rows)[0, 0])} {fault_text}")
     q = so3.normalize(q)
     return so3.align_signs(q, q[0]) if len(q) else q
 
@@ -84,7 +84,7 @@ def squad(q: ArrayLike, u: ArrayLike) -> FloatArray:
     >>> np.allclose(squad(keys, [0.5]), so3.from_axis_angle([0, 0, 1], [0.75]))
     True
     """
-    keys = aligned_keys(q, 4)
+    keys = align_keys(q, 4)
     steps = rotation_between(keys[:-1], keys[1:])
     # Segments of length 1: Shoemake's points are those of the central differences.
     velocities = (steps[:-1] + steps[1:]) / 2
@@ -147,7 +147,7 @@ def hermite(ends: ArrayLike, velocities: ArrayLike, u: ArrayLike) -> FloatArray:
     )
     u = np.asarray(u, np.float64)[..., None]
     weights = (1 - (1 - u) ** 3, u**2 * (3 - 2 * u), u**3)
-    return _cumulate(start, weights, (first, middle, last))
+    return _compose_weighted(start, weights, (first, middle, last))
 
 
 def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
@@ -172,10 +172,12 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
     >>> np.allclose(middle, so3.from_axis_angle([0, 0, 1], [0.75]))
     True
     """
-    keys = aligned_keys(q, 4)
+    keys = align_keys(q, 4)
     u = as_floats(u, ("U",), "u")[:, None]
     weights = (1 - (1 - u) ** 3 / 6, (1 + u * (3 + u * (3 - 2 * u))) / 6, u**3 / 6)
-    return _cumulate(keys[0], weights, tuple(rotation_between(keys[:-1], keys[1:])))
+    return _compose_weighted(
+        keys[0], weights, tuple(rotation_between(keys[:-1], keys[1:]))
+    )
 
 
 def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
@@ -183,7 +185,7 @@ def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
     return so3.multiply(a, so3.exp(u[..., None] * rotation_between(a, b)))
 
 
-def _cumulate(
+def _compose_weighted(
     start: FloatArray,
     weights: tuple[FloatArray, ...],
     rotations: tuple[FloatArray, ...],
@@ -208,7 +210,9 @@ class RotationKind(IntEnum):
     SPLINE = 3
 
 
-def spline(times: ArrayLike, keys: ArrayLike, at: ArrayLike) -> FloatArray:
+def spline(
+    times: ArrayLike, keys: ArrayLike, evaluation_times: ArrayLike
+) -> FloatArray:
     """Return the C1 spline through rotation keys, held outside their times.
 
     Arguments, errors and limits are those of `evaluate_rotations`.
@@ -217,7 +221,7 @@ def spline(times: ArrayLike, keys: ArrayLike, at: ArrayLike) -> FloatArray:
     >>> np.allclose(spline([0, 1, 4], keys, [3])[0], so3.exp([0, 0, 1.5]))
     True
     """
-    return evaluate_rotations(times, keys, RotationKind.SPLINE, at)
+    return evaluate_rotations(times, keys, RotationKind.SPLINE, evaluation_times)
 
 
 def evaluate_rotations(
@@ -271,7 +275,7 @@ def evaluate_rotations(
     >>> np.allclose(half, [[0, 0, 0.5**0.5, 0.5**0.5]])
     True
     """
-    times = _finite(times, ("K",), "times")
+    times = _check_finite(times, ("K",), "times")
     if not len(times):
         raise ValueError("a curve has at least one key")
     if (np.diff(times) <= 0).any():
@@ -285,8 +289,8 @@ def evaluate_rotations(
         raise ValueError(f"kinds must have shape {times.shape}, not {kinds.shape}")
     if not np.isin(kinds, list(RotationKind)).all():
         raise ValueError(f"kinds must be of {[int(kind) for kind in RotationKind]}")
-    at = _finite(at, ("F",), "at")
-    folded_times = fold(at, times[0], times[-1], pre, post)
+    at = _check_finite(at, ("F",), "at")
+    folded_times = fold_times(at, times[0], times[-1], pre, post)
     rotations = _kernels.evaluate_rotations(
         times,
         rows if is_batched else rows[:, None],
@@ -298,7 +302,9 @@ def evaluate_rotations(
     return rotations if is_batched else rotations[:, 0]
 
 
-def _finite(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:
+def _check_finite(
+    values: ArrayLike, shape: tuple[int | str, ...], name: str
+) -> FloatArray:
     """Return values of the shape, all finite."""
     array = as_floats(values, shape, name)
     if not np.isfinite(array).all():

@@ -18,7 +18,7 @@ SMALL_ANGLE = 1e-5
 
 
 # Unit vectors whose dot product is within this of -1 are opposite.
-OPPOSITE = 1e-12
+OPPOSITE_TOLERANCE = 1e-12
 
 
 def multiply(a: ArrayLike, b: ArrayLike) -> FloatArray:
@@ -104,16 +104,16 @@ def from_axis_angle(axis: ArrayLike, angle: ArrayLike) -> FloatArray:
     )
 
 
-def between(a: FloatArray, b: FloatArray) -> FloatArray:
+def shortest_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
     """Return the shortest rotation from a unit vector ``(3,)`` to another.
 
-    >>> between(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])).tolist()
+    >>> shortest_rotation(np.array([1.0, 0, 0]), np.array([-1.0, 0, 0])).tolist()
     [0.0, 1.0, 0.0, 0.0]
     """
     scalar = 1.0 + float(a @ b)
-    if scalar < OPPOSITE:
-        side = np.eye(3)[int(np.argmin(np.abs(a)))]
-        return normalize(np.append(side - (side @ a) * a, 0.0))
+    if scalar < OPPOSITE_TOLERANCE:
+        perpendicular = np.eye(3)[int(np.argmin(np.abs(a)))]
+        return normalize(np.append(perpendicular - (perpendicular @ a) * a, 0.0))
     return normalize(np.append(cross(a, b), scalar))
 
 
@@ -232,8 +232,8 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
         IDENTITY if previous is None else previous, q.shape[1:]
     )
     dots = np.sum(q * np.concatenate([first_previous[None], q[:-1]]), axis=-1)
-    flips = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
-    return np.asarray(q * flips[..., None])
+    signs = np.cumprod(np.where(dots < 0, -1.0, 1.0), axis=0)
+    return np.asarray(q * signs[..., None])
 
 
 def align_to(q: ArrayLike, other: ArrayLike) -> FloatArray:

@@ -44,14 +44,16 @@ def revolve(profile: FloatArray) -> Solid:
     circle = np.stack([np.cos(angles), np.sin(angles)], axis=1)
     points = np.concatenate(
         [
-            np.concatenate([r * circle, np.full((SIDES, 1), z)], axis=1)
-            for r, z in profile.tolist()
+            np.concatenate([radius * circle, np.full((SIDES, 1), height)], axis=1)
+            for radius, height in profile.tolist()
         ]
     )
     rows = np.arange(len(profile) - 1)[:, None] * SIDES
     columns, next_columns = np.arange(SIDES)[None], (np.arange(SIDES) + 1)[None] % SIDES
-    lower = rows + columns, rows + next_columns
-    faces = np.stack([*lower, lower[1] + SIDES, lower[0] + SIDES], axis=-1).reshape(-1)
+    lower_corners = rows + columns, rows + next_columns
+    faces = np.stack(
+        [*lower_corners, lower_corners[1] + SIDES, lower_corners[0] + SIDES], axis=-1
+    ).reshape(-1)
     return points, np.full(len(faces) // 4, 4), faces
 
 
@@ -71,7 +73,14 @@ def capsule(radius: float, height: float) -> Solid:
 def cylinder(radius: float, height: float, top: float | None = None) -> Solid:
     """Return a closed cylinder; ``top``: radius of its top, 0 for a cone."""
     top_radius = radius if top is None else top
-    half = height / 2
+    half_height = height / 2
     return revolve(
-        np.array([[0.0, -half], [radius, -half], [top_radius, half], [0.0, half]])
+        np.array(
+            [
+                [0.0, -half_height],
+                [radius, -half_height],
+                [top_radius, half_height],
+                [0.0, half_height],
+            ]
+        )
     )

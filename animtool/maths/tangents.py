@@ -34,26 +34,28 @@ class Parametrization(StrEnum):
     CHORDAL = "chordal"
 
 
-def secant(times: ArrayLike, values: ArrayLike) -> FloatArray:
+def secant_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """Return the slope ``(K, D)`` from the key before to the key after.
 
-    >>> secant([0, 1, 4], [[0], [1], [2]])[1].tolist()
+    >>> secant_slopes([0, 1, 4], [[0], [1], [2]])[1].tolist()
     [0.5]
     """
-    times, values, spans, slopes = _segments(times, values)
+    times, values, spans, slopes = _checked_segments(times, values)
     inner = (values[2:] - values[:-2]) / (spans[:-1] + spans[1:])
     return _with_ends(inner, slopes, values)
 
 
-def nonuniform(times: ArrayLike, values: ArrayLike) -> FloatArray:
+def parabola_slopes(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """Return the slope ``(K, D)`` of the parabola through each key and its neighbours.
 
-    >>> nonuniform([0, 1, 4], [[0], [1], [16]])[1].tolist()
+    >>> parabola_slopes([0, 1, 4], [[0], [1], [16]])[1].tolist()
     [2.0]
     """
-    _, values, spans, slopes = _segments(times, values)
-    a, b = spans[:-1], spans[1:]
-    inner = (b * slopes[:-1] + a * slopes[1:]) / (a + b)
+    _, values, spans, slopes = _checked_segments(times, values)
+    span_before, span_after = spans[:-1], spans[1:]
+    inner = (span_after * slopes[:-1] + span_before * slopes[1:]) / (
+        span_before + span_after
+    )
     return _with_ends(inner, slopes, values)
 
 
@@ -65,8 +67,8 @@ def tcb(
 ) -> tuple[FloatArray, FloatArray]:
     """Return slopes before and after each key, each ``(K, D)``.
 
-    With tension, continuity and bias all 0, "nonuniform" gives `nonuniform`. "kb84"
-    is the paper's rule, with its correction for uneven keys.
+    With tension, continuity and bias all 0, "nonuniform" gives `parabola_slopes`.
+    "kb84" is the paper's rule, with its correction for uneven keys.
 
     Args:
         times: ``(K,)``.
@@ -82,26 +84,36 @@ def tcb(
     >>> ins[1].tolist(), outs[1].tolist()
     ([-1.0], [1.0])
     """
-    _, values, spans, slopes = _segments(times, values)
+    _, values, spans, slopes = _checked_segments(times, values)
     settings = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
     tension, continuity, bias = settings.T[:, :, None]
-    a, b = spans[:-1], spans[1:]
+    spans_before, spans_after = spans[:-1], spans[1:]
     # Factor of each secant slope; its key difference is a or b times the slope.
-    factor_before, factor_after = (b, a) if rule == "nonuniform" else (a, b)
-    sides = []
+    factor_before, factor_after = (
+        (spans_after, spans_before)
+        if rule == "nonuniform"
+        else (spans_before, spans_after)
+    )
+    slopes_of_sides = []
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
         from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
-        sides.append(_with_ends((from_before + from_after) / (a + b), slopes, values))
-    return sides[0], sides[1]
+        slopes_of_sides.append(
+            _with_ends(
+                (from_before + from_after) / (spans_before + spans_after),
+                slopes,
+                values,
+            )
+        )
+    return slopes_of_sides[0], slopes_of_sides[1]
 
 
 def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     """Return slopes ``(K, D)`` of a cubic curve that never overshoots.
 
     Between two keys it stays between their values, and it is flat at local extrema.
-    Elsewhere the slope is `nonuniform`'s, limited to three times the smaller secant
-    slope of both sides; the ends take the one-sided parabola, limited likewise.
+    Elsewhere the slope is `parabola_slopes`'s, limited to three times the smaller
+    secant slope of both sides; the ends take the one-sided parabola, limited likewise.
 
     References:
         F. N. Fritsch and R. E. Carlson, Monotone piecewise cubic interpolation,
@@ -111,19 +123,26 @@ def auto_clamped(times: ArrayLike, values: ArrayLike) -> FloatArray:
     >>> auto_clamped([0, 1, 2, 3], [[0], [0], [9], [5]]).ravel().tolist()
     [0.0, 0.0, 0.0, -10.5]
     """
-    _, values, spans, slopes = _segments(times, values)
-    clamped = nonuniform(times, values)
+    _, values, spans, slopes = _checked_segments(times, values)
+    clamped = parabola_slopes(times, values)
     if len(values) < 3:
         return clamped
     for end, end_key, inner_key in ((0, 0, 1), (-1, -1, -2)):
         weight = spans[end_key] / (spans[end_key] + spans[inner_key])
         clamped[end] = slopes[end_key] + weight * (slopes[end_key] - slopes[inner_key])
-    before = np.concatenate([slopes[:1], slopes])
-    after = np.concatenate([slopes, slopes[-1:]])
-    monotone = np.sign(before) == np.sign(after)
-    limit = 3 * np.minimum(np.abs(before), np.abs(after))
-    size = np.sign(before) * clamped
-    return np.where(monotone, np.sign(before) * np.clip(size, 0, limit), 0.0) + 0.0
+    secants_before = np.concatenate([slopes[:1], slopes])
+    secants_after = np.concatenate([slopes, slopes[-1:]])
+    is_monotone = np.sign(secants_before) == np.sign(secants_after)
+    max_slope = 3 * np.minimum(np.abs(secants_before), np.abs(secants_after))
+    slope_size = np.sign(secants_before) * clamped
+    return (
+        np.where(
+            is_monotone,
+            np.sign(secants_before) * np.clip(slope_size, 0, max_slope),
+            0.0,
+        )
+        + 0.0
+    )
 
 
 def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatArray:
@@ -145,7 +164,7 @@ def catmull_rom_spatial(points: ArrayLike, alpha: float, u: ArrayLike) -> FloatA
     """
     points = as_floats(points, (4, "D"), "points")
     u = as_floats(u, ("N",), "u")[:, None]
-    outs, ins = _controls(points, alpha)
+    outs, ins = _inner_handles(points, alpha)
     start, end = points[1], points[2]
     w = 1.0 - u
     # Computed from the nearer point, so that both ends are exact.
@@ -175,15 +194,15 @@ def catmull_rom_controls(
         return np.zeros(points.shape), np.zeros(points.shape)
     first, last = 2 * points[:1] - points[1:2], 2 * points[-1:] - points[-2:-1]
     path = np.concatenate([first, points, last])
-    after, before = _controls(path, alpha)
+    handles_after, handles_before = _inner_handles(path, alpha)
     # The outer handles of the ends have no segment and no effect.
     return (
-        np.concatenate([-after[:1], before]),
-        np.concatenate([after, -before[-1:]]),
+        np.concatenate([-handles_after[:1], handles_before]),
+        np.concatenate([handles_after, -handles_before[-1:]]),
     )
 
 
-def _controls(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
     """Return handles after the start and before the end of each inner segment."""
     steps = np.diff(path, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
@@ -208,7 +227,7 @@ def _handle(
     return np.where(h > 0, np.where(a > 0, parabola, step), 0.0) / 3
 
 
-def _segments(
+def _checked_segments(
     times: ArrayLike, values: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return checked times and values, and spans ``(K-1, 1)`` and slopes between."""
@@ -221,6 +240,7 @@ def _segments(
 
 
 def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
+    """Return slopes with those of the first and last segment at the ends."""
     if len(values) < 2:
         return np.zeros(values.shape)
     return np.concatenate([slopes[:1], inner, slopes[-1:]])
@@ -228,7 +248,7 @@ def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> Flo
 
 _Rule: TypeAlias = Callable[[FloatArray, FloatArray], FloatArray]
 
-_ALPHA = {
+_ALPHAS = {
     Parametrization.UNIFORM: 0.0,
     Parametrization.CENTRIPETAL: 0.5,
     Parametrization.CHORDAL: 1.0,
@@ -271,7 +291,7 @@ class KeySlopes:
             spans = self.times[segments + 1] - self.times[segments]
             return np.asarray(rises / spans[:, None])
         rule = {
-            Tangent.AUTO: nonuniform,
+            Tangent.AUTO: parabola_slopes,
             Tangent.AUTO_CLAMPED: auto_clamped,
         }[tangent]
         return np.asarray(self._slopes(rule.__name__, rule)[keys])
@@ -284,15 +304,16 @@ class KeySlopes:
         ``segments`` ``(N,)``, ``thirds`` of their lengths ``(N, 1)``.
         """
         if self._parametrization is Parametrization.UNIFORM:
-            slopes = self._slopes("secant", secant)
+            slopes = self._slopes("secant", secant_slopes)
             return slopes[segments] * thirds, -slopes[segments + 1] * thirds
         if self._paths is None:
-            alpha = _ALPHA[self._parametrization]
+            alpha = _ALPHAS[self._parametrization]
             self._paths = catmull_rom_controls(self.values, alpha)
         ins, outs = self._paths
         return outs[segments], ins[segments + 1]
 
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
+        """Return the slopes by a rule, computed at the first call."""
         if name not in self._by_rule:
             self._by_rule[name] = rule(self.times, self.values)
         return self._by_rule[name]

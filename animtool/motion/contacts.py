@@ -48,15 +48,15 @@ class FootContacts:
 
 def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
     """Return rows ``(F, …)`` smoothed by a Gaussian of a width [frames]."""
-    reach = math.ceil(4 * width)
-    if not reach or len(values) < 2:
+    half_width = math.ceil(4 * width)
+    if not half_width or len(values) < 2:
         return values
-    offsets = np.arange(-reach, reach + 1)
+    offsets = np.arange(-half_width, half_width + 1)
     weights = np.exp(-0.5 * (offsets / width) ** 2)
     weights /= weights.sum()
     # Mirrored at the ends, so that straight lines stay straight.
     count = len(values)
-    indices = np.arange(-reach, count + reach)
+    indices = np.arange(-half_width, count + half_width)
     clamped_indices = np.clip(indices, 0, count - 1)
     mirrored_indices = np.clip(2 * clamped_indices - indices, 0, count - 1)
     padded_values = np.where(
@@ -70,7 +70,11 @@ def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
 
 
 def find_contacts(
-    ankle: FloatArray, toe: FloatArray | None, fps: float, leg: float, up: int = 1
+    ankle: FloatArray,
+    toe: FloatArray | None,
+    fps: float,
+    leg_length: float,
+    up: int = 1,
 ) -> FootContacts:
     """Return the contact frames of a foot.
 
@@ -81,12 +85,12 @@ def find_contacts(
         ankle: Positions ``(F, 3)`` [m].
         toe: Toe positions ``(F, 3)``; None if there is no toe.
         fps: Frames a second.
-        leg: Length of thigh plus shin [m].
+        leg_length: Length of thigh plus shin [m].
         up: Index of the up axis.
     """
-    max_speed = MAX_STANDING_SPEED * leg
+    max_speed = MAX_STANDING_SPEED * leg_length
     points = [ankle] if toe is None else [ankle, toe]
-    if len(ankle) < MIN_CONTACT_FRAMES or leg <= 0:
+    if len(ankle) < MIN_CONTACT_FRAMES or leg_length <= 0:
         no_contacts = np.zeros(len(ankle), np.bool_)
         return FootContacts(
             no_contacts, no_contacts, float(ankle[:, up].min(initial=np.inf))
@@ -95,33 +99,33 @@ def find_contacts(
     noise = noise_speed(points, fps)
     if noise > 0:
         # A Gaussian reduces the speed of white noise by width^1.5.
-        noise_left = noise / max(width, 1.0) ** 1.5
-        width *= max(1.0, (NOISE_MARGIN * noise_left / max_speed) ** (2 / 3))
-    part_motions = []
+        remaining_noise = noise / max(width, 1.0) ** 1.5
+        width *= max(1.0, (NOISE_MARGIN * remaining_noise / max_speed) ** (2 / 3))
+    motion_of_parts = []
     for point in points:
         smoothed_point = gaussian_smooth(point, width)
         speed = np.linalg.norm(np.gradient(smoothed_point, axis=0), axis=1) * fps
-        part_motions.append((speed < max_speed, smoothed_point[:, up]))
-    masks = []
-    for k, (slow_frames, height) in enumerate(part_motions):
-        slow_heights = height[slow_frames] if slow_frames.any() else height
+        motion_of_parts.append((speed < max_speed, smoothed_point[:, up]))
+    contact_masks = []
+    for k, (is_slow, height) in enumerate(motion_of_parts):
+        slow_heights = height[is_slow] if is_slow.any() else height
         ground_height = float(np.quantile(slow_heights, GROUND_QUANTILE))
         max_height = (
             RAISED_HEEL_HEIGHT if k == 0 and toe is not None else MAX_STANDING_HEIGHT
         )
-        masks.append(
-            without_short_runs(
-                slow_frames & (height < ground_height + max_height * leg), fps
+        contact_masks.append(
+            remove_short_runs(
+                is_slow & (height < ground_height + max_height * leg_length), fps
             )
         )
-    both_stand = masks[0] & masks[-1]
-    height = part_motions[0][1]
+    is_planted = contact_masks[0] & contact_masks[-1]
+    height = motion_of_parts[0][1]
     ground = (
-        float(np.median(height[both_stand]))
-        if both_stand.any()
+        float(np.median(height[is_planted]))
+        if is_planted.any()
         else float(height.min())
     )
-    return FootContacts(masks[0], masks[-1], ground)
+    return FootContacts(contact_masks[0], contact_masks[-1], ground)
 
 
 def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
@@ -136,7 +140,7 @@ def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
     return max(amplitudes) * fps * math.sqrt(3)
 
 
-def without_short_runs(mask: BoolArray, fps: float) -> BoolArray:
+def remove_short_runs(mask: BoolArray, fps: float) -> BoolArray:
     """Return a mask without short gaps and short spans."""
     min_frames = MIN_CONTACT_DURATION * fps
     result = mask.copy()

@@ -63,15 +63,17 @@ class DriverRun:
     _angles: dict[int, float] = field(default_factory=dict, init=False)
     _twists: dict[str, float] = field(default_factory=dict, init=False)
     _limit_excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _replaced: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _wrapped: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _kept_targets: set[str] = field(default_factory=set, init=False)
+    _replaced_amounts: dict[str, LargestAmount] = field(
+        default_factory=dict, init=False
+    )
+    _twist_wraps: dict[str, LargestAmount] = field(default_factory=dict, init=False)
+    _targets_keeping_source: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
         """Plan the order of the rig's drivers."""
         self.plan = plan_of(self.rig)
 
-    def drive(
+    def evaluate(
         self,
         motion: Motion,
         times: FloatArray,
@@ -88,26 +90,26 @@ class DriverRun:
         if motion.frames == 1:
             # Twice, as one frame does not distinguish moving from static values.
             two_samples = motion.select(np.zeros(2, np.int64))
-            return self.drive(two_samples, np.repeat(times, 2), coordinates).select(
+            return self.evaluate(two_samples, np.repeat(times, 2), coordinates).select(
                 slice(1)
             )
         rig = self.rig
-        controls = self._updated_controls(motion)
+        controls = self._current_controls(motion)
         read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
         kept_targets = (
-            self._targets_to_keep(motion) if motion.controls is None else set()
+            self._find_targets_to_keep(motion) if motion.controls is None else set()
         )
         values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
-        _refuse_undefined(rig, values, times)
+        _check_defined(rig, values, times)
         for j, excess in values.excess.items():
             name = rig.names[j]
             self._limit_excess.setdefault(name, LargestAmount()).update(
                 np.abs(excess), times
             )
         return replace(
-            self._joints(motion, values, times),
-            weights=self._weights(motion, values, times),
-            controls=self._new_controls(motion, values, times),
+            self._driven_joints(motion, values, times),
+            weights=self._driven_weights(motion, values, times),
+            controls=self._driven_controls(motion, values, times),
         )
 
     def notices(self) -> list[Fault]:
@@ -128,7 +130,7 @@ class DriverRun:
                 hint = "widen the limits, or reduce the driver"
                 fault = _driver_warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest.frame))
-        for name, largest in self._wrapped.items():
+        for name, largest in self._twist_wraps.items():
             message = (
                 f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
                 "drives jumps there"
@@ -137,15 +139,17 @@ class DriverRun:
             fault = _driver_warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
             notices.append((fault, f"joint/{joint_name}", largest.frame))
-        if self._kept_targets and self.report_replaced:
-            names = sorted(target.partition("/")[2] for target in self._kept_targets)
+        if self._targets_keeping_source and self.report_replaced:
+            names = sorted(
+                target.partition("/")[2] for target in self._targets_keeping_source
+            )
             message = (
                 "the take contains no controls for its drivers to read: "
                 f"{listed(names)} keep the take's values"
             )
             fault = Fault("RIG106", message, severity=Severity.NOTE)
-            notices.append((fault, sorted(self._kept_targets)[0], 0.0))
-        for target, largest in self._replaced.items():
+            notices.append((fault, sorted(self._targets_keeping_source)[0], 0.0))
+        for target, largest in self._replaced_amounts.items():
             kind, _, name = target.partition("/")
             amount = f"{largest.amount:.4g}"
             if kind == "joint":
@@ -160,25 +164,25 @@ class DriverRun:
             notices.append((fault, target, largest.frame))
         return notices
 
-    def unwrap(self, j: int, angles: FloatArray) -> FloatArray:
+    def unwrap_angles(self, j: int, angles: FloatArray) -> FloatArray:
         """Return the unwrapped angles ``(F,)`` of an unlimited pin."""
-        before = self._angles.get(j, 0.0)
-        unwrapped = np.unwrap(np.concatenate([[before], angles]))[1:]
-        self._angles[j] = float(unwrapped[-1]) if len(unwrapped) else before
+        previous_angle = self._angles.get(j, 0.0)
+        unwrapped = np.unwrap(np.concatenate([[previous_angle], angles]))[1:]
+        self._angles[j] = float(unwrapped[-1]) if len(unwrapped) else previous_angle
         return unwrapped
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
         """Record the first frame at which a twist wraps."""
-        before = self._twists.get(name, twists[0] if len(twists) else 0.0)
-        steps = np.abs(np.diff(twists, prepend=before))
+        previous_twist = self._twists.get(name, twists[0] if len(twists) else 0.0)
+        steps = np.abs(np.diff(twists, prepend=previous_twist))
         if (steps > HALF_REVOLUTION).any():
-            first = int(np.argmax(steps > HALF_REVOLUTION))
-            wrap = LargestAmount(1.0, float(times[first]))
-            self._wrapped.setdefault(name, wrap)
+            first_wrap = int(np.argmax(steps > HALF_REVOLUTION))
+            wrap = LargestAmount(1.0, float(times[first_wrap]))
+            self._twist_wraps.setdefault(name, wrap)
         if len(twists):
             self._twists[name] = float(twists[-1])
 
-    def _targets_to_keep(self, motion: Motion) -> set[str]:
+    def _find_targets_to_keep(self, motion: Motion) -> set[str]:
         """Return targets that keep the motion's values because it has no controls.
 
         Those values were driven by controls when the motion was made, so they are
@@ -196,16 +200,18 @@ class DriverRun:
                 is_posed = False
             if is_posed:
                 kept_targets.add(target)
-        self._kept_targets |= kept_targets
+        self._targets_keeping_source |= kept_targets
         return kept_targets
 
     def _is_posed_joint(self, motion: Motion, j: int) -> bool:
+        """Return whether the motion moves a joint or poses it away from rest."""
         rig = self.rig
         if rig.joints[j].type is JointType.PRISMATIC:
             return _is_posed(motion.translations, j, rig.rest_translations[j])
         return _is_posed(motion.rotations, j, rig.rest_rotations[j])
 
-    def _updated_controls(self, motion: Motion) -> dict[str, FloatArray]:
+    def _current_controls(self, motion: Motion) -> dict[str, FloatArray]:
+        """Return the values of all controls, by default those of the rig."""
         if motion.controls is None:
             return {c.name: np.array([c.default]) for c in self.rig.controls}
         return {
@@ -213,9 +219,10 @@ class DriverRun:
             for i, control in enumerate(self.rig.controls)
         }
 
-    def _joints(
+    def _driven_joints(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Motion:
+        """Return a motion with the driven joints replaced."""
         rotations: dict[int, FloatArray] = {}
         translations: dict[int, FloatArray] = {}
         for j, value in driver_values.joints.items():
@@ -228,18 +235,18 @@ class DriverRun:
                 rotation = so3.from_axis_angle(joint.axis, value)
                 rotations[j] = so3.multiply(rest_rotation, rotation)
         for j, driven_values in [*rotations.items(), *translations.items()]:
-            rotates = j in rotations
-            channel = motion.rotations if rotates else motion.translations
+            is_rotation = j in rotations
+            channel = motion.rotations if is_rotation else motion.translations
             current_values = _joint_rows(channel, j)
             rest_values = (
-                self.rig.rest_rotations if rotates else self.rig.rest_translations
+                self.rig.rest_rotations if is_rotation else self.rig.rest_translations
             )
-            distance = so3.angle_between if rotates else _rotation_distance
-            driven_rotations = (
+            distance = so3.angle_between if is_rotation else _translation_distance
+            driven_distance = (
                 distance(current_values, rest_values[j][None]).max(initial=0.0)
                 > COORDINATE_ROUNDING
             )
-            if driven_rotations and self.rig.joints[j].driven is not None:
+            if driven_distance and self.rig.joints[j].driven is not None:
                 self._record_replaced(
                     f"joint/{self.rig.names[j]}",
                     distance(current_values, driven_values),
@@ -252,9 +259,10 @@ class DriverRun:
             translations=_with_joint_rows(motion.translations, translations),
         )
 
-    def _weights(
+    def _driven_weights(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
+        """Return the weights with driven and combined shapes replaced."""
         plan, shapes = self.plan, self.rig.shapes
         if not plan.shapes:
             return motion.weights
@@ -265,10 +273,10 @@ class DriverRun:
             source_weights = {
                 s.name: _animated_column(channel, i) for i, s in enumerate(shapes)
             }
-        independent = (
+        uncombined = (
             subtract_combinations(shapes, source_weights) | driver_values.shapes
         )
-        new_weights = add_combinations(shapes, independent)
+        new_weights = add_combinations(shapes, uncombined)
         index = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
         for name in driver_values.shapes:
@@ -280,9 +288,10 @@ class DriverRun:
         rows = {index[name]: new_weights[name][:, None] for name in changed_shapes}
         return _with_joint_rows(channel, rows)
 
-    def _new_controls(
+    def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
+        """Return the controls with driven ones replaced; None without controls."""
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel
@@ -304,7 +313,7 @@ class DriverRun:
     ) -> None:
         """Record the difference of a target's source motion from its driven motion."""
         if self.report_replaced and differences.max(initial=0.0) > tolerance:
-            self._replaced.setdefault(target, LargestAmount()).update(
+            self._replaced_amounts.setdefault(target, LargestAmount()).update(
                 differences, times
             )
 
@@ -351,10 +360,11 @@ class _CoordinateReader:
             if width <= 2 * np.pi:
                 revolutions = np.round((angles - middle) / (2 * np.pi))
                 return np.asarray(angles - 2 * np.pi * revolutions)
-        return self.run.unwrap(j, angles)
+        return self.run.unwrap_angles(j, angles)
 
 
-def _refuse_undefined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> None:
+def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> None:
+    """Raise if a driver's value is not finite."""
     values_by_target = {
         f"joint {rig.names[j]!r}": value for j, value in driver_values.joints.items()
     }
@@ -393,6 +403,7 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
 
 
 def _animated_column(channel: Channel, i: int) -> FloatArray:
+    """Return one row of a channel with one component ``(F,)``."""
     return _joint_rows(channel, i)[:, 0]
 
 
@@ -401,33 +412,39 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
     if not rows:
         return channel
     frames = len(channel.values)
-    static = [i for i, values in rows.items() if len(values) == 1 != frames]
-    moving_rows = sorted(rows.keys() - static)
+    static_rows = [i for i, values in rows.items() if len(values) == 1 != frames]
+    animated_rows = sorted(rows.keys() - static_rows)
     rest_values = channel.rest.copy()
-    for i in static:
+    for i in static_rows:
         rest_values[i] = rows[i][0]
-    is_animated = ~np.isin(channel.animated, static)
+    is_animated = ~np.isin(channel.animated, static_rows)
     result = Channel(
         rest_values, channel.animated[is_animated], channel.values[:, is_animated]
     )
-    if not moving_rows:
+    if not animated_rows:
         return result
     values = np.stack(
-        [np.broadcast_to(rows[i], (frames, rest_values.shape[1])) for i in moving_rows],
+        [
+            np.broadcast_to(rows[i], (frames, rest_values.shape[1]))
+            for i in animated_rows
+        ],
         axis=1,
     )
-    return result.put(np.array(moving_rows, np.int64), values)
+    return result.put(np.array(animated_rows, np.int64), values)
 
 
-def _rotation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
+def _translation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Return distances between translations ``(F,)`` [m]."""
     return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 
 def _amount_text(joint: Joint, amount: float) -> str:
+    """Return an amount as text, in degrees or as a length."""
     if joint.type is JointType.PRISMATIC:
         return length_text(amount, 4)
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"
 
 
 def _driver_warning(code: str, message: str, hint: str) -> Fault:
+    """Return a warning about a driver."""
     return Fault(code, message, None, (), hint, Severity.WARNING)

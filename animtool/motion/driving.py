@@ -33,9 +33,9 @@ def drive_take(take: Take) -> Take:
     from animtool.motion.driver_run import DriverRun
 
     run = DriverRun(take.rig)
-    motion = run.drive(take.motion, np.asarray(take.clock.times, np.float64))
-    new = drop_repeated_notices(run.notices(), take.notices)
-    return replace(take, motion=motion, notices=(*take.notices, *new))
+    motion = run.evaluate(take.motion, np.asarray(take.clock.times, np.float64))
+    new_notices = drop_repeated_notices(run.notices(), take.notices)
+    return replace(take, motion=motion, notices=(*take.notices, *new_notices))
 
 
 def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeStream:
@@ -62,29 +62,30 @@ def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeSt
             )
             times = start + float(stream.step) * indices
             frames_done += block.frames
-            yield run.drive(block, times)
+            yield run.evaluate(block, times)
         stream.notices.extend(drop_repeated_notices(run.notices(), stream.notices))
 
     result = replace(stream, blocks=blocks())
     curve = stream.curve
     if curve is not None:
-        result.curve = _driven_curve(stream.rig, curve)
+        result.curve = _drive_curve(stream.rig, curve)
     return result
 
 
-def _driven_curve(
+def _drive_curve(
     rig: Rig, curve: Callable[[FloatArray], Motion]
 ) -> Callable[[FloatArray], Motion]:
+    """Return a curve with drivers evaluated at each of its times."""
     from animtool.motion.driver_run import DriverRun
 
-    return lambda times: DriverRun(rig).drive(curve(times), times)
+    return lambda times: DriverRun(rig).evaluate(curve(times), times)
 
 
 def drop_repeated_notices(
     notices: Iterable[Fault], reported: Iterable[Fault]
 ) -> list[Fault]:
     """Return notices without driver warnings that are already known."""
-    known = {
+    known_notices = {
         (notice.code, _first_name(notice))
         for notice in reported
         if notice.code in REPEATED_CODES
@@ -93,7 +94,7 @@ def drop_repeated_notices(
         notice
         for notice in notices
         if notice.code not in REPEATED_CODES
-        or (notice.code, _first_name(notice)) not in known
+        or (notice.code, _first_name(notice)) not in known_notices
     ]
 
 
@@ -103,7 +104,7 @@ def _first_name(notice: Fault) -> str:
     return parts[1] if len(parts) > 2 else notice.message.split(" ")[0]
 
 
-def with_combined_weights(
+def combine_missing_weights(
     weights: Channel, shapes: Sequence[Shape], missing: IntArray
 ) -> Channel:
     """Return weights of shapes, with the products of those a motion has no weight for.
@@ -115,26 +116,33 @@ def with_combined_weights(
 
     >>> shapes = [Shape("a"), Shape("b", combine=("a",)), Shape("c", combine=("a",))]
     >>> weights = Channel(np.zeros((3, 1)), np.array([0]), np.full((2, 1, 1), 0.5))
-    >>> with_combined_weights(weights, shapes, np.array([1])).dense()[0, :, 0].tolist()
+    >>> combined = combine_missing_weights(weights, shapes, np.array([1]))
+    >>> combined.dense()[0, :, 0].tolist()
     [0.5, 0.5, 0.0]
     """
     from animtool.rig.shapes import combination_order
 
     index = {shape.name: i for i, shape in enumerate(shapes)}
-    absent, rest = set(missing.tolist()), weights.rest.copy()
-    frames = {int(i): weights.values[:, k] for k, i in enumerate(weights.animated)}
+    missing_indices, rest = set(missing.tolist()), weights.rest.copy()
+    values_by_shape = {
+        int(i): weights.values[:, k] for k, i in enumerate(weights.animated)
+    }
     for shape in combination_order(shapes):
-        i, parts = index[shape.name], [index[name] for name in shape.combine]
-        if i not in absent or not parts:
+        i, driver_indices = index[shape.name], [index[name] for name in shape.combine]
+        if i not in missing_indices or not driver_indices:
             continue
-        rest[i] = np.prod([rest[part] for part in parts], axis=0)
-        if any(part in frames for part in parts):
+        rest[i] = np.prod(
+            [rest[driver_index] for driver_index in driver_indices], axis=0
+        )
+        if any(driver_index in values_by_shape for driver_index in driver_indices):
             product = np.ones((len(weights.values), 1))
-            for part in parts:
-                product = product * frames.get(part, rest[part])
-            frames[i] = product
-    if len(frames) == len(weights.animated):
+            for driver_index in driver_indices:
+                product = product * values_by_shape.get(
+                    driver_index, rest[driver_index]
+                )
+            values_by_shape[i] = product
+    if len(values_by_shape) == len(weights.animated):
         return Channel(rest, weights.animated, weights.values)
-    animated = sorted(frames)
-    values = np.stack([frames[i] for i in animated], axis=1)
+    animated = sorted(values_by_shape)
+    values = np.stack([values_by_shape[i] for i in animated], axis=1)
     return Channel(rest, np.array(animated, np.int64), values)

@@ -23,24 +23,24 @@ ON_FRAME = 1e-6
 MIN_KEYS, MAX_FRACTION = 3, 0.1
 
 
-def in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
+def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     """Return whether the key times of channels are likely seconds.
 
-    >>> in_seconds([np.array([0, 0.5, 1.5])], Fraction(24))
+    >>> are_in_seconds([np.array([0, 0.5, 1.5])], Fraction(24))
     True
     """
     steps = np.concatenate([np.diff(channel_times) for channel_times in times])
-    together = np.concatenate(times)
-    on_frame = np.abs(together - np.round(together)) <= ON_FRAME
-    if not len(steps) or on_frame.all():
+    all_times = np.concatenate(times)
+    is_on_frame = np.abs(all_times - np.round(all_times)) <= ON_FRAME
+    if not len(steps) or is_on_frame.all():
         return False
     step = float(np.median(steps))
     if step < DENSE and len(steps) >= MIN_SAMPLES:
         return True
     # Several seconds from 0, keyed by hand; even steps are samples between frames.
     is_even = len(steps) >= MIN_SAMPLES and np.ptp(steps) <= ON_FRAME
-    is_short = float(np.ptp(together)) < fps
-    return bool(0 <= together.min() < 1 and step < CLOSE and is_short and not is_even)
+    is_short = float(np.ptp(all_times)) < fps
+    return bool(0 <= all_times.min() < 1 and step < CLOSE and is_short and not is_even)
 
 
 def weight_warnings(
@@ -56,15 +56,17 @@ def weight_warnings(
     first, last = (float(clock.times[end]) for end in (0, -1))
     if len(times) < 2 or not np.ptp(values) > 0:
         return []
-    span = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
-    frames = f"the take from {first:g} to {last:g}"
+    span_text = f"the keys of weight are from frame {times[0]:g} to {times[-1]:g}"
+    frames_text = f"the take from {first:g} to {last:g}"
     rate = float(clock.fps)
-    if in_seconds([times], clock.fps) or full_seconds([times], first, last, rate):
-        message = f"{span}, {frames}: they look like seconds"
+    if are_in_seconds([times], clock.fps) or full_seconds([times], first, last, rate):
+        message = f"{span_text}, {frames_text}: they look like seconds"
         hint = f"write frames: {times[-1]:g} s is frame {first + times[-1] * rate:g}"
     elif not in_shot and (times[-1] < first or times[0] > last):
-        shown = values[-1] if times[-1] < first else values[0]
-        message = f"{span}, {frames}: the weight is always {shown:g}"
+        constant_weight = values[-1] if times[-1] < first else values[0]
+        message = (
+            f"{span_text}, {frames_text}: the weight is always {constant_weight:g}"
+        )
         hint = "times are frames of the take"
     else:
         return []

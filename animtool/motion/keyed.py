@@ -67,8 +67,8 @@ def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
         raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
     not_ascending = np.flatnonzero(np.diff(table[:, 0]) <= 0)
     if len(not_ascending):
-        a, b = table[not_ascending[0], 0], table[not_ascending[0] + 1, 0]
-        message = f"times of {name} must ascend, and {b:g} follows {a:g}"
+        time, next_time = table[not_ascending[0], 0], table[not_ascending[0] + 1, 0]
+        message = f"times of {name} must ascend, and {next_time:g} follows {time:g}"
         raise OptionError(Fault("SCN015", message))
     return table[:, 0], table[:, 1]
 
@@ -76,10 +76,10 @@ def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
 def interpolate_keys(
     times: FloatArray,
     values: FloatArray,
-    at: FloatArray,
+    evaluation_times: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> FloatArray:
-    """Return a curve's values at times ``at`` ``(F,)``, held outside its keys.
+    """Return a curve's values at times ``(F,)``, held outside its keys.
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
@@ -89,19 +89,19 @@ def interpolate_keys(
     """
     mode = parse_choice(KeyInterpolation, interpolation, "interpolation")
     if mode is KeyInterpolation.LINEAR or len(times) < 2:
-        return np.asarray(np.interp(at, times, values))
+        return np.asarray(np.interp(evaluation_times, times, values))
     # Handles are at thirds of the segments around a key.
     slopes = auto_clamped(times, values[:, None])
     thirds = np.diff(times)[:, None] / 3
     ins, outs = np.zeros(slopes.shape), np.zeros(slopes.shape)
     ins[1:], outs[:-1] = -slopes[1:] * thirds, slopes[:-1] * thirds
     curve = cubic_curves(times, values[:, None], ins, outs)
-    return np.asarray(evaluate(curve, at)[0])
+    return np.asarray(evaluate(curve, evaluation_times)[0])
 
 
 def weights_at(
     weight: WeightOption,
-    at: FloatArray,
+    codes: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
     *,
     bounded: bool = True,
@@ -118,14 +118,15 @@ def weights_at(
     parse_choice(KeyInterpolation, interpolation, "interpolation")
     if isinstance(weight, (int, float)):
         _check_weight(float(weight), bounded)
-        return np.full(len(at), float(weight))
+        return np.full(len(codes), float(weight))
     times, values = key_arrays(weight, "weight")
     for value in values.tolist():
         _check_weight(value, bounded)
-    return interpolate_keys(times, values, at, interpolation)
+    return interpolate_keys(times, values, codes, interpolation)
 
 
 def _check_weight(weight: float, bounded: bool) -> None:
+    """Raise if a weight is not finite, or outside 0 to 1 if bounded."""
     if not math.isfinite(weight):
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
     if bounded and not 0 <= weight <= 1:

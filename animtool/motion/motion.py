@@ -128,7 +128,9 @@ class Channel:
         first = channels[0]
         if len(channels) == 1:
             return first
-        return replace(first, values=np.concatenate([c.values for c in channels]))
+        return replace(
+            first, values=np.concatenate([channel.values for channel in channels])
+        )
 
 
 rename_attributes(Channel, still="static")

@@ -45,12 +45,13 @@ class PassthroughTracks:
         self._tracks, curve = stream.tracks, stream.curve
         self._pending_times: deque[Channel] = deque()
         self.stream = replace(
-            stream, tracks=(), blocks=self._without_tracks(stream.blocks)
+            stream, tracks=(), blocks=self._remove_track_times(stream.blocks)
         )
         if curve is not None:
             self.stream.curve = lambda times: replace(curve(times), track_times=None)
 
-    def _without_tracks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _remove_track_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield blocks without their track times, which are kept for later."""
         for block in blocks:
             assert block.track_times is not None
             self._pending_times.append(block.track_times)
@@ -58,14 +59,15 @@ class PassthroughTracks:
 
     def restore(self, stream: TakeStream) -> TakeStream:
         """Return a pass's result, with the same number of frames, with its tracks."""
-        blocks = self._with_tracks(stream.blocks)
+        blocks = self._add_track_times(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
-    def _with_tracks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+    def _add_track_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield blocks with their track times restored."""
         for block in blocks:
-            yield replace(block, track_times=self._take_track_times(block.frames))
+            yield replace(block, track_times=self._pop_track_times(block.frames))
 
-    def _take_track_times(self, frames: int) -> Channel:
+    def _pop_track_times(self, frames: int) -> Channel:
         """Return the track times of the next frames."""
         parts: list[Channel] = []
         while frames:
@@ -124,7 +126,7 @@ PASSES: dict[str, str] = {
 }
 
 
-class Scope(StrEnum):
+class FrameScope(StrEnum):
     """How many frames of a take a pass needs at once."""
 
     FRAME = "frame"
@@ -213,7 +215,7 @@ class PassContext:
     # Joints that passes so far have put at targets; none after one that changes times.
     placed_joints: list[PlacedJoint] = field(default_factory=list)
 
-    def note_once(self, notices: Iterable[Fault]) -> None:
+    def add_notices_once(self, notices: Iterable[Fault]) -> None:
         """Add notices with codes that are not yet reported."""
         for notice in notices:
             if notice.code not in self.reported_codes:
@@ -243,7 +245,8 @@ ClipRun: TypeAlias = Callable[[Take, Any, PassContext], Take]
 StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 
-def _check_nothing(_: object) -> OptionChecks:
+def _no_checks(_: object) -> OptionChecks:
+    """Return no checks, for passes without option checks."""
     return {}
 
 
@@ -257,6 +260,7 @@ class LinearTime:
 
 
 def _no_linear_time(_: object, __: Clock) -> LinearTime | None:
+    """Return None, for passes that do not map time linearly."""
     return None
 
 
@@ -269,12 +273,12 @@ class Pass:
     options: type[Any]  # frozen dataclass of its options, each with a default
     # FRAME and WINDOW passes run on streams and carry their state from block to block;
     # CLIP passes run on whole takes.
-    scope: Scope
+    scope: FrameScope
     # Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options and the
     # context, and returns the same kind.
     run: ClipRun | StreamRun
     # Returns checks of the options that need no take.
-    checks: Callable[[Any], OptionChecks] = _check_nothing
+    checks: Callable[[Any], OptionChecks] = _no_checks
     # Parts of the take that the result depends on.
     reads: frozenset[TakePart] = EVERY_PART
     # Parts that it may change. If the clock is among them, the parts not listed keep
@@ -283,18 +287,19 @@ class Pass:
     changes: frozenset[TakePart] = EVERY_PART
     # Whether it needs pre-roll to settle from its initial state; it must keep the
     # number of frames.
-    settles: bool = False
-    tells: bool = False  # whether it reports progress to the context, as it is slow
+    needs_preroll: bool = False
+    # whether it reports progress to the context, as it is slow
+    reports_progress: bool = False
     # Returns the linear time mapping of the pass, from its options and a take's clock,
     # so that curves of controls stay curves; None if time changes otherwise.
-    even: Callable[[Any, Clock], LinearTime | None] = _no_linear_time
+    linear_time: Callable[[Any, Clock], LinearTime | None] = _no_linear_time
 
 
 def find_pass(name: str) -> Pass:
     """Return a pass by name, including passes of plug-ins (unknown: SCN010).
 
     >>> find_pass("trim").scope
-    <Scope.FRAME: 'frame'>
+    <FrameScope.FRAME: 'frame'>
     """
     if name in PASSES:
         return cast(Pass, load_object(PASSES[name]))
@@ -345,7 +350,7 @@ def apply_pass(
         passthrough = PassthroughTracks(stream)
         result = apply_pass(passthrough.stream, pass_, options, context)
         return passthrough.restore(result)
-    if pass_.scope is not Scope.CLIP:
+    if pass_.scope is not FrameScope.CLIP:
         result = drive_stream(cast(StreamRun, pass_.run)(stream, options, context))
         keeps_curves = not pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK}
         curves = stream.control_curves if keeps_curves else {}
@@ -354,18 +359,20 @@ def apply_pass(
             result, control_curves=curves, curve=curve, is_altered=True, count=0
         )
         return check_tracks(result, stream.tracks, pass_.name)
-    before = stream.collect()
-    changed_take = cast(ClipRun, pass_.run)(before, options, context)
+    source_take = stream.collect()
+    changed_take = cast(ClipRun, pass_.run)(source_take, options, context)
     take = drive_take(changed_take)
     context.notices.extend(take.notices[len(changed_take.notices) :])
-    kept_curves = _valid_curves(stream, before, take, pass_.even(options, before.clock))
-    if not _same_channels(before.rig, take.rig):
+    kept_curves = _valid_curves(
+        stream, source_take, take, pass_.linear_time(options, source_take.clock)
+    )
+    if not _same_channels(source_take.rig, take.rig):
         take = replace(take, curve=None)
-    result = check_tracks(TakeStream.of(take), before.tracks, pass_.name)
-    no_start = stream.start is None and take.clock.start == Fraction(1)
+    result = check_tracks(TakeStream.of(take), source_take.tracks, pass_.name)
+    has_no_start = stream.start is None and take.clock.start == Fraction(1)
     return replace(
         result,
-        start=None if no_start else result.start,
+        start=None if has_no_start else result.start,
         notices=stream.notices,
         details=stream.details,
         simulated=stream.simulated,
@@ -375,17 +382,22 @@ def apply_pass(
 
 
 def _valid_curves(
-    stream: TakeStream, before: Take, after: Take, linear_time: LinearTime | None
+    stream: TakeStream,
+    source_take: Take,
+    result_take: Take,
+    linear_time: LinearTime | None,
 ) -> dict[str, Curves]:
     """Return the curves of controls that remain valid, at the times of the result."""
     curves = stream.control_curves
     if not curves:
         return {}
-    if linear_time is None or before.clock == after.clock:
-        kept_controls = _unchanged_controls(before, after)
+    if linear_time is None or source_take.clock == result_take.clock:
+        kept_controls = _unchanged_controls(source_take, result_take)
         return {name: curve for name, curve in curves.items() if name in kept_controls}
     return {
-        name: curve.retimed(linear_time.start, linear_time.ratio, linear_time.first)
+        name: curve.with_linear_time(
+            linear_time.start, linear_time.ratio, linear_time.first
+        )
         for name, curve in curves.items()
     }
 
@@ -414,13 +426,17 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
     raise OptionError(Fault("SIM034", message, hint="put simulate after it"))
 
 
-def _unchanged_controls(before: Take, after: Take) -> set[str]:
+def _unchanged_controls(source_take: Take, result_take: Take) -> set[str]:
     """Return the controls with equal values in every frame."""
-    before_controls, after_controls = before.motion.controls, after.motion.controls
+    before_controls, after_controls = (
+        source_take.motion.controls,
+        result_take.motion.controls,
+    )
     has_same_controls = (
-        before.clock == after.clock and before.rig.controls == after.rig.controls
+        source_take.clock == result_take.clock
+        and source_take.rig.controls == result_take.rig.controls
     )
     if not has_same_controls or before_controls is None or after_controls is None:
         return set()
-    equal = (before_controls.dense() == after_controls.dense()).all(axis=(0, 2))
-    return {before.rig.controls[i].name for i in equal.nonzero()[0].tolist()}
+    is_equal = (before_controls.dense() == after_controls.dense()).all(axis=(0, 2))
+    return {source_take.rig.controls[i].name for i in is_equal.nonzero()[0].tolist()}

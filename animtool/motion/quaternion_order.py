@@ -1,4 +1,4 @@
-"""Rotations that are near the rest pose only with w at the other end."""
+"""Detects rotations whose quaternions have w at the wrong end."""
 
 from __future__ import annotations
 
@@ -14,27 +14,28 @@ from animtool.rig.skeleton import Rig
 # With fewer rotating joints, half turns may be meant. Frames that are looked at.
 MIN_JOINTS, MAX_FRAMES = 5, 16
 # Median angles from the rest pose of a wrong and of a right order [rad].
-WRONG, RIGHT = np.radians([110.0, 50.0])
+MIN_WRONG_ANGLE, MAX_RIGHT_ANGLE = np.radians([110.0, 50.0])
 
 
 @dataclass(frozen=True, slots=True)
 class SwappedOrder:
     """Median angles of joints from their rest pose [deg]."""
 
-    joints: int
-    as_read: float
-    swapped: float
+    joint_count: int
+    angle_as_read: float
+    angle_swapped: float
 
     @property
     def message(self) -> str:
-        """What is odd, in numbers."""
-        message = f"half of {self.joints} joints are more than {self.as_read:.0f}° "
+        """Description of the angles that suggest the other order."""
+        angle = f"{self.angle_as_read:.0f}°"
+        message = f"half of {self.joint_count} joints are more than {angle} "
         message += "from their rest pose; with w at the other end of the quaternions, "
-        return f"{message}{self.swapped:.0f}°"
+        return f"{message}{self.angle_swapped:.0f}°"
 
 
-def swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
-    """Return angles that tell quaternions in the other order; None for a right one."""
+def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
+    """Return the angles that show swapped quaternions; None if the order is right."""
     animated = motion.rotations.animated
     values = motion.rotations.values
     if len(animated) < MIN_JOINTS or not len(values):
@@ -42,13 +43,15 @@ def swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     count = min(len(values), MAX_FRAMES)
     frames = np.linspace(0, len(values) - 1, count).astype(np.int64)
     rotations, rest = values[frames], rig.rest_rotations[animated]
-    as_read = _median_angle(rest, rotations)
-    if as_read < WRONG:
+    angle_as_read = _median_angle(rest, rotations)
+    if angle_as_read < MIN_WRONG_ANGLE:
         return None
-    swapped = min(_median_angle(rest, np.roll(rotations, k, axis=2)) for k in (1, -1))
-    if swapped > RIGHT:
+    angle_swapped = min(
+        _median_angle(rest, np.roll(rotations, k, axis=2)) for k in (1, -1)
+    )
+    if angle_swapped > MAX_RIGHT_ANGLE:
         return None
-    degrees = np.degrees([as_read, swapped]).tolist()
+    degrees = np.degrees([angle_as_read, angle_swapped]).tolist()
     return SwappedOrder(len(animated), *degrees)
 
 
@@ -60,7 +63,7 @@ def _median_angle(rest: FloatArray, rotations: FloatArray) -> float:
 
 def order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
     """Return a warning about quaternions in the other order (MOT222)."""
-    order = swapped_order(rig, motion)
+    order = find_swapped_order(rig, motion)
     if order is None:
         return []
     warning = Severity.WARNING

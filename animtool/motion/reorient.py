@@ -14,7 +14,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.motion.transforms import placed_track, rotate_track
+from animtool.motion.transforms import apply_animated_placement, rotate_track
 from animtool.rig.placed import at_origin, transform_rig
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
@@ -35,43 +35,47 @@ def reorient(stream: TakeStream, up: UpAxis) -> TakeStream:
     return result
 
 
-def unplace_take(stream: TakeStream) -> TakeStream:
+def remove_placement(stream: TakeStream) -> TakeStream:
     """Return a take without its placement on the stage.
 
     Its size and its up axis are kept. Tracks that follow the placement move with it.
     """
-    stands = stream.rig.placement
-    if stands is None:
+    placement = stream.rig.placement
+    if placement is None:
         return stream
-    inverse = stands.inverse()
+    inverse = placement.inverse()
     result = _with_placement(stream, inverse, stream.rig.up)
     result.rig = at_origin(stream.rig)
     result.tracks = tuple(
-        placed_track(track, lambda _: inverse) if track.follows_placement else track
+        apply_animated_placement(track, lambda _: inverse)
+        if track.follows_placement
+        else track
         for track in stream.tracks
     )
     return result
 
 
 def _with_placement(stream: TakeStream, placement: Placement, up: UpAxis) -> TakeStream:
+    """Return a stream with a placement applied to its rig, blocks and curve."""
     roots, curve = np.array(stream.rig.roots, np.int64), stream.curve
     placed_stream = replace(
         stream,
         rig=transform_rig(stream.rig, placement, up),
-        blocks=_placed_blocks(stream.blocks, roots, placement),
+        blocks=_transform_blocks(stream.blocks, roots, placement),
     )
     if curve is not None:
-        placed_stream.curve = lambda times: placed_motion(
+        placed_stream.curve = lambda times: transform_motion(
             curve(times), roots, placement
         )
     return placed_stream
 
 
-def _placed_blocks(
+def _transform_blocks(
     blocks: Iterator[Motion], roots: IntArray, placement: Placement
 ) -> Iterator[Motion]:
+    """Yield blocks with a placement applied."""
     for block in blocks:
-        yield placed_motion(block, roots, placement)
+        yield transform_motion(block, roots, placement)
 
 
 def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
@@ -79,37 +83,39 @@ def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
     return transform_rig(rig, Placement.from_rotation(rotation), up)
 
 
-def placed_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
+def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
     """Return a motion moved to a placement of as many frames or of one.
 
     ``roots``: joints without a parent ``(R,)``.
     """
-    rotations = _position_roots(motion.rotations, roots, placement, rotates=True)
+    rotations = _position_roots(motion.rotations, roots, placement, is_rotation=True)
     if placement.is_animated:
         frames = so3.align_signs(rotations.gather(roots))
         rotations = rotations.put(roots, frames)
     return replace(
         motion,
         translations=_position_roots(
-            motion.translations, roots, placement, rotates=False
+            motion.translations, roots, placement, is_rotation=False
         ),
         rotations=rotations,
         scales=_scale_roots(motion, roots, placement),
         points={
-            name: _placed_points(channel, placement)
+            name: _transform_points(channel, placement)
             for name, channel in motion.points.items()
         },
     )
 
 
 def _position_roots(
-    channel: Channel, roots: IntArray, placement: Placement, *, rotates: bool
+    channel: Channel, roots: IntArray, placement: Placement, *, is_rotation: bool
 ) -> Channel:
     """Return a channel with its roots moved to a placement and its lengths scaled."""
-    operation = placement.transform_rotations if rotates else placement.transform_points
+    operation = (
+        placement.transform_rotations if is_rotation else placement.transform_points
+    )
     rest_values, values = channel.rest.copy(), channel.values.copy()
     is_root = np.isin(channel.animated, roots)
-    if placement.size != 1.0 and not rotates:
+    if placement.size != 1.0 and not is_rotation:
         is_child = np.ones(len(rest_values), np.bool_)
         is_child[roots] = False
         rest_values[is_child] *= placement.size
@@ -137,7 +143,8 @@ def _scale_roots(
     return scales.put(roots, scales.gather(roots) * extra_scale[:, None, None])
 
 
-def _placed_points(channel: Channel, placement: Placement) -> Channel:
+def _transform_points(channel: Channel, placement: Placement) -> Channel:
+    """Return world points with a placement applied."""
     if placement.is_animated:
         all_points = np.arange(len(channel.rest))
         return channel.put(
@@ -152,26 +159,28 @@ def _placed_points(channel: Channel, placement: Placement) -> Channel:
 
 def placement_notice(
     rig: Rig,
-    where: str,
+    location: str,
     *,
-    kept: bool,
-    over: Placement | None = None,
-    stays: bool = False,
+    is_kept: bool,
+    rig_placement: Placement | None = None,
+    is_in_joints: bool = False,
 ) -> list[Fault]:
     """Return a notice on a take's stage placement (USD124).
 
-    over: placement of the layer's rig; stays: whether a parent animated the placement,
-    which is now in the joints.
+    rig_placement: placement of the layer's rig; stays: whether a parent animated the
+    placement, which is now in the joints.
     """
     if rig.placement is None and not rig.has_animated_parents:
         return []
     placement_text = f"stands {rig.placement.description()}" if rig.placement else ""
-    rides = "moves with a prim above its SkelRoot" if rig.has_animated_parents else ""
-    message = f"the take {' and '.join(filter(None, (placement_text, rides)))}, "
-    message += "which is kept" if kept else "which is dropped"
-    if over is not None and not over.is_identity:
-        message += f"; the rig has its placement {over.description()}"
-    if stays:
+    parent_text = (
+        "moves with a prim above its SkelRoot" if rig.has_animated_parents else ""
+    )
+    message = f"the take {' and '.join(filter(None, (placement_text, parent_text)))}, "
+    message += "which is kept" if is_kept else "which is dropped"
+    if rig_placement is not None and not rig_placement.is_identity:
+        message += f"; the rig has its placement {rig_placement.description()}"
+    if is_in_joints:
         message += "; the motion from above is in its joints, and is kept"
-    hint = f"{argument('placement', 'drop' if kept else 'keep')} does the opposite"
-    return [Fault("USD124", message, where, (), hint, Severity.NOTE)]
+    hint = f"{argument('placement', 'drop' if is_kept else 'keep')} does the opposite"
+    return [Fault("USD124", message, location, (), hint, Severity.NOTE)]

@@ -95,22 +95,22 @@ class PassScores:
     where: str = ""
     json_keys: ClassVar[str] = "pass=pass_name where scores names"
 
-    def of_pass(self, name: str, where: str) -> PassScores:
+    def with_pass(self, name: str, where: str) -> PassScores:
         """Return the scores with a pass name and its entry in a scene."""
         return replace(self, pass_name=name, where=where)
 
     @property
-    def worse_scores(self) -> list[Score]:
+    def exceeded_scores(self) -> list[Score]:
         """The scores worse than a good result, the worst first."""
         worse_scores = [score for score in self.scores if score.excess > 1.0]
         return sorted(worse_scores, key=lambda score: -score.excess)
 
 
-def badness(scores: Iterable[PassScores]) -> list[float]:
+def sort_key_of_scores(scores: Iterable[PassScores]) -> list[float]:
     """Return a key that sorts takes by their scores: the worst score decides first.
 
     >>> score = Score("drift", 0.003, ScoreUnit.LENGTH, 0.001)
-    >>> badness([PassScores((score,))])
+    >>> sort_key_of_scores([PassScores((score,))])
     [3.0]
     """
     excesses = [score.excess for pass_scores in scores for score in pass_scores.scores]

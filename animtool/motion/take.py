@@ -31,7 +31,7 @@ from animtool.rig.skeleton import Rig
 UNIT_LENGTH_TOLERANCE = 1e-3
 
 
-def shape_faults(
+def find_shape_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
     """Return faults of shapes that do not match the clock, rig and tracks."""
@@ -60,8 +60,8 @@ def shape_faults(
             if expected_shape != shape:
                 message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
                 faults.append(Fault("TAKE001", message))
-        order = [-1, *channel.animated.ravel().tolist(), count]
-        if not all(a < b for a, b in pairwise(order)):
+        bounded_indices = [-1, *channel.animated.ravel().tolist(), count]
+        if not all(a < b for a, b in pairwise(bounded_indices)):
             message = f"{name}.animated must ascend from 0 to below {count}"
             faults.append(Fault("TAKE002", message))
     return faults
@@ -77,7 +77,7 @@ _CHANNELS = (
 )
 
 
-def value_faults(
+def find_value_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
     """Return faults of infinite values and invalid rotations, one per channel."""
@@ -86,24 +86,25 @@ def value_faults(
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue
-        for static, values in ((True, channel.rest), (False, channel.values)):
+        for is_static, values in ((True, channel.rest), (False, channel.values)):
             index = _first_non_finite(values)
             code, problem = "TAKE004", "not finite"
             if index is None and name == "rotations":
                 index = _first_non_unit(values)
                 code, problem = "TAKE005", "not a unit quaternion (x, y, z, w)"
             if index is not None:
-                owner_index = index[0] if static else int(channel.animated[index[1]])
-                at_frame = (
-                    "" if static else f" at frame {float(clock.times[index[0]]):g}"
+                owner_index = index[0] if is_static else int(channel.animated[index[1]])
+                frame_text = (
+                    "" if is_static else f" at frame {float(clock.times[index[0]]):g}"
                 )
-                owner = f"{_row_owner(rig, tracks, name, owner_index)}{at_frame}"
+                owner = f"{_row_owner(rig, tracks, name, owner_index)}{frame_text}"
                 message = f"{name}: {owner} is {values[index].tolist()}, {problem}"
                 faults.append(Fault(code, message))
     return faults
 
 
 def _first_non_finite(values: FloatArray) -> tuple[int, ...] | None:
+    """Return the index of the first row with a value that is not finite."""
     # A finite sum has only finite terms, and needs no copy.
     if np.isfinite(np.sum(values)):
         return None
@@ -112,6 +113,7 @@ def _first_non_finite(values: FloatArray) -> tuple[int, ...] | None:
 
 
 def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
+    """Return the index of the first quaternion that is not of unit length."""
     squares = np.einsum("...k,...k->...", values, values)
     # Twice the tolerance, as the length is squared.
     is_non_unit = np.abs(squares - 1.0) > 2 * UNIT_LENGTH_TOLERANCE
@@ -157,7 +159,7 @@ class Take:
     def __post_init__(self) -> None:
         """Check that rig, clock and motion fit together."""
         parts = self.rig, self.clock, self.motion, self.tracks
-        faults = shape_faults(*parts) or value_faults(*parts)
+        faults = find_shape_faults(*parts) or find_value_faults(*parts)
         if faults:
             raise OptionError(faults)
 

@@ -26,7 +26,7 @@ class Attribute:
     width: int = 1  # number of components; 0 for a choice
     # Values of types that USD holds instead of interpolating.
     choices: tuple[object, ...] = ()
-    length: bool = False  # whether its numbers are lengths [m]
+    is_length: bool = False  # whether its numbers are lengths [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Transforms:
     values: tuple[npt.NDArray[Any], ...] = ()
     # Mask of times outside the file's range, whose values are held ``(F,)``; None if
     # there are none.
-    clamped: BoolArray | None = None
+    is_clamped: BoolArray | None = None
 
     def __len__(self) -> int:
         """Return the number of times."""
@@ -102,8 +102,8 @@ class Track:
     path: str  # output path: below the character, or absolute from ``/``
     sample: Sampling  # samples it at local times
     type_name: str = "Xform"  # of its prim; empty leaves it to the reference
-    placed: bool = True  # whether it has a transform; else only attributes
-    moves: bool = True  # whether it changes over time
+    has_transform: bool = True  # whether it has a transform; else only attributes
+    is_animated: bool = True  # whether it changes over time
     attributes: tuple[Attribute, ...] = ()  # in order
     reference: PropReference | None = None  # asset to show; None shows nothing
     # Whether it follows the placement of the take: it belongs to the take's stage, or
@@ -118,7 +118,7 @@ class Track:
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
-def placed_transforms(transforms: Transforms, placement: Placement) -> Transforms:
+def apply_placement(transforms: Transforms, placement: Placement) -> Transforms:
     """Return transforms moved to a placement of as many frames or of one."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
@@ -139,13 +139,15 @@ def transform_by_matrices(transforms: Transforms, matrices: FloatArray) -> Trans
     return replace(transforms, matrices=matrices @ transforms.matrix())
 
 
-def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> Track:
+def apply_animated_placement(
+    track: Track, placement: Callable[[FloatArray], Placement]
+) -> Track:
     """Return a track moved to a placement that depends on its local times ``(F,)``."""
-    if not track.placed:
+    if not track.has_transform:
         return track
 
     def sample(times: FloatArray) -> Transforms:
-        return placed_transforms(track.sample(times), placement(times))
+        return apply_placement(track.sample(times), placement(times))
 
     return replace(track, sample=sample)
 
@@ -153,4 +155,4 @@ def placed_track(track: Track, placement: Callable[[FloatArray], Placement]) -> 
 def rotate_track(track: Track, rotation: FloatArray) -> Track:
     """Return a track rotated by a quaternion ``(4,)``."""
     placement = Placement.from_rotation(rotation)
-    return placed_track(track, lambda _: placement)
+    return apply_animated_placement(track, lambda _: placement)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.preview.draft import PageDraft
 from animtool.preview.open_file import TakeToShow
 from animtool.preview.streams import Quantized, json_numbers, quantize_range
@@ -132,7 +132,7 @@ def mesh_entry(
     ``colors``: linear colors of the points ``(V, 3)``; None to use one ``color``.
     """
     default = COLORS[len(draft.meshes) % len(COLORS)]
-    triangles = triangulated(counts, indices)
+    triangles = triangulate(counts, indices)
     return {
         "name": name,
         "take": take,

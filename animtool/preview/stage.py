@@ -348,7 +348,7 @@ def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -
 def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     """Add a camera to a page; ``times`` ``(F,)`` are its track's at each frame."""
     names = [attribute.name for attribute in track.attributes]
-    sampled = track.at(times if track.moves else times[:1])
+    sampled = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.
     lens = {
         name: sampled.values[names.index(name)] * 100

@@ -14,7 +14,7 @@ from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
-from animtool.edit.resample import outside_take
+from animtool.edit.resample import missing_frames_fault
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
 from animtool.preview.open_file import OpenFile, TakeToShow
@@ -170,7 +170,7 @@ def timeline_of(
         last = min(last, Fraction(frames.last))
         first, step = max(first, Fraction(frames.first)), Fraction(frames.step)
         if last < first:
-            raise OptionError(outside_take(frames, start, end, noun="file"))
+            raise OptionError(missing_frames_fault(frames, start, end, noun="file"))
     count = int((last - first) / step) + 1
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"

@@ -23,7 +23,7 @@ from animtool.maths import so3
 from animtool.maths.filters import lowpass
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts
-from animtool.motion.passes import Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.retarget.feet_pass import no_body_warning
 from animtool.retarget.pairing import map_joints
@@ -284,7 +284,7 @@ PASS = Pass(
     "root_drift",
     "Remove the drift of a captured root",
     DriftOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     remove_drift,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),

@@ -14,7 +14,7 @@ from animtool.motion.contacts import (
     RAISED_HEEL_HEIGHT,
     FootContacts,
     gaussian_smooth,
-    without_short_runs,
+    remove_short_runs,
 )
 from animtool.retarget.bending import MAX_EXTENSION
 
@@ -139,7 +139,7 @@ def plant_feet(
 
 def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
     """Return a foot's rotations, constant and level while planted flat ``(F, 4)``."""
-    is_flat = without_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
+    is_flat = remove_short_runs(foot.contacts.ankle & foot.contacts.toe, fps)
     correction = np.zeros((len(is_flat), 3))
     for start, end in runs(is_flat):
         # The mean of rotations that are near each other.

@@ -15,9 +15,9 @@ from animtool.core.errors import (
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
+    FrameScope,
     Pass,
     PassContext,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import Take, TakeStream
@@ -98,7 +98,7 @@ FEET = Pass(
     "feet",
     "Hold planted feet in place",
     FeetOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     lock_feet,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),

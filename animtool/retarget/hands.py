@@ -13,7 +13,7 @@ from animtool.maths.runs import runs
 from animtool.motion.contacts import (
     find_contacts,
     gaussian_smooth,
-    without_short_runs,
+    remove_short_runs,
 )
 from animtool.retarget.feet import fill_between
 from animtool.retarget.legs import limb_rotations, up_index
@@ -286,7 +286,7 @@ def _are_hands_joined(separation: FloatArray, length: float, fps: float) -> Bool
     smooth_separation = gaussian_smooth(separation, SMOOTHING_SECONDS * fps)
     speed = np.linalg.norm(np.gradient(smooth_separation, axis=0), axis=1) * fps
     is_near = np.linalg.norm(separation, axis=1) < JOINED_DISTANCE * length
-    return without_short_runs(is_near & (speed < JOINED_SPEED * length), fps)
+    return remove_short_runs(is_near & (speed < JOINED_SPEED * length), fps)
 
 
 def _arm_length(skeleton: RoledSkeleton, side: str) -> float:

@@ -11,7 +11,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import gaussian_smooth, without_short_runs
+from animtool.motion.contacts import gaussian_smooth, remove_short_runs
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.transforms import Track, Transforms, rotate_track
 from animtool.retarget.transfer import Transfer
@@ -53,7 +53,7 @@ class PropMotion:
         )
         is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
         is_near = np.linalg.norm(local, axis=1) < GRIP_DISTANCE * arm
-        is_gripped = without_short_runs(is_steady & is_near, fps)
+        is_gripped = remove_short_runs(is_steady & is_near, fps)
         for start, end in runs(is_gripped):
             if np.ptp(self.positions[start:end], axis=0).max() < MIN_PROP_MOTION * arm:
                 is_gripped[start:end] = False
@@ -83,7 +83,7 @@ class PropTracks:
         times = Channel.concatenate(self._times).dense()[..., 0]
         motions = []
         for i, track in enumerate(self.tracks):
-            if track.placed and track.moves:
+            if track.has_transform and track.is_animated:
                 upright_transforms = rotate_track(track, transfer.upright).at(
                     times[:, i]
                 )

@@ -110,7 +110,7 @@ class RoledSkeleton:
     def stands_on_hands(self) -> bool | None:
         """Return whether its hands are on the ground at rest; None if unclear."""
         sides = [
-            [self.joint(f"{role}_{side}") for side in "lr"]
+            [self.last(f"{role}_{side}") for side in "lr"]
             for role in ("thigh", "foot", "hand")
         ]
         if min(map(min, sides)) < 0:

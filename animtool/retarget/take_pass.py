@@ -26,11 +26,11 @@ from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
+    FrameScope,
     OptionChecks,
     Pass,
     PassContext,
     PassthroughTracks,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import TakeStream
@@ -467,7 +467,7 @@ PASS = Pass(
     "retarget",
     "Transfer the take to another rig, with planted feet held",
     RetargetPassOptions,
-    Scope.WINDOW,
+    FrameScope.WINDOW,
     _run,
     _option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK, TakePart.TRACKS}),

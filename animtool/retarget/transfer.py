@@ -298,7 +298,9 @@ def _rest_alignment(
             bone, source_bone = bone / sizes[0], source_bone / sizes[1]
         elif role not in _AIMED_ROLES and role[:-2] not in _FINGER_NAMES:
             continue
-        rotations[j] = so3.multiply(so3.between(bone, source_bone), rotations[j])
+        rotations[j] = so3.multiply(
+            so3.shortest_rotation(bone, source_bone), rotations[j]
+        )
     return rotations
 
 

@@ -159,7 +159,7 @@ def _rotation_between(start: FloatArray, end: FloatArray) -> FloatArray:
     """Return the shortest rotation between two axes; about X if opposite."""
     if (start == -end).all():
         return np.array([1.0, 0.0, 0.0, 0.0])
-    return so3.between(start, end)
+    return so3.shortest_rotation(start, end)
 
 
 def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:

@@ -193,7 +193,7 @@ def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     message = (
         f"{rig.names[torso[0]]!r} is "
         f"{length_text(float(offset @ other_axis.vector))} above "
-        f"{rig.names[foot_joints[0]]!r} along {other_axis}, but the up axis is {rig.up}"
+        f"{rig.names[feet[0]]!r} along {other_axis}, but the up axis is {rig.up}"
     )
     location = ("up",) if "up" in document.value else ("joints",)
     hint = f"write 'up: {other_axis}', or keep {rig.up} if the body lies at rest"

@@ -185,7 +185,7 @@ class Scene:
             writes_files: Whether passes write files of their own, as in a bake.
             progress: Called with the fraction done, 0 to 1, until the blocks are read.
         """
-        slow_passes = sum(entry.pass_.tells for entry in self.passes)
+        slow_passes = sum(entry.pass_.reports_progress for entry in self.passes)
         block_progress = (
             None if progress is None else BlockProgress(progress, slow_passes)
         )
@@ -197,7 +197,7 @@ class Scene:
         pass_index = 0
         for entry in self.passes:
             pass_context = context
-            if block_progress is not None and entry.pass_.tells:
+            if block_progress is not None and entry.pass_.reports_progress:
                 pass_context = replace(
                     context, progress=block_progress.of_pass(pass_index)
                 )
@@ -344,7 +344,7 @@ class Scene:
             )
             pass_notices.clear()
             name, key = entry.pass_.name, entry.location.where
-            scores.extend(score.of_pass(name, key) for score in context.scores)
+            scores.extend(score.with_pass(name, key) for score in context.scores)
             context.scores.clear()
 
         collect_scores()
@@ -385,7 +385,7 @@ class Scene:
     ) -> TakeStream:
         """Return a take with a pass applied, after the preroll it needs."""
         lead_frames = 0
-        if entry.pass_.settles and self.preroll is not None:
+        if entry.pass_.needs_preroll and self.preroll is not None:
             lead_frames = self.preroll.frames(stream)
         if not lead_frames:
             return apply_pass(stream, entry.pass_, entry.options, context)

@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.surfaces import Surface
@@ -371,7 +371,7 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
         surface: Mesh with the faces.
         points: Points of the vertices ``(F, V, 3)``.
     """
-    corners = triangulated(surface.counts, surface.indices)
+    corners = triangulate(surface.counts, surface.indices)
     a, b, c = (points[:, corners[:, k]] for k in range(3))
     area_vectors = np.cross(b - a, c - a)
     normal_sums = np.zeros_like(points)

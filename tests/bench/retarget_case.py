@@ -122,7 +122,7 @@ def case_of(path: Path, target: Path) -> Case:
             other = ours.positions[0, last.source] - ours.positions[0, first.source]
             if role in {"thigh", "shin"}:
                 legs.append([np.linalg.norm(bone), np.linalg.norm(other)])
-            change = so3.between(
+            change = so3.shortest_rotation(
                 bone / np.linalg.norm(bone), other / np.linalg.norm(other)
             )
             # A hand and its fingers go with the forearm.

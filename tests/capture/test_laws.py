@@ -935,7 +935,7 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         options=TriangulateOptions(keep_moved=keep),
         _mark_kept_ranges=lambda _, ranges: ranges,
         _with_pose_change=lambda _, each: each,
-        _solve=lambda first, end: solved.append((first, end)),
+        _solve_frames=lambda first, end: solved.append((first, end)),
     )
     _TriangulationRun._exclude_shifted(run)
     active = np.ones((6, 3), bool)

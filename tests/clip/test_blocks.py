@@ -115,9 +115,9 @@ def test_blocks_are_the_whole(
         if one is not None and other is not None:
             np.testing.assert_array_equal(one.animated, other.animated, name)
             np.testing.assert_array_equal(one.dense(), other.dense(), name)
-    assert not any(part.targeted for part in parts[:-1])
-    found = [(n.fault, n.frame) for n in parts[-1].targeted]
-    expected = [(n.fault, n.frame) for n in whole.targeted]
+    assert not any(part.clip_notices for part in parts[:-1])
+    found = [(n.fault, n.frame) for n in parts[-1].clip_notices]
+    expected = [(n.fault, n.frame) for n in whole.clip_notices]
     assert sorted(found, key=str) == sorted(expected, key=str)
 
 
@@ -126,4 +126,4 @@ def test_a_short_clip_is_one_block(tmp_path: Path) -> None:
     clip = load_clip_of(write_clip(tmp_path, CONTROLLED))
     times = np.arange(0.0, 20.0)
     (part,) = sample_blocks(clip.channels, rig, times)
-    assert part.targeted == sample_channels(clip.channels, rig, times).targeted
+    assert part.clip_notices == sample_channels(clip.channels, rig, times).clip_notices

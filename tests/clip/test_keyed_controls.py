@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.clip.clip import Clip, clip_text
-from animtool.clip.keyed_take import KeyedTake, keyed_take
+from animtool.clip.keyed_take import KeyedTake, fit_take_keys
 from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -54,7 +54,7 @@ def check(take: Take, folder: Path) -> tuple[KeyedTake, dict[str, str]]:
     Returns:
         The clip, and the targets of its channels.
     """
-    made = keyed_take(take, take.rig, "one", EXACT)
+    made = fit_take_keys(take, take.rig, "one", EXACT)
     path = folder / "one.clip.yaml"
     path.write_text(clip_text(made.clip, take.rig, "one.rig.yaml"), "utf-8")
     back = Clip.load(path, take.rig).sample(take.rig).motion
@@ -189,7 +189,7 @@ def test_errors_of_angles_are_in_degrees() -> None:
     wave = np.sin(np.arange(FRAMES))[:, None]
     keyed = {"joint/shoulder_l.rotation": so3.exp(wave * [0.3, 0.2, 0.1])}
     take = take_of(rig, keyed, controls=False)
-    made = keyed_take(take, rig, "one", 1e-2)
+    made = fit_take_keys(take, rig, "one", 1e-2)
     (error,) = made.errors
     assert error.target == "joint/shoulder_l.rotation"
     found = made.clip.sample(rig).motion.rotations.dense()
@@ -236,10 +236,10 @@ def test_whole_turns_of_a_leader_are_those_that_a_slide_shows(
 def test_keys_are_few_within_a_tolerance() -> None:
     rig = rig_named("biped")
     take = take_of(rig, all_controls(rig), controls=True)
-    coarse = keyed_take(take, rig, "one", 2e-3)
+    coarse = fit_take_keys(take, rig, "one", 2e-3)
     assert coarse.reduction.held
     assert coarse.reduction.error <= 2e-3
-    fine = keyed_take(take, rig, "one", EXACT)
+    fine = fit_take_keys(take, rig, "one", EXACT)
     assert coarse.reduction.keys < fine.reduction.keys
     worst = max(coarse.errors, key=lambda error: error.error)
     assert worst.target.startswith("control/")

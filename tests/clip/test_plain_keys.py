@@ -112,4 +112,4 @@ def test_faults_of_plain_keys_name_their_place(
     ],
 )
 def test_what_is_more_or_faulty_is_not_plain(entries: Any) -> None:
-    assert PlainKeys.of_entries(entries) is None
+    assert PlainKeys.from_entries(entries) is None

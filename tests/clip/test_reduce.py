@@ -9,7 +9,7 @@ import pytest
 from support.data import data_files
 from support.suite import some_quick
 
-from animtool.clip.coordinates import Same, joint_motions, joint_tracks
+from animtool.clip.coordinates import Tolerances, joint_tracks, relative_joint_motions
 from animtool.clip.reduction.keys import (
     ChannelKind,
     Reduction,
@@ -18,7 +18,7 @@ from animtool.clip.reduction.keys import (
 )
 from animtool.clip.reduction.points import attached_points, point_errors
 from animtool.clip.reduction.reduce import LIMIT_SLACK, reduce_motion
-from animtool.clip.reduction.tracks import euler_order, pose_of
+from animtool.clip.reduction.tracks import additive_pose, euler_order
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
@@ -64,8 +64,8 @@ def world_errors(take: Take, found: Motion, base: Take | None = None) -> FloatAr
     below = None if base is None else base.motion
     return point_errors(
         attached_points(take.rig, 0.03),
-        pose_of(take.rig, take.motion, below).world(),
-        pose_of(take.rig, found, below).world(),
+        additive_pose(take.rig, take.motion, below).world_transforms(),
+        additive_pose(take.rig, found, below).world_transforms(),
     )
 
 
@@ -274,8 +274,10 @@ def test_keys_of_a_ball_keep_its_limits_between_frames(tolerance: float) -> None
     rig = replace(rig, joints=(ball, rig.joints[1]))
     turns = swing(joints=2, size=2.5)
     turns[:, 0] = limit.clamped(turns[:, 0])
-    motions = joint_motions(rig, take_of(rig, turns).motion, Same(1e-9, 1e-9, 1e-9))
-    tracks = joint_tracks(rig, motions, {}, {}, Same(1e-9, 1e-9, 1e-9))
+    motions = relative_joint_motions(
+        rig, take_of(rig, turns).motion, Tolerances(1e-9, 1e-9, 1e-9)
+    )
+    tracks = joint_tracks(rig, motions, {}, {}, Tolerances(1e-9, 1e-9, 1e-9))
     found = reduce_motion(take_of(rig, turns), tolerance, tracks=tracks)
     assert found.held
     beyond = limit.excess(evaluated(found, "j0", 8)).max()

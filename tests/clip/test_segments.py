@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.clips import channel_of
 
-from animtool.clip.channels import ClipChannel, curves_of
+from animtool.clip.channels import ClipChannel, component_curves
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.maths import tangents
 from animtool.maths.curves import Interp, SegmentKind, evaluate
@@ -18,7 +18,7 @@ U = np.linspace(0, 1, 17)
 def along(channel: ClipChannel, k: int) -> FloatArray:
     """Return values ``(17, D)`` evenly through the segment behind a key."""
     times = channel.times[k] + U * (channel.times[k + 1] - channel.times[k])
-    return evaluate(curves_of([channel]), times).T
+    return evaluate(component_curves([channel]), times).T
 
 
 def hermite(k: int, out: float, into: float) -> FloatArray:
@@ -35,7 +35,7 @@ def assert_slopes(channel: ClipChannel, ins: ArrayLike, outs: ArrayLike) -> None
     for k in range(len(TIMES) - 1):
         expected = hermite(k, behind[k], before[k + 1])
         np.testing.assert_allclose(along(channel, k), expected, rtol=0, atol=1e-14)
-    assert (curves_of([channel]).kinds[:-1] == SegmentKind.CUBIC).all()
+    assert (component_curves([channel]).kinds[:-1] == SegmentKind.CUBIC).all()
 
 
 def bezier(points: ArrayLike, times: FloatArray) -> FloatArray:
@@ -58,7 +58,7 @@ def test_linear_and_step() -> None:
     straight = channel_of(TIMES, VALUES, Interp.LINEAR)
     stepped = channel_of(TIMES, VALUES, Interp.STEP)
     at = np.linspace(-1, 12, 131)
-    found = evaluate(curves_of([straight, stepped]), at)
+    found = evaluate(component_curves([straight, stepped]), at)
     np.testing.assert_allclose(found[0], np.interp(at, TIMES, VALUES), atol=1e-15)
     index = np.clip(np.searchsorted(TIMES, at, side="right") - 1, 0, None)
     np.testing.assert_array_equal(found[1], np.array(VALUES)[index])
@@ -80,9 +80,9 @@ def test_bezier_with_handles_of_its_own(
     )
     at = np.linspace(0, 6, 61)
     points = [(0, 1), (out[0], 1 + out[1]), (6 + into[0], 4 + into[1]), (6, 4)]
-    found = evaluate(curves_of([channel]), at)[0]
+    found = evaluate(component_curves([channel]), at)[0]
     np.testing.assert_allclose(found, bezier(points, at), rtol=0, atol=1e-12)
-    assert curves_of([channel]).kinds[0] == SegmentKind.BEZIER
+    assert component_curves([channel]).kinds[0] == SegmentKind.BEZIER
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_bezier_is_cubic_where_both_handles_are_at_thirds(
         outs=np.array([[out, 5.0], [0, 0]]),
         ins=np.array([[0, 0], [into, 1.0]]),
     )
-    assert curves_of([free]).kinds[0] == kind
+    assert component_curves([free]).kinds[0] == kind
 
 
 def test_hermite_slopes_are_those_of_the_handles() -> None:
@@ -126,7 +126,7 @@ def test_tangents_by_rule(interp: Interp) -> None:
     values = np.array(VALUES)[:, None]
     straight = np.diff(VALUES) / np.diff(TIMES)
     zeros = np.zeros(5)
-    auto = tangents.nonuniform(TIMES, values)
+    auto = tangents.parabola_slopes(TIMES, values)
     clamped = tangents.auto_clamped(TIMES, values)
     for tangent, ins, outs in (
         (Tangent.FLAT, zeros, zeros),
@@ -147,7 +147,7 @@ def test_auto_clamped_stays_between_the_keys() -> None:
 
 def test_tcb() -> None:
     values = np.array(VALUES)[:, None]
-    auto = tangents.nonuniform(TIMES, values)
+    auto = tangents.parabola_slopes(TIMES, values)
     assert_slopes(channel_of(TIMES, VALUES, Interp.TCB), auto, auto)
     settings = np.tile([0.5, -0.3, 0.2], (5, 1))
     ins, outs = tangents.tcb(TIMES, values, settings)
@@ -155,7 +155,7 @@ def test_tcb() -> None:
 
 
 def test_uniform_catmull_rom_has_the_secants_slope() -> None:
-    slopes = tangents.secant(TIMES, np.array(VALUES)[:, None])
+    slopes = tangents.secant_slopes(TIMES, np.array(VALUES)[:, None])
     assert_slopes(channel_of(TIMES, VALUES, Interp.CATMULL_ROM), slopes, slopes)
 
 
@@ -186,13 +186,15 @@ def test_interps_may_differ_from_key_to_key() -> None:
 def test_components_come_in_the_order_of_the_channels() -> None:
     one = channel_of([0, 2], [[0, 10], [2, 30]], Interp.LINEAR)
     other = channel_of([1, 2, 3], [5, 6, 7], Interp.LINEAR)
-    curves = curves_of([one, other])
+    curves = component_curves([one, other])
     assert curves.first.tolist() == [0, 2, 4, 7]
     np.testing.assert_allclose(evaluate(curves, [1.0])[:, 0], [1, 20, 5])
-    assert evaluate(curves_of([]), [1.0]).shape == (0, 1)
+    assert evaluate(component_curves([]), [1.0]).shape == (0, 1)
 
 
 def test_a_single_key() -> None:
     for interp in (Interp.BEZIER, Interp.TCB, Interp.CATMULL_ROM):
-        found = evaluate(curves_of([channel_of([3], [7], interp)]), [0.0, 3.0, 9.0])
+        found = evaluate(
+            component_curves([channel_of([3], [7], interp)]), [0.0, 3.0, 9.0]
+        )
         assert found.tolist() == [[7, 7, 7]]

@@ -186,7 +186,7 @@ def test_what_a_pass_changed_goes_straight_and_the_rest_does_not(
         own = changed.motion.rotations.gather(np.array([j]))[:, 0]
         halves = so3.slerp(own[:-1], own[1:], np.full((12, 1), 0.5))
         assert_allclose(so3.align_to(turns[1::2], halves), halves, atol=1e-12)
-    curved = TakeSampler.of(changed).curved
+    curved = TakeSampler.from_take(changed).rows_on_curve
     assert np.flatnonzero(~curved["rotations"]).tolist() == [j]
 
 
@@ -206,7 +206,7 @@ def test_the_other_take_of_a_layer_is_evaluated_too(tmp_path: Path) -> None:
 def test_a_loop_is_not_its_curve_any_more(tmp_path: Path) -> None:
     take = sampled(tmp_path, "ease", "cycle")
     looped = loop(take, repeats=2, blend=4)
-    curved = TakeSampler.of(looped).curved
+    curved = TakeSampler.from_take(looped).rows_on_curve
     assert not curved["translations"][0]
     assert not curved["rotations"][take.rig.index("elbow_l")]
     straight = time_scale(replace(looped, curve=None), 0.5)
@@ -228,10 +228,10 @@ def test_the_ends_are_held_and_one_frame_stays(tmp_path: Path) -> None:
 def test_a_curve_that_the_samples_are_not_of_is_left_alone(tmp_path: Path) -> None:
     take = sampled(tmp_path, "ease", "pin")
     shifted = replace(take, clock=replace(take.clock, start=Fraction(3)))
-    assert not TakeSampler.of(shifted).curved["translations"][0]
+    assert not TakeSampler.from_take(shifted).rows_on_curve["translations"][0]
     other = replace(take.motion, translations=Channel.static(np.zeros((2, 3)), 13))
     strange = replace(take, curve=lambda _: other)
-    assert "translations" not in TakeSampler.of(strange).curved
+    assert "translations" not in TakeSampler.from_take(strange).rows_on_curve
 
 
 @pytest.mark.parametrize(
@@ -279,9 +279,11 @@ def test_curves_between_frames_are_on_the_side_of_their_quaternions() -> None:
 
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 5)
     take = Take(rig, clock, motion, curve=curve)
-    between = TakeSampler.of(take)
-    assert between.curved
-    found = between.at(nearby_positions(np.arange(9) / 2, 5)).rotations.dense()[:, 0]
+    between = TakeSampler.from_take(take)
+    assert between.rows_on_curve
+    found = between.sample(nearby_positions(np.arange(9) / 2, 5)).rotations.dense()[
+        :, 0
+    ]
     assert ((found[1:] * found[:-1]).sum(axis=1) > 0.9).all()
     wanted = so3.from_axis_angle(np.array([0.0, 1, 0]), 0.375 * np.arange(9))
     np.testing.assert_allclose(found, wanted, atol=1e-12)

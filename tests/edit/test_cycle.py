@@ -148,7 +148,7 @@ def chain_of_two(frames: int, rest: np.ndarray, turns: np.ndarray) -> Take:
 def test_joints_count_by_half_of_each_bone_that_they_move() -> None:
     """Of the last one a third is its origin's, and a third each that of two points."""
     take = chain_of_two(4, so3.IDENTITY, so3.IDENTITY)
-    found = _PoseView.of(take).weights
+    found = _PoseView.from_take(take).weights
     np.testing.assert_allclose(found, np.array([0.5, 1.5, 1 / 3, 1 / 3, 1 / 3]) / 3)
 
 
@@ -157,6 +157,6 @@ def test_a_heading_is_seen_from_the_rest_pose() -> None:
     over = np.array([1.0, 0.0, 0.0, 0.0])
     yaws = so3.from_axis_angle(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.5, 1.2]))
     take = chain_of_two(3, over, so3.multiply(yaws, over))
-    ground, heading = _PoseView.of(take)._ground_pose(np.arange(3))
+    ground, heading = _PoseView.from_take(take)._ground_pose(np.arange(3))
     assert so3.angle_between(heading, yaws).max() < 1e-9
     np.testing.assert_allclose(ground, np.tile([1.0, 0.0, 3.0], (3, 1)))

@@ -79,7 +79,7 @@ def test_shapes_of_one_side_turn_a_control_round(root: Path) -> None:
         i = names.index(name)
         assert before[:, i].any()
         np.testing.assert_allclose(after[:, i], sign * before[:, i], atol=1e-12)
-    found = ControlMirror.of(
+    found = ControlMirror.from_rig(
         rig,
         pair_sides(names).partners,
         pair_sides(rig.names, rig.parents).partners,
@@ -114,7 +114,7 @@ def test_a_control_that_moves_nothing_keeps_its_sign(tmp_path: Path) -> None:
     one_way = RIG.replace(drive, "").replace("-raise_r", '"clamp(raise_r, 0, 90)"')
     path.write_text(one_way, "utf-8")
     rig = Rig.load(path)
-    found = ControlMirror.of(
+    found = ControlMirror.from_rig(
         rig,
         pair_sides([control.name for control in rig.controls]).partners,
         pair_sides(rig.names, rig.parents).partners,
@@ -137,7 +137,7 @@ def test_a_control_that_cannot_be_0_is_mirrored_about_its_default(
     partners = np.arange(len(rig.controls))
     none = np.zeros(0, np.int64)
     way = np.array([-1.0, 1.0, 1.0])
-    found = ControlMirror.of(rig, partners, np.arange(len(rig.names)), none, way)
+    found = ControlMirror.from_rig(rig, partners, np.arange(len(rig.names)), none, way)
     turn = [control.name for control in rig.controls].index("turn")
     assert (found.signs[turn], found.pivots[turn]) == (-1, 40)
 

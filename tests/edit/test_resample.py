@@ -213,7 +213,7 @@ def test_a_range_of_a_take_that_begins_within_a_frame(
     """Whole frames are sampled at their own time; what is missing is held."""
     take = spin(121, Fraction(30))
     wanted = FrameRange(first, first + more, step)
-    times = plan_samples(take.clock, fps, start, frame_range=wanted, hold=True)
+    times = plan_samples(take.clock, fps, start, frame_range=wanted, extend=True)
     assert times.codes.tolist() == list(range(first, first + more + 1, step))
     motion = Motion.concatenate([motion for _, motion in sample_blocks(take, times)])
     seconds = np.clip((times.codes - float(start)) / float(fps), 0, 120 / 30)
@@ -235,7 +235,7 @@ def test_samples_between_the_frames_of_a_range_are_counted() -> None:
         (Fraction(1, 7), 40),
     ):
         times = plan_samples(clock(400), Fraction(24), start, frame_range=wanted)
-        assert times.between == between
+        assert times.dropped_between_frames == between
 
 
 def shaking(frequency: float, count: int = 961) -> Take:

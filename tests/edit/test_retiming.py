@@ -13,7 +13,7 @@ from support.faults import raises
 from support.small_takes import small
 
 from animtool.core.errors import OptionError
-from animtool.edit.combine import other_frames
+from animtool.edit.combine import sample_other_take
 from animtool.edit.retiming import (
     TIME_SCALE,
     TimeScaleOptions,
@@ -162,9 +162,9 @@ def test_another_take_runs_at_its_own_rate_and_begins_later() -> None:
         (60, 3, [0, 0, 0, 0, 0.5]),
         (20, -1, [1.5, 3, 4, 4, 4]),
     ):
-        found = other_frames(take, Fraction(rate), 0, 5, Fraction(delay))
+        found = sample_other_take(take, Fraction(rate), 0, 5, Fraction(delay))
         assert_allclose(found.translations.dense()[:, 0, 0], expected)
-    found = other_frames(take, Fraction(60), 2, 3)
+    found = sample_other_take(take, Fraction(60), 2, 3)
     assert_allclose(found.translations.dense()[:, 0, 0], [1, 1.5, 2])
 
 

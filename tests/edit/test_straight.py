@@ -36,7 +36,8 @@ def swinging(frames: int = 49, *, still: bool = False) -> Take:
 def test_the_estimate_is_the_error_of_a_sine() -> None:
     places = even_positions(np.arange(96), 0, Fraction(1, 2), 49)
     errors = {
-        e.channel: e for e in interpolation_errors(TakeSampler.of(swinging()), places)
+        e.channel: e
+        for e in interpolation_errors(TakeSampler.from_take(swinging()), places)
     }
     # Halfway between two frames about a peak.
     drop = 1 - np.cos(np.pi / 24)

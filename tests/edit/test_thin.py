@@ -39,7 +39,7 @@ def errors(codes: Floats, motion: Motion, found: ThinnedSamples) -> Floats:
     places, turns, _ = motion.dense()
     points = attached_points(ARM, SHELL_DISTANCE)
     result = np.zeros((len(codes), len(ARM.joints)))
-    kept = found.kept.tolist()
+    kept = found.kept_samples.tolist()
     for low, high in pairwise(kept):
         for i in range(low, high + 1):
             share = (codes[i] - codes[low]) / (codes[high] - codes[low])
@@ -71,8 +71,8 @@ def test_every_sample_is_within_the_tolerance(
     motion = moved(turns, slides)
     found = thin_samples(ARM, codes, motion, tolerance)
     assert found.samples == count
-    assert {0, count - 1} <= set(found.kept.tolist())
-    assert (np.diff(found.kept) > 0).all()
+    assert {0, count - 1} <= set(found.kept_samples.tolist())
+    assert (np.diff(found.kept_samples) > 0).all()
     assert found.error <= tolerance
     if count > 1:
         measured = errors(codes, motion, found)
@@ -85,7 +85,7 @@ def test_what_moves_evenly_needs_its_ends() -> None:
     turns[:, 0, 2] = codes * 0.01
     slides = codes[:, None] * np.array([0.01, 0.0, 0.002])
     found = thin_samples(ARM, codes, moved(turns, slides), 1e-6)
-    assert_array_equal(found.kept, [0, 199])
+    assert_array_equal(found.kept_samples, [0, 199])
 
 
 def test_what_bends_needs_about_the_samples_of_theory() -> None:
@@ -97,7 +97,7 @@ def test_what_bends_needs_about_the_samples_of_theory() -> None:
     found = thin_samples(ARM, codes, moved(np.zeros((count, 2, 3)), slides), tolerance)
     # The mean of sqrt(|x''|) over a period is 0.763.
     wanted = codes[-1] * 0.763 / np.sqrt(8 * tolerance)
-    assert wanted <= len(found.kept) <= 1.6 * wanted
+    assert wanted <= len(found.kept_samples) <= 1.6 * wanted
 
 
 def test_a_joint_of_its_own_tolerance() -> None:
@@ -109,7 +109,7 @@ def test_a_joint_of_its_own_tolerance() -> None:
         ARM, codes, moved(turns), 0.01, joint_tolerances={"[b-z]": 1e-4}
     )
     assert tight.error <= 1e-4 < loose.error
-    assert len(tight.kept) > len(loose.kept)
+    assert len(tight.kept_samples) > len(loose.kept_samples)
     assert tight.joint_index == 1
 
 
@@ -118,7 +118,7 @@ def test_weights_count_too() -> None:
     weights = Channel.from_dense(np.linspace(0, 1, count)[:, None, None] ** 2)
     motion = moved(np.zeros((count, 2, 3)), weights=weights)
     found = thin_samples(ARM, np.arange(float(count)), motion, 0.1)
-    assert 2 < len(found.kept) < count
+    assert 2 < len(found.kept_samples) < count
     assert 0 < found.weight_error <= 1e-3
     assert found.error == 0
 
@@ -129,7 +129,7 @@ def test_a_jump_keeps_both_sides() -> None:
     found = thin_samples(
         ARM, np.arange(40.0), moved(np.zeros((40, 2, 3)), slides), 1e-3
     )
-    assert_array_equal(found.kept, [0, 16, 17, 39])
+    assert_array_equal(found.kept_samples, [0, 16, 17, 39])
 
 
 @pytest.mark.parametrize("tolerance", [0.0, -1.0, np.nan, np.inf])

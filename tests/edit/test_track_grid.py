@@ -44,8 +44,8 @@ def test_it_is_what_is_known_and_between(count: int, seed: int, time: float) -> 
     assert_array_equal(whole.matrix(), given_.matrix())
     for one, other in zip(whole.values, given_.values, strict=True):
         assert_array_equal(one, other)
-    assert whole.clamped is not None
-    assert whole.clamped.tolist() == [False] * (count - 1) + [True]
+    assert whole.is_clamped is not None
+    assert whole.is_clamped.tolist() == [False] * (count - 1) + [True]
     found = track.at(np.array([time]))
     low = int(np.clip(np.floor(time), 0, count - 1))
     high, part = min(low + 1, count - 1), float(np.clip(time, 0, count - 1)) - low

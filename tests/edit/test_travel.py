@@ -37,5 +37,5 @@ def test_a_curve_is_the_parabola_of_three_frames_at_its_ends_too() -> None:
     """Of t² it is t² between all frames, the first and last two among them."""
     channel = Channel.from_dense((np.arange(6.0) ** 2)[:, None, None])
     at = np.array([0.25, 0.5, 2.5, 4.5, 4.75])
-    found = nearby_positions(at, 6).curve(channel)
+    found = nearby_positions(at, 6).interpolate_spline(channel)
     assert_allclose(found.values[:, 0, 0], at**2)

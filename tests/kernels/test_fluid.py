@@ -87,7 +87,7 @@ def test_no_axis_is_another_one_for_a_drop(tension: float, viscosity: float) -> 
         for k, axis in enumerate(order):
             normal = np.zeros(3)
             normal[k] = 1.0
-            turn = so3.between(np.array([0.0, 1, 0]), normal)
+            turn = so3.shortest_rotation(np.array([0.0, 1, 0]), normal)
             at = low[axis] * normal
             walls.append(Collider(Plane(), Poses.fixed(at, turn), friction=0.3))
         around = Colliders([walls[order.index(axis)] for axis in range(3)])

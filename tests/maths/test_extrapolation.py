@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from animtool.maths.curves import Extrapolation, fold
+from animtool.maths.curves import Extrapolation, fold_times
 
 TIMES = np.array([-9.0, -8, -5, -4, -1, 0, 3, 4, 5, 8, 9, 12, 13])
 INSIDE = {
@@ -19,22 +19,22 @@ INSIDE = {
 
 @pytest.mark.parametrize("mode", Extrapolation)
 def test_times_within(mode: Extrapolation) -> None:
-    assert fold(TIMES, 0.0, 4.0, mode, mode).times.tolist() == INSIDE[mode]
+    assert fold_times(TIMES, 0.0, 4.0, mode, mode).times.tolist() == INSIDE[mode]
 
 
 def test_linear_keeps_what_is_beyond() -> None:
-    folded = fold(TIMES, 0.0, 4.0, Extrapolation.LINEAR, Extrapolation.LINEAR)
+    folded = fold_times(TIMES, 0.0, 4.0, Extrapolation.LINEAR, Extrapolation.LINEAR)
     assert (folded.times + folded.beyond).tolist() == TIMES.tolist()
     assert not folded.cycles.any()
 
 
 def test_offset_cycles_continue_a_line() -> None:
     mode = Extrapolation.CYCLE_OFFSET
-    folded = fold(TIMES, 0.0, 4.0, mode, mode)
+    folded = fold_times(TIMES, 0.0, 4.0, mode, mode)
     assert (folded.times + 4.0 * folded.cycles).tolist() == TIMES.tolist()
 
 
 @pytest.mark.parametrize("mode", Extrapolation)
 def test_a_range_without_length_is_held(mode: Extrapolation) -> None:
-    folded = fold(np.array([1.0, 2.0, 3.0]), 2.0, 2.0, mode, mode)
+    folded = fold_times(np.array([1.0, 2.0, 3.0]), 2.0, 2.0, mode, mode)
     assert folded.times.tolist() == [2.0, 2.0, 2.0]

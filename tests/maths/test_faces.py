@@ -11,13 +11,13 @@ from support.suite import examples
 
 from animtool.core.array_types import IntArray
 from animtool.maths.faces import (
-    closed,
     coincident_edges,
     directed_edges,
-    distinct_pairs,
     edge_counts,
     edges,
-    triangulated,
+    is_closed,
+    triangulate,
+    unique_pairs,
 )
 
 POLYGON = st.lists(st.integers(0, 9), min_size=3, max_size=6, unique=True)
@@ -71,7 +71,7 @@ def test_sides_of_one_edge_are_paired(polygons: list[list[int]]) -> None:
 @given(POLYGONS)
 @FEW
 def test_a_fan_has_two_triangles_less_than_corners(polygons: list[list[int]]) -> None:
-    triangles = triangulated(*flat(polygons))
+    triangles = triangulate(*flat(polygons))
     assert len(triangles) == sum(len(polygon) - 2 for polygon in polygons)
     corners = {corner for polygon in polygons for corner in polygon}
     assert set(triangles.ravel().tolist()) == corners
@@ -79,7 +79,7 @@ def test_a_fan_has_two_triangles_less_than_corners(polygons: list[list[int]]) ->
 
 def test_nothing_has_no_pairs() -> None:
     none = np.zeros((0, 2), np.int64)
-    assert distinct_pairs(none).shape == (0, 2)
+    assert unique_pairs(none).shape == (0, 2)
     assert [len(part) for part in coincident_edges(none)] == [0, 0]
 
 
@@ -88,5 +88,5 @@ def test_nothing_has_no_pairs() -> None:
 def test_what_is_closed_has_two_faces_at_every_edge(polygons: list[list[int]]) -> None:
     both = [*polygons, *polygons]
     for some in (polygons, both):
-        found = closed(*flat(some))
+        found = is_closed(*flat(some))
         assert found == bool((edge_counts(*flat(some))[1] == 2).all())

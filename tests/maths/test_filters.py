@@ -10,8 +10,8 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.maths.filters import (
-    best_cutoff,
     fill_gaps,
+    find_best_cutoff,
     lowpass,
     lowpass_rotations,
     noise_level,
@@ -62,7 +62,7 @@ def test_cutoff_of_a_sine_in_noise(frequency: float, noise: float) -> None:
     clean = np.sin(2 * np.pi * frequency * TIMES[:, None] + [0.0, 1.0, 2.0])
     noisy = clean + noise * rng.standard_normal(clean.shape)
     assert noise_level(noisy) == pytest.approx(noise, rel=0.06)
-    cutoff = best_cutoff(noisy, RATE)
+    cutoff = find_best_cutoff(noisy, RATE)
     assert cutoff is not None
     shares = np.geomspace(0.002, 0.45, 400)
     waves = np.sin(np.pi * np.arange(1200) / 2400)
@@ -91,13 +91,13 @@ def test_noise_of_rotations_is_that_about_each_axis(
     turns = so3.align_signs(turns)
     assert rotation_noise(turns) == pytest.approx(0.02, rel=0.05)
     # What is left of the noise at the best cut-off is that of so many axes.
-    assert best_cutoff(turns, RATE, rotation=True) is not None
+    assert find_best_cutoff(turns, RATE, rotation=True) is not None
     assert rotation_noise(turns[:1]) == 0.0
 
 
 def test_what_has_no_noise_is_left_alone() -> None:
-    assert best_cutoff(np.sin(9 * TIMES)[:, None], RATE) is None
-    assert best_cutoff(np.ones((50, 3)), RATE) is None
+    assert find_best_cutoff(np.sin(9 * TIMES)[:, None], RATE) is None
+    assert find_best_cutoff(np.ones((50, 3)), RATE) is None
 
 
 def test_missing_values_are_put_between_their_neighbours() -> None:

@@ -141,10 +141,10 @@ def test_fitting_again_with_keys_as_anchors_gives_these_keys() -> None:
 
 def test_a_key_is_smooth_where_both_slopes_are_one() -> None:
     t = np.arange(101.0)[:, None]
-    assert fit_keys((t / 50 - 1) ** 3, 1e-6, anchors=[30, 71]).smooth.all()
+    assert fit_keys((t / 50 - 1) ** 3, 1e-6, anchors=[30, 71]).is_smooth.all()
     corner = fit_keys(np.abs(t - 50), 1e-3)
     assert corner.frames.tolist() == [0, 50, 100]
-    assert corner.smooth.tolist() == [True, False, True]
+    assert corner.is_smooth.tolist() == [True, False, True]
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e6])

@@ -13,7 +13,7 @@ from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
 from animtool.maths.rotation_curves import (
     RotationKind,
-    aligned_keys,
+    align_keys,
     cumulative_bspline,
     evaluate_rotations,
     log_of_cover,
@@ -192,7 +192,7 @@ def test_squad_of_even_keys_is_shoemakes(seed: int) -> None:
 
 
 def test_bspline_segments_join() -> None:
-    keys = aligned_keys(keyed(1, 5)[1])
+    keys = align_keys(keyed(1, 5)[1])
     end = cumulative_bspline(keys[:4], [1.0])
     assert apart(end, cumulative_bspline(keys[1:], [0.0])) < CLOSE
 

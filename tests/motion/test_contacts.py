@@ -11,7 +11,7 @@ from animtool.motion.contacts import (
     find_contacts,
     gaussian_smooth,
     noise_speed,
-    without_short_runs,
+    remove_short_runs,
 )
 
 LEG, STRIDE, PERIOD, STANCE = 0.85, 1.3, 1.1, 0.62
@@ -79,11 +79,11 @@ def test_smoothing_keeps_straight_ways_and_its_ends() -> None:
 def test_what_the_ends_of_a_take_cut_off_is_not_too_short() -> None:
     """At 100 frames a second a contact lasts 6 frames, and so does a gap in one."""
     mask = np.array([1] * 2 + [0] * 9 + [1] * 5 + [0] * 9 + [1] * 6 + [0] * 9 + [1] * 2)
-    kept = without_short_runs(mask.astype(np.bool_), 100.0)
+    kept = remove_short_runs(mask.astype(np.bool_), 100.0)
     assert runs(kept) == [(0, 2), (25, 31), (40, 42)]
-    kept = without_short_runs(mask == 0, 100.0)
+    kept = remove_short_runs(mask == 0, 100.0)
     assert runs(kept) == [(2, 25), (31, 40)]
-    kept = without_short_runs(
+    kept = remove_short_runs(
         np.array([0] * 2 + [1] * 8 + [0] * 5 + [1] * 8 + [0] * 2) > 0, 100.0
     )
     assert runs(kept) == [(2, 23)]

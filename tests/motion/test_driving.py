@@ -11,7 +11,7 @@ import pytest
 from support.cli import animtool
 
 from animtool import Clip, Rig, open_source
-from animtool.clip.keyed_take import keyed_take
+from animtool.clip.keyed_take import fit_take_keys
 from animtool.clip.sample import sample_values
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -252,7 +252,7 @@ def test_a_take_is_keyed_without_what_is_driven() -> None:
     own = np.zeros((20, 3, 1))
     own[:, 1, 0] = np.linspace(0, 1, 20)
     take = drive_take(take_of(made, np.linspace(0, 1, 20), np.linspace(0, 1, 20), own))
-    keyed = keyed_take(take, made, "arm", 1e-5)
+    keyed = fit_take_keys(take, made, "arm", 1e-5)
     targets = {channel.target for channel in keyed.clip.channels}
     assert targets == {"joint/elbow.angle", "joint/wrist.rotation", "shape/own"}
     assert keyed.reduction.held
@@ -334,7 +334,7 @@ def test_runs_are_reported_by_target() -> None:
     made = rig(limits=RangeLimit(0, 0.1))
     run = DriverRun(made)
     take = take_of(made, np.zeros(2), np.array([0.0, 1.0]))
-    run.drive(take.motion, np.array([5.0, 6.0]))
+    run.evaluate(take.motion, np.array([5.0, 6.0]))
     ((fault, target, frame),) = run.located_notices()
     assert (fault.code, target, frame) == ("RIG103", "joint/roll", 6.0)
 

@@ -15,7 +15,7 @@ from support.small_takes import small, with_tracks
 
 from animtool.core.errors import OptionError
 from animtool.motion.motion import Motion
-from animtool.motion.passes import Pass, PassContext, Scope, TakePart, apply_pass
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart, apply_pass
 from animtool.motion.take import Take, TakeStream
 
 CONTEXT = PassContext(lambda _: small(), None)  # type: ignore[arg-type]
@@ -44,7 +44,7 @@ def test_blocks_get_the_tracks_of_their_frames(size: int, cuts: list[int]) -> No
         "plain",
         "Builds motions anew",
         NoOptions,
-        Scope.FRAME,
+        FrameScope.FRAME,
         lambda s, *_: replace(s, blocks=reblocked(s, size)),
         changes=frozenset({TakePart.JOINTS}),
     )
@@ -63,8 +63,8 @@ def forgetting(take: Take) -> Take:
     return Take(take.rig, clock, motion)
 
 
-@pytest.mark.parametrize("scope", [Scope.CLIP, Scope.FRAME])
-def test_a_pass_that_loses_tracks_is_refused(scope: Scope) -> None:
+@pytest.mark.parametrize("scope", [FrameScope.CLIP, FrameScope.FRAME])
+def test_a_pass_that_loses_tracks_is_refused(scope: FrameScope) -> None:
     def run(given: object, *_: object) -> object:
         if isinstance(given, Take):
             return forgetting(given)

@@ -135,7 +135,9 @@ def test_hands_that_stand_on_the_ground(person: Take) -> None:
     places[:, 0, 1] = 0.64
     places[:, 0, 2] = 0.03 * np.sin(2 * np.pi * t)
     for name, sign in (("Left", -1.0), ("Right", 1.0)):
-        hanging = so3.between(np.array([-sign, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
+        hanging = so3.shortest_rotation(
+            np.array([-sign, 0.0, 0.0]), np.array([0.0, 0.0, 1.0])
+        )
         turns[:, rig.index(f"{name}Arm")] = hanging
         turns[:, rig.index(f"{name}UpLeg")] = so3.from_axis_angle(side, -np.pi / 2)
         turns[:, rig.index(f"{name}Leg")] = so3.from_axis_angle(side, np.pi / 2)
@@ -171,7 +173,7 @@ def test_hands_that_carry_a_prop(person: Take, tmp_path: Path) -> None:
         return Transforms(way[frames], turns[frames, 0], np.ones((len(frames), 3)))
 
     tray = Track("Props/tray", sample)
-    shelf = Track("Props/shelf", lambda times: sample(times * 0), moves=False)
+    shelf = Track("Props/shelf", lambda times: sample(times * 0), is_animated=False)
     times = np.stack([np.arange(FRAMES)] * 2, axis=1)[..., None].astype(float)
     motion = replace(take.motion, track_times=Channel.from_dense(times))
     take = replace(take, motion=motion, tracks=(tray, shelf))

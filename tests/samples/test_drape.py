@@ -10,7 +10,7 @@ import pytest
 from pxr import Usd, UsdGeom
 from support.printed import Printed
 
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.validation.run import validate
 
@@ -44,7 +44,7 @@ def test_it_stays_outside_the_vase(points: np.ndarray) -> None:
     vase = UsdGeom.Mesh(stage.GetPrimAtPath("/vase/body"))
     places = np.array(vase.GetPointsAttr().Get(), np.float64)
     counts = np.array(vase.GetFaceVertexCountsAttr().Get())
-    faces = triangulated(counts, np.array(vase.GetFaceVertexIndicesAttr().Get()))
+    faces = triangulate(counts, np.array(vase.GetFaceVertexIndicesAttr().Get()))
     seen = Colliders([Collider(Mesh(places, faces, closed=True))])
     for frame in range(FRAMES):
         assert seen.sample(points[frame], 0.0).distances.min() > 0.006 - 1e-5

@@ -16,7 +16,7 @@ from support.faults import refused
 
 from animtool import open_source
 from animtool.motion.motion import Motion
-from animtool.motion.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.retime import Preroll, drop_first, with_preroll
@@ -183,14 +183,14 @@ def fall(stream: TakeStream, _: FallOptions, __: PassContext) -> TakeStream:
     return replace(stream, blocks=blocks())
 
 
-SETTLING = Pass("fall", "Fall", FallOptions, Scope.FRAME, fall, settles=True)
+SETTLING = Pass("fall", "Fall", FallOptions, FrameScope.FRAME, fall, needs_preroll=True)
 
 
 def fallen(take: Take, _: FallOptions, context: PassContext) -> Take:
     return fall(TakeStream.of(take), FallOptions(), context).collect()
 
 
-WHOLE = Pass("fall", "Fall", FallOptions, Scope.CLIP, fallen, settles=True)
+WHOLE = Pass("fall", "Fall", FallOptions, FrameScope.CLIP, fallen, needs_preroll=True)
 
 
 @pytest.mark.parametrize("name", ["SETTLING", "WHOLE"])

@@ -52,7 +52,7 @@ def with_tracks(take: Take) -> Take:
     frames = np.arange(take.clock.count, dtype=np.float64)
     times = np.stack([7.5 + 0.8 * frames, frames], axis=1)[..., None]
     motion = replace(take.motion, track_times=Channel.from_dense(times))
-    tracks = (Track("Props/ball", rolling), Track("/post", resting, moves=False))
+    tracks = (Track("Props/ball", rolling), Track("/post", resting, is_animated=False))
     return replace(take, motion=motion, tracks=tracks)
 
 

@@ -88,15 +88,17 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
         return (
             None
             if rest_motion is None
-            else _channel(reduction, kind, rest_motion, frame_indices)
+            else _reduced_channel_values(reduction, kind, rest_motion, frame_indices)
         )
 
     rest_motion = reduction.rest
     return Motion(
-        _channel(
+        _reduced_channel_values(
             reduction, ChannelKind.TRANSLATION, rest_motion.translations, frame_indices
         ),
-        _channel(reduction, ChannelKind.ROTATION, rest_motion.rotations, frame_indices),
+        _reduced_channel_values(
+            reduction, ChannelKind.ROTATION, rest_motion.rotations, frame_indices
+        ),
         optional_channel(ChannelKind.SCALE, rest_motion.scales),
         optional_channel(ChannelKind.WEIGHT, rest_motion.weights),
     )
@@ -110,22 +112,25 @@ def channel_values(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
     )
 
 
-def _channel(
-    reduction: Reduction, kind: ChannelKind, rest: Channel, at: FloatArray
+def _reduced_channel_values(
+    reduction: Reduction, kind: ChannelKind, rest: Channel, frames: FloatArray
 ) -> Channel:
+    """Return a channel of a kind, evaluated at frames."""
     channels = [channel for channel in reduction.channels if channel.kind is kind]
-    constant_values, moves = rest.rest.copy(), []
+    constant_values, moving_channels = rest.rest.copy(), []
     for channel in channels:
         if len(channel.keys.frames) > 1:
-            moves.append(channel)
+            moving_channels.append(channel)
         else:
-            constant_values[channel.index] = channel_values(channel, at[:1])[0]
-    values = np.zeros((len(at), len(moves), rest.rest.shape[1]))
-    for i, channel in enumerate(moves):
-        values[:, i] = channel_values(channel, at)
+            constant_values[channel.index] = channel_values(channel, frames[:1])[0]
+    values = np.zeros((len(frames), len(moving_channels), rest.rest.shape[1]))
+    for i, channel in enumerate(moving_channels):
+        values[:, i] = channel_values(channel, frames)
     return Channel(
         constant_values,
-        np.array([reduced_channel.index for reduced_channel in moves], np.int64),
+        np.array(
+            [reduced_channel.index for reduced_channel in moving_channels], np.int64
+        ),
         values,
     )
 
@@ -152,8 +157,9 @@ def clip_of_reduction(reduction: Reduction, rig: Rig, name: str) -> Clip:
 
 
 def _clip_channel(channel: ReducedChannel, rig: Rig, clock: Clock) -> ClipChannel:
-    target, euler = _target(channel, rig), channel.order or ""
-    unit = ClipUnits.of_rig(rig).of(target, euler)
+    """Return a reduced channel as a channel of a clip."""
+    target, euler = _target_name(channel, rig), channel.order or ""
+    unit = ClipUnits.of_rig(rig).unit_of(target, euler)
     return fitted_channel(target, channel.keys, clock, unit, euler)
 
 
@@ -195,7 +201,8 @@ def fitted_channel(
     )
 
 
-def _target(channel: ReducedChannel, rig: Rig) -> str:
+def _target_name(channel: ReducedChannel, rig: Rig) -> str:
+    """Return the target of a channel in a clip."""
     if channel.kind is ChannelKind.CONTROL:
         return channel.target
     if channel.kind is ChannelKind.WEIGHT:

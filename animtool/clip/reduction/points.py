@@ -24,14 +24,16 @@ from animtool.rig.skeleton import Rig
 SHELL_DISTANCE = 0.03
 
 
-def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> FloatArray:
+def joint_bounds(
+    rig: Rig, tolerance: float, tolerances_by_pattern: Mapping[str, float]
+) -> FloatArray:
     """Return the tolerance of every joint ``(J,)`` [m].
 
     Args:
         rig: J joints.
         tolerance: Tolerance of all other joints [m].
-        others: Tolerances by joint name or pattern such as ``hand_*``; the last match
-            counts [m].
+        tolerances_by_pattern: Tolerances by joint name or pattern such as ``hand_*``;
+            the last match counts [m].
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("upper", -1), Joint("hand", 0)))
@@ -40,7 +42,7 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
     """
     bounds_by_option = [
         ("reduce", tolerance),
-        *(("reduce_at", other) for other in others.values()),
+        *(("reduce_at", other) for other in tolerances_by_pattern.values()),
     ]
     faults = [
         Fault(
@@ -53,7 +55,7 @@ def joint_bounds(rig: Rig, tolerance: float, others: Mapping[str, float]) -> Flo
         if not (math.isfinite(value) and value > 0)
     ]
     bounds = np.full(len(rig.joints), float(tolerance))
-    for pattern, value in others.items():
+    for pattern, value in tolerances_by_pattern.items():
         matching_joints = [
             j for j, name in enumerate(rig.names) if fnmatchcase(name, pattern)
         ]
@@ -90,7 +92,7 @@ def attached_points(rig: Rig, shell: float) -> FloatArray:
     return points
 
 
-def reach(points: FloatArray) -> FloatArray:
+def point_distances(points: FloatArray) -> FloatArray:
     """Return the largest distance of each joint's points from it ``(J,)`` [m]."""
     return np.asarray(np.linalg.norm(points, axis=-1).max(axis=-1))
 
@@ -111,38 +113,41 @@ def point_errors(
 
 
 @dataclass(slots=True)
-class Budget:
+class TrackBudget:
     """A track with its current tolerance and keys."""
 
     track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
-    fraction: FloatArray  # fraction of the tolerance at each frame ``(F,)`` [1]
+    # fraction of the tolerance at each frame ``(F,)`` [1]
+    tolerance_fractions: FloatArray
     keys: FittedKeys  # keys fitted to the samples
     # Error of these keys at every frame ``(F,)``, in the unit of the samples.
     errors: FloatArray
     values: FloatArray  # values of these keys at every frame ``(F, D)``
     # Frames at which a straight segment starts.
-    straight: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
+    straight_starts: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
-    def of(track: KeyTrack, tolerance: float) -> Budget:
+    def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
         """Return a track with its initial keys."""
         frames = len(track.samples)
-        keys = fit_keys(track.samples, tolerance, within=track.within)
+        keys = fit_keys(track.samples, tolerance, bounds_or_none=track.range)
         no_fraction = np.zeros(frames)
-        budget = Budget(
+        budget = TrackBudget(
             track, tolerance, np.ones(frames), keys, no_fraction, track.samples
         )
-        budget.settle()
+        budget.update_errors()
         return budget
 
-    def scale(self, factor: float) -> None:
+    def scale_tolerance(self, factor: float) -> None:
         """Refit with the tolerance multiplied by a factor."""
         self.tolerance *= factor
-        self.fraction = np.ones(len(self.fraction))
-        self.fit()
+        self.tolerance_fractions = np.ones(len(self.tolerance_fractions))
+        self.refit()
 
-    def tighten(self, frames: ArrayLike, factor: ArrayLike, *, spread: bool) -> None:
+    def tighten_frames(
+        self, frames: ArrayLike, factor: ArrayLike, *, spread: bool
+    ) -> None:
         """Refit the segments around some frames; keep the others.
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
@@ -152,19 +157,25 @@ class Budget:
             np.asarray(factor) / self.tolerance,
         )
         starts = self.keys.frames
-        segment = np.searchsorted(starts, frames_and_limits, side="right") - 1
-        segment = segment.clip(0, max(0, len(starts) - 2))
-        lengths = np.diff(starts) if len(starts) > 1 else np.array([len(self.fraction)])
-        half_widths = np.maximum(1, lengths[segment] // 4)
+        segment_indices = np.searchsorted(starts, frames_and_limits, side="right") - 1
+        segment_indices = segment_indices.clip(0, max(0, len(starts) - 2))
+        lengths = (
+            np.diff(starts)
+            if len(starts) > 1
+            else np.array([len(self.tolerance_fractions)])
+        )
+        half_widths = np.maximum(1, lengths[segment_indices] // 4)
         for frame, limit, half_width in zip(
             frames_and_limits, limits, half_widths, strict=True
         ):
-            affected = slice(
+            affected_frames = slice(
                 max(0, int(frame - half_width)), int(frame + half_width + 1)
             )
-            self.fraction[affected] = np.minimum(self.fraction[affected], limit)
+            self.tolerance_fractions[affected_frames] = np.minimum(
+                self.tolerance_fractions[affected_frames], limit
+            )
         is_kept = np.ones(len(starts), np.bool_)
-        changed_segments = np.unique(segment)
+        changed_segments = np.unique(segment_indices)
         if spread:
             is_kept[(changed_segments + 1).clip(max=len(starts) - 1)] = False
         else:
@@ -172,40 +183,42 @@ class Budget:
                 np.isin(changed_segments + 1, changed_segments)
             ]
             is_kept[(merged_segments + 1).clip(max=len(starts) - 1)] = False
-        self.fit(starts[1:-1][is_kept[1:-1]])
+        self.refit(starts[1:-1][is_kept[1:-1]])
 
-    def straighten(self, frames: IntArray) -> None:
+    def straighten_segments(self, frames: IntArray) -> None:
         """Refit with straight segments at additional frames."""
-        self.straight = np.union1d(self.straight, frames)
-        self.tighten(frames, self.fraction[frames] * self.tolerance, spread=False)
+        self.straight_starts = np.union1d(self.straight_starts, frames)
+        self.tighten_frames(
+            frames, self.tolerance_fractions[frames] * self.tolerance, spread=False
+        )
 
-    def fit(self, anchors: ArrayLike = ()) -> None:
+    def refit(self, anchors: ArrayLike = ()) -> None:
         """Fit keys with the current tolerances."""
         self.keys = fit_keys(
             self.track.samples,
             self.tolerance,
-            tolerance_scale=self.fraction,
+            tolerance_scale=self.tolerance_fractions,
             anchors=anchors,
-            within=self.track.within,
-            straight=self.straight,
+            bounds_or_none=self.track.range,
+            straight_frames=self.straight_starts,
         )
-        self.settle()
+        self.update_errors()
 
-    def settle(self) -> None:
+    def update_errors(self) -> None:
         """Evaluate the keys at every frame."""
         samples = self.track.samples
         self.values = evaluate_keys(self.keys, np.arange(len(samples)))
         self.errors = np.linalg.norm(self.values - samples, axis=1)
 
-    def unit_motion(self, arm: FloatArray | float) -> FloatArray:
+    def displacement_per_unit(self, distance: FloatArray | float) -> FloatArray:
         """Return the displacement per unit of error at a distance from the joint."""
-        lever = np.asarray(arm, np.float64)
+        lever = np.asarray(distance, np.float64)
         if self.track.kind is ChannelKind.TRANSLATION:
             return np.ones_like(lever)
         return np.radians(lever) if self.track.kind is ChannelKind.ROTATION else lever
 
 
-def subtree_largest(parents: IntArray, values: FloatArray) -> FloatArray:
+def subtree_maxima(parents: IntArray, values: FloatArray) -> FloatArray:
     """Return the largest of each joint's and its descendants' values ``(F, J)``."""
     largest = np.ascontiguousarray(values.T)
     for joint in range(len(largest) - 1, -1, -1):

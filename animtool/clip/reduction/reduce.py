@@ -9,15 +9,20 @@ import numpy as np
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
     SHELL_DISTANCE,
-    Budget,
+    TrackBudget,
     attached_points,
     joint_bounds,
+    point_distances,
     point_errors,
-    reach,
-    subtree_largest,
+    subtree_maxima,
 )
 from animtool.clip.reduction.tolerance import WEIGHT_TOLERANCE
-from animtool.clip.reduction.tracks import KeyTrack, ReducedPose, pose_of, tracks_of
+from animtool.clip.reduction.tracks import (
+    KeyTrack,
+    ReducedPose,
+    additive_pose,
+    find_tracks,
+)
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
@@ -101,47 +106,59 @@ def reduce_motion(
     _check(take, base, shell)
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
-    rest_motion = _unkeyed_frame(rig, motion, additive=base is not None)
+    rest_motion = _unkeyed_motion(rig, motion, additive=base is not None)
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    tracks = tracks_of(rig, motion, rest_motion) if tracks is None else tracks
-    weights = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
-    local = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
+    tracks = find_tracks(rig, motion, rest_motion) if tracks is None else tracks
+    weight_tracks = [t for t in tracks if t.kind is ChannelKind.WEIGHT]
+    joint_tracks = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
     base_motion = None if base is None else base.motion
-    budgets: list[Budget] = []
-    reached = _ReachedFit([], np.zeros((motion.frames, 1)), 0.0, 0)
+    budgets: list[TrackBudget] = []
+    reached = _SearchResult([], np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
-        world = _World(rig, motion, base_motion, shell, bounds)
+        world = _WorldErrors(rig, motion, base_motion, shell, bounds)
         if start is not None:
-            world.pose = pose_of(rig, start, base_motion)
-        budgets = [Budget.of(t, world.first_tolerance(t)) for t in local if t.moves]
-        reached = _search(world, budgets)
-    shapes = [Budget.of(track, weight_tolerance) for track in weights if track.moves]
+            world.pose = additive_pose(rig, start, base_motion)
+        budgets = [
+            TrackBudget.from_track(t, world.initial_tolerance(t))
+            for t in joint_tracks
+            if t.is_animated
+        ]
+        reached = _search_tolerances(world, budgets)
+    weight_budgets = [
+        TrackBudget.from_track(track, weight_tolerance)
+        for track in weight_tracks
+        if track.is_animated
+    ]
 
     frame, joint = divmod(int(np.argmax(reached.errors)), reached.errors.shape[1])
     return Reduction(
         clock=take.clock,
         rest=rest_motion,
-        channels=_channels(rig, local + weights, [*budgets, *shapes]),
-        samples=motion.frames * sum(track.moves for track in tracks),
+        channels=_reduced_channels(
+            rig, joint_tracks + weight_tracks, [*budgets, *weight_budgets]
+        ),
+        samples=motion.frames * sum(track.is_animated for track in tracks),
         error=float(reached.errors[frame, joint]),
         joint=rig.joints[joint].name if rig.joints else "",
         frame=frame,
-        held=reached.ratio <= 1,
-        weight_error=max((float(shape.errors.max()) for shape in shapes), default=0.0),
+        held=reached.error_ratio <= 1,
+        weight_error=max(
+            (float(shape.errors.max()) for shape in weight_budgets), default=0.0
+        ),
         rounds=reached.rounds,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _ReachedFit:
+class _SearchResult:
     keys: list[FittedKeys]
     errors: FloatArray
-    ratio: float
+    error_ratio: float
     rounds: int
 
 
-class _World:
+class _WorldErrors:
     """World-space points of a rig: original and from keys."""
 
     def __init__(
@@ -153,55 +170,63 @@ class _World:
         bounds: FloatArray,
     ) -> None:
         self.rig, self.bounds = rig, bounds
-        self.pose: ReducedPose = pose_of(rig, motion, base)
-        self.truth = self.pose.world()
+        self.pose: ReducedPose = additive_pose(rig, motion, base)
+        self.original_world = self.pose.world_transforms()
         self.reduced_world: WorldTransforms | None = None
         self.points = attached_points(rig, shell)
-        self.reach = reach(self.points)
-        self.below = _descendants(rig)
+        self.point_distances = point_distances(self.points)
+        self.is_descendant = _descendants(rig)
         self.pose = self.pose.copy()
 
-    def first_tolerance(self, track: KeyTrack) -> float:
+    def initial_tolerance(self, track: KeyTrack) -> float:
         """Return a channel's initial tolerance by the lever arms of its descendants."""
-        descendants = np.flatnonzero(self.below[track.index])
-        frames = np.linspace(0, len(self.truth.positions) - 1, 8).astype(np.int64)
-        positions = self.truth.positions[frames]
+        descendants = np.flatnonzero(self.is_descendant[track.index])
+        frames = np.linspace(0, len(self.original_world.positions) - 1, 8).astype(
+            np.int64
+        )
+        positions = self.original_world.positions[frames]
         arms = np.linalg.norm(
             positions[:, descendants] - positions[:, track.index, None], axis=-1
         )
-        lever = arms.max(axis=0) + self.reach[descendants]
+        lever_arms = arms.max(axis=0) + self.point_distances[descendants]
         if track.kind is ChannelKind.TRANSLATION:
             return float(self.bounds[descendants].min() / 2)
-        tolerance = float((self.bounds[descendants] / (2 * lever.clip(min=1e-9))).min())
-        rotates = track.kind is ChannelKind.ROTATION
-        return float(np.degrees(tolerance)) if rotates else tolerance
+        tolerance = float(
+            (self.bounds[descendants] / (2 * lever_arms.clip(min=1e-9))).min()
+        )
+        is_rotation = track.kind is ChannelKind.ROTATION
+        return float(np.degrees(tolerance)) if is_rotation else tolerance
 
-    def measure(self, budgets: list[Budget]) -> FloatArray:
+    def measure_errors(self, budgets: list[TrackBudget]) -> FloatArray:
         """Return the error of every joint ``(F, J)`` [m] with some tracks replaced."""
         for budget in budgets:
-            self.pose.set(budget.track, budget.values)
-        self.reduced_world = self.pose.world(self.reduced_world)
-        return point_errors(self.points, self.truth, self.reduced_world)
+            self.pose.set_track(budget.track, budget.values)
+        self.reduced_world = self.pose.world_transforms(self.reduced_world)
+        return point_errors(self.points, self.original_world, self.reduced_world)
 
-    def arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
+    def lever_arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
         """Return the distances of points of joints ``ends`` from a joint [m]."""
-        positions = self.truth.positions
+        positions = self.original_world.positions
         offsets = positions[frames, ends] - positions[frames, joint]
-        return np.asarray(np.linalg.norm(offsets, axis=-1) + self.reach[ends])
+        return np.asarray(np.linalg.norm(offsets, axis=-1) + self.point_distances[ends])
 
 
-def _search(world: _World, budgets: list[Budget]) -> _ReachedFit:
+def _search_tolerances(
+    world: _WorldErrors, budgets: list[TrackBudget]
+) -> _SearchResult:
     """Calibrate and tighten channel tolerances; return the keys."""
-    errors = world.measure(budgets)
+    errors = world.measure_errors(budgets)
     rounds = 1
     for _ in range(CALIBRATION_ROUNDS if budgets else 0):
-        error_ratios = subtree_largest(world.rig.parents, errors / world.bounds)
+        error_ratios = subtree_maxima(world.rig.parents, errors / world.bounds)
         for budget in budgets:
-            typical = float(
+            typical_ratio = float(
                 np.quantile(error_ratios[:, budget.track.index], CALIBRATION_QUANTILE)
             )
-            budget.scale(float(np.clip(0.9 / max(typical, 1e-9), 0.25, 4.0)))
-        errors = world.measure(budgets)
+            budget.scale_tolerance(
+                float(np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0))
+            )
+        errors = world.measure_errors(budgets)
         rounds += 1
     ratio = float((errors / world.bounds).max())
     while rounds < MAX_ROUNDS:
@@ -211,19 +236,19 @@ def _search(world: _World, budgets: list[Budget]) -> _ReachedFit:
                 world, budgets, errors, spread=rounds < FIRST_SPLITTING_ROUND
             )
         for budget in budgets:
-            frames = _beyond_limits(budget)
+            frames = _frames_beyond_limits(budget)
             if len(frames):
-                budget.straighten(frames)
+                budget.straighten_segments(frames)
                 changed_budgets.append(budget)
         if not changed_budgets:
             break
-        errors = world.measure(changed_budgets)
+        errors = world.measure_errors(changed_budgets)
         ratio = float((errors / world.bounds).max())
         rounds += 1
-    return _ReachedFit([b.keys for b in budgets], errors, ratio, rounds)
+    return _SearchResult([b.keys for b in budgets], errors, ratio, rounds)
 
 
-def _beyond_limits(budget: Budget) -> IntArray:
+def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     """Return the frames after which a ball's keys exceed its limits between samples.
 
     Samples beyond the limits are kept, and so are values between them.
@@ -231,37 +256,40 @@ def _beyond_limits(budget: Budget) -> IntArray:
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
-    at_samples = track.excess(track.samples)
-    allowed = (
+    sample_excess = track.limit_excess(track.samples)
+    allowed_excess = (
         np.repeat(
-            np.maximum(at_samples[:-1], at_samples[1:]), LIMIT_CHECKS_PER_FRAME - 1
+            np.maximum(sample_excess[:-1], sample_excess[1:]),
+            LIMIT_CHECKS_PER_FRAME - 1,
         )
         + LIMIT_SLACK
     )
-    substeps = np.arange(1, LIMIT_CHECKS_PER_FRAME * (len(at_samples) - 1))
+    substeps = np.arange(1, LIMIT_CHECKS_PER_FRAME * (len(sample_excess) - 1))
     times_between = (
         substeps[substeps % LIMIT_CHECKS_PER_FRAME != 0] / LIMIT_CHECKS_PER_FRAME
     )
-    is_beyond = track.excess(evaluate_keys(budget.keys, times_between)) > allowed
+    is_beyond = (
+        track.limit_excess(evaluate_keys(budget.keys, times_between)) > allowed_excess
+    )
     first_frames = np.unique(np.floor(times_between[is_beyond]).astype(np.int64))
-    return np.setdiff1d(first_frames, budget.straight)
+    return np.setdiff1d(first_frames, budget.straight_starts)
 
 
 def _tighten(
-    world: _World, budgets: list[Budget], errors: FloatArray, *, spread: bool
-) -> list[Budget]:
+    world: _WorldErrors, budgets: list[TrackBudget], errors: FloatArray, *, spread: bool
+) -> list[TrackBudget]:
     """Tighten the channels that contribute most to each excessive error."""
     frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, joints_beyond] / world.bounds[joints_beyond]
     contributions = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
         joint = budget.track.index
-        affected_frames = np.flatnonzero(world.below[joint, joints_beyond])
-        arms = world.arms(
+        affected_frames = np.flatnonzero(world.is_descendant[joint, joints_beyond])
+        arms = world.lever_arms(
             joint, frames[affected_frames], joints_beyond[affected_frames]
         )
         contributions[i, affected_frames] = (
-            budget.unit_motion(arms) * budget.errors[frames[affected_frames]]
+            budget.displacement_per_unit(arms) * budget.errors[frames[affected_frames]]
         )
     is_main_cause = (contributions >= 0.5 * contributions.max(axis=0, initial=0.0)) & (
         contributions > 0
@@ -275,7 +303,7 @@ def _tighten(
             )
             largest_excess = np.zeros(len(frame_positions))
             np.maximum.at(largest_excess, inverse, excess[affected_frames])
-            budget.tighten(
+            budget.tighten_frames(
                 frame_positions,
                 budget.errors[frame_positions] * 0.9 / largest_excess,
                 spread=spread,
@@ -284,24 +312,25 @@ def _tighten(
     return changed_budgets
 
 
-def _channels(
-    rig: Rig, tracks: list[KeyTrack], budgets: list[Budget]
+def _reduced_channels(
+    rig: Rig, tracks: list[KeyTrack], budgets: list[TrackBudget]
 ) -> tuple[ReducedChannel, ...]:
     """Return one channel per track, with one key if static."""
     keys = {(budget.track.kind, budget.track.index): budget.keys for budget in budgets}
     return tuple(
-        _channel(
+        _reduced_channel(
             rig,
             track,
             keys[track.kind, track.index]
-            if track.moves
+            if track.is_animated
             else fit_keys(track.samples, 1.0),
         )
         for track in tracks
     )
 
 
-def _channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
+def _reduced_channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
+    """Return the reduced channel of a track."""
     if track.kind is ChannelKind.WEIGHT:
         target, joint = f"weight[{track.index}]", None
     else:
@@ -321,7 +350,7 @@ def _descendants(rig: Rig) -> BoolArray:
     return is_descendant
 
 
-def _unkeyed_frame(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
+def _unkeyed_motion(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     """Return one frame of the values without keys."""
     joints = len(rig.joints)
     static = Channel.static
@@ -334,6 +363,7 @@ def _unkeyed_frame(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
 
 
 def _check(take: Take, base: Take | None, shell: float) -> None:
+    """Raise if the take is empty, or a base or shell is invalid."""
     if not take.motion.frames:
         raise ValueError("the take has no frame")
     if not (np.isfinite(shell) and shell > 0):

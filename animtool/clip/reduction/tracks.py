@@ -39,7 +39,7 @@ class KeyTrack:
     part: str = ""  # the joint's part in a clip; empty for a weight
     # Reference of the samples: rotations ``(F or 1, 4)``, or translations ``(F or 1,
     # 3)`` [m]; None for the parent's space.
-    before: FloatArray | None = None
+    reference: FloatArray | None = None
     # Rotation of the frame that relative translations are in.
     rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
     # Axis of a pin's angle or a slide, in the joint's rest frame.
@@ -47,7 +47,7 @@ class KeyTrack:
     # Limits of the joint, if the samples are its complete motion; None for no limits.
     limits: RangeLimit | BallLimit | None = None
 
-    def local(self, values: FloatArray) -> FloatArray:
+    def to_parent_space(self, values: FloatArray) -> FloatArray:
         """Return values ``(F, D)`` in the space of the joint's parent."""
         if self.kind is ChannelKind.ROTATION:
             rotation = (
@@ -56,15 +56,17 @@ class KeyTrack:
                 else euler.to_quaternion(values, self.order)
             )
             return (
-                rotation if self.before is None else so3.multiply(self.before, rotation)
+                rotation
+                if self.reference is None
+                else so3.multiply(self.reference, rotation)
             )
-        if self.before is None:
+        if self.reference is None:
             return values
         vectors = values * np.array(self.axis) if values.shape[1] == 1 else values
-        return np.asarray(self.before + so3.rotate(self.rest, vectors))
+        return np.asarray(self.reference + so3.rotate(self.rest, vectors))
 
     @property
-    def within(self) -> tuple[float, float] | None:
+    def range(self) -> tuple[float, float] | None:
         """Minimum and maximum of a scalar track."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
@@ -73,15 +75,17 @@ class KeyTrack:
             return float(np.degrees(lower)), float(np.degrees(upper))
         return lower, upper
 
-    def excess(self, values: FloatArray) -> FloatArray:
+    def limit_excess(self, values: FloatArray) -> FloatArray:
         """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
-        rotations = so3.multiply(so3.conjugate(np.array(self.rest)), self.local(values))
+        rotations = so3.multiply(
+            so3.conjugate(np.array(self.rest)), self.to_parent_space(values)
+        )
         return self.limits.excess(rotations)
 
     @property
-    def moves(self) -> bool:
+    def is_animated(self) -> bool:
         """Whether it has one sample per frame."""
         return len(self.samples) > 1
 
@@ -110,12 +114,12 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     return max(euler.ORDERS, key=lambda order: round(lock_cosines[order], 6))
 
 
-def tracks_of(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
+def find_tracks(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
     """Return tracks of all channels that move or are not at rest."""
-    return in_order(_tracks(rig, motion, rest))
+    return sort_tracks(_tracks(rig, motion, rest))
 
 
-def in_order(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
+def sort_tracks(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
     """Return tracks sorted by joint, weights last."""
     kinds = list(ChannelKind)
     return sorted(
@@ -129,6 +133,7 @@ def in_order(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
 
 
 def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
+    """Yield a track for each channel to key."""
     for kind, channel, rest_channel in (
         (ChannelKind.TRANSLATION, motion.translations, rest.translations),
         (ChannelKind.ROTATION, motion.rotations, rest.rotations),
@@ -137,7 +142,7 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
     ):
         if channel is None or rest_channel is None:
             continue
-        for index, values in _moving_or_placed(channel.compact(), rest_channel):
+        for index, values in _rows_to_key(channel.compact(), rest_channel):
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
                 samples = euler.from_quaternion(values, order)
@@ -147,16 +152,15 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
                 yield KeyTrack(kind, index, None, samples, part)
 
 
-def _moving_or_placed(
-    channel: Channel, rest: Channel
-) -> Iterator[tuple[int, FloatArray]]:
-    moves = set(channel.animated.tolist())
+def _rows_to_key(channel: Channel, rest: Channel) -> Iterator[tuple[int, FloatArray]]:
+    """Yield rows that move or differ from rest, with their values."""
+    animated_rows = set(channel.animated.tolist())
     for i, index in enumerate(channel.animated):
         yield int(index), channel.values[:, i]
     for index, (value, rest_value) in enumerate(
         zip(channel.rest, rest.rest, strict=True)
     ):
-        if index not in moves and (value != rest_value).any():
+        if index not in animated_rows and (value != rest_value).any():
             yield index, value[None]
 
 
@@ -182,9 +186,9 @@ class ReducedPose:
         None  # the base pose that the channels are added to; None for a complete pose
     )
 
-    def set(self, track: KeyTrack, values: FloatArray) -> None:
+    def set_track(self, track: KeyTrack, values: FloatArray) -> None:
         """Set the values ``(F, D)`` of a track."""
-        j, base, local = track.index, self.base, track.local(values)
+        j, base, local = track.index, self.base, track.to_parent_space(values)
         if track.kind is ChannelKind.ROTATION:
             self.rotations[:, j] = (
                 local if base is None else add_rotation(base.rotations[:, j], local)
@@ -201,7 +205,7 @@ class ReducedPose:
                 else multiply_scale(base_scales[:, j], local)
             )
 
-    def world(self, out: WorldTransforms | None = None) -> WorldTransforms:
+    def world_transforms(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return the world transforms, in ``out`` if given."""
         t, r, s = self.translations, self.rotations, self.scales
         return forward_kinematics(self.rig, t, r, s, out=out)
@@ -218,11 +222,11 @@ class ReducedPose:
         )
 
 
-def pose_of(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
+def additive_pose(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
     """Return the pose of a motion, added to its base if additive."""
     if base is None:
         return ReducedPose(rig, *motion.dense())
-    base_pose = pose_of(rig, base, None)
+    base_pose = additive_pose(rig, base, None)
     translations, rotations, scales = motion.dense()
     if base_pose.scales is not None:
         scales = (

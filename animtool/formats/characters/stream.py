@@ -150,7 +150,9 @@ def finish_stream(
             return replace(clip, notices=tuple(notices))
 
         assert stream.curve is not None
-        stream.curve = KeyedCurve(stream.curve, keys, foreign=True, native=native_keys)
+        stream.curve = KeyedCurve(
+            stream.curve, keys, is_foreign=True, native_keys=native_keys
+        )
     stream.details = {
         "format": format_name,
         "units": unit_name(stream.rig.meters_per_unit),

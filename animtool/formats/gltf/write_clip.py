@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from animtool.clip.keyed_curve import clip_of, is_of_curve
+from animtool.clip.keyed_curve import clip_of, matches_curve
 from animtool.clip.reduction.points import SHELL_DISTANCE, joint_bounds
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
@@ -140,7 +140,7 @@ def write_clip(
         animation, take, rig_indices, seconds, source_keys, tolerance
     )
     duration = float(seconds[-1])
-    if tolerance is None and is_of_curve(take):
+    if tolerance is None and matches_curve(take):
         native = getattr(take.curve, "native", None)
         duration = native.last_time if isinstance(native, NativeKeys) else duration
     if not animation.lasts_until(duration):
@@ -161,7 +161,7 @@ def write_clip(
 def _source_keys(take: Take) -> dict[tuple[int, str], SamplerKeys]:
     """Return the keys that a take was read with; empty if it has changed since."""
     start = take.clock.start
-    if not is_of_curve(take):
+    if not matches_curve(take):
         return {}
     native = getattr(take.curve, "native", None)
     if isinstance(native, NativeKeys):

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.record import dataclass
 from animtool.formats.gltf.glb import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GlbBuilder
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceSkin, surfaces_of
@@ -132,7 +132,7 @@ def _write_surface(
             lost_contents["dual quaternion skinning (written as linear)"].append(
                 surface.name
             )
-    faces = triangulated(surface.counts, surface.indices)
+    faces = triangulate(surface.counts, surface.indices)
     fits_16_bits = len(points) < 65535
     indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
     primitive["indices"] = builder.add_accessor(indices, target=ELEMENT_ARRAY_BUFFER)

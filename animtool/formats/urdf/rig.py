@@ -108,7 +108,7 @@ def _build_rig_joints(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]
 
 def _planar_joints(joint: UrdfJoint) -> list[RobotJoint]:
     """Return two slides and a pin; x and y are rotated with the axis from z."""
-    rotation = so3.between(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
+    rotation = so3.shortest_rotation(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
     x, y = (float_vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC
     slide_x = RobotJoint(f"{joint.name}_x", slide, joint.position, joint.rotation, x)

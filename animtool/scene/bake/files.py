@@ -19,7 +19,7 @@ from animtool.core.shot import Shot
 from animtool.core.units import up_from_up
 from animtool.core.values import VERSION
 from animtool.core.writers import Writer, take_writer
-from animtool.motion.driving import with_combined_weights
+from animtool.motion.driving import combine_missing_weights
 from animtool.motion.motion import Channel
 from animtool.motion.reorient import rotate_rig
 from animtool.motion.scores import PassScores
@@ -213,7 +213,7 @@ def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
     zero_weights = Channel.static(np.zeros((len(shapes), 1)), take.clock.count)
     weights = zero_weights.put(indices[order], weights.gather(order))
     missing = np.setdiff1d(np.arange(len(shapes)), indices)
-    return with_combined_weights(weights, shapes, missing).compact()
+    return combine_missing_weights(weights, shapes, missing).compact()
 
 
 def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
@@ -249,8 +249,8 @@ def _take_files(
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
     """Return the base take of an additive take, sampled at its frames."""
-    from animtool.edit.combine import on_same_rig, other_frames
+    from animtool.edit.combine import match_rig, sample_other_take
 
-    base_take = on_same_rig(take.rig, open_source(path, options).collect())
-    motion = other_frames(base_take, take.clock.rate, 0, take.clock.count)
+    base_take = match_rig(take.rig, open_source(path, options).collect())
+    motion = sample_other_take(base_take, take.clock.rate, 0, take.clock.count)
     return replace(take, motion=motion)

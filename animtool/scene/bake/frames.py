@@ -24,7 +24,7 @@ from animtool.edit.between import TakeSampler
 from animtool.edit.resample import (
     SampleTimes,
     dropped_notice,
-    outside_take,
+    missing_frames_fault,
     plan_samples,
     sample_blocks,
     single_frame_warning,
@@ -98,7 +98,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
         return _sample_curve(plan, stream, curve)
     take = stream.collect()
     times = _sample_times(plan, take.clock)
-    rig, interpolation = take.rig, TakeSampler.of(take)
+    rig, interpolation = take.rig, TakeSampler.from_take(take)
     if options.rest_frame is not None:
         rig = _with_rest(plan, interpolation, options.rest_frame)
     plan.notices.extend(_interpolation_notices(plan, interpolation, times))
@@ -136,7 +136,7 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
             frame_range=options.frame_range or source_frames,
             offsets=options.samples,
             keep_samples=options.keep_samples,
-            hold=options.shot is not None,
+            extend=options.shot is not None,
         )
     except OptionError as error:
         fault = replace(error.faults[0], path=str(plan.source))
@@ -304,8 +304,8 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Return notices of a range whose first or last frame is not written."""
     source_path, frame_range = str(plan.source), plan.options.frame_range
     notices = []
-    if times.dropped:
-        faults = dropped_notice(times.dropped, plan.fps, times.last)
+    if times.dropped_at_end:
+        faults = dropped_notice(times.dropped_at_end, plan.fps, times.last)
         notices.append(
             replace(
                 faults,
@@ -336,7 +336,7 @@ def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
         times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
     except OptionError as error:
         last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
-        fault = outside_take(frames, plan.start, last, name="rest_frame")
+        fault = missing_frames_fault(frames, plan.start, last, name="rest_frame")
         raise OptionError(replace(fault, path=str(plan.source))) from error
     ((_, pose),) = sample_blocks(interpolation, times)
     translations, rotations, _ = pose.dense()

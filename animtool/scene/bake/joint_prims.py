@@ -236,7 +236,9 @@ def _reduce_samples(
     thinned = replace(thinned, error=thinned.error * size)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept_blocks = iter([(codes[thinned.kept], motion.select(thinned.kept))])
+    kept_blocks = iter(
+        [(codes[thinned.kept_samples], motion.select(thinned.kept_samples))]
+    )
     return kept_blocks, thinned, frames
 
 
@@ -261,6 +263,6 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
     first_code = float(Fraction(1) if stream.start is None else stream.start)
     ratio = float(plan.fps / stream.fps)
     return {
-        name: curves.retimed(first_code, ratio, float(plan.start))
+        name: curves.with_linear_time(first_code, ratio, float(plan.start))
         for name, curves in stream.control_curves.items()
     }

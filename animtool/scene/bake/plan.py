@@ -19,7 +19,7 @@ from animtool.core.rates import rate_label
 from animtool.core.writers import Writer, take_writer
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
-from animtool.motion.reorient import placement_notice, reorient, unplace_take
+from animtool.motion.reorient import placement_notice, remove_placement, reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.first_frame import frame_start
 from animtool.scene.bake.frames import TakePlan
@@ -370,9 +370,9 @@ def _reorient_to_stage(
     """Return takes with a common up axis, with or without their placement."""
     keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
-        notices += placement_notice(stream.rig, str(source), kept=keeps_placement)
+        notices += placement_notice(stream.rig, str(source), is_kept=keeps_placement)
     if not keeps_placement:
-        streams = [unplace_take(stream) for stream in streams]
+        streams = [remove_placement(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up
     return [reorient(stream, up) for stream in streams]
 

@@ -148,7 +148,7 @@ def take_report(
         meshes=list(meshes),
         simulated=list(stream.simulated),
         scores=list(stream.scores),
-        between=0 if times is None else times.between,
+        between=0 if times is None else times.dropped_between_frames,
     )
 
 

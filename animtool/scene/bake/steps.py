@@ -230,7 +230,7 @@ def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
     if track.attributes:
         results.append(", ".join(attribute.name for attribute in track.attributes))
     omitted = []
-    if not track.moves:
+    if not track.is_animated:
         omitted.append("samples: it never moves, and is stored once")
     if not prop.retimed:
         omitted.append("changes of time by passes: it is not retimed")
@@ -250,7 +250,7 @@ def _drops_curves(entry: ScenePass) -> bool:
     """Return whether a pass may remove the curves of controls."""
     # Whether its time steps are even does not depend on the frames.
     any_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
-    if entry.pass_.even(entry.options, any_clock) is not None:
+    if entry.pass_.linear_time(entry.options, any_clock) is not None:
         return False
     return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
@@ -271,7 +271,7 @@ def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
     if not handles_tracks(entry.pass_):
         available_parts -= {TakePart.TRACKS}
     omitted = []
-    if scene.preroll is not None and not entry.pass_.settles:
+    if scene.preroll is not None and not entry.pass_.needs_preroll:
         omitted.append("pre-roll: it has no state that would settle")
     missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
     omitted += [f"{take_part}: the take has none" for take_part in missing_parts]

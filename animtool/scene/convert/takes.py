@@ -124,7 +124,7 @@ def convert_with_passes(
             stream.notices = [*stream.notices, *context.notices]
         report = bake_take(stream, outline)
     scores = [
-        score.of_pass(pass_.name, "")
+        score.with_pass(pass_.name, "")
         for (pass_, _), context in zip(passes, contexts, strict=True)
         for score in context.scores
     ]

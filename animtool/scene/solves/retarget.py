@@ -18,7 +18,7 @@ from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
 from animtool.motion.driving import drive_stream
-from animtool.motion.reorient import placement_notice, unplace_take
+from animtool.motion.reorient import placement_notice, remove_placement
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
@@ -183,9 +183,9 @@ def _without_placement(stream: TakeStream, job: RetargetJob) -> TakeStream:
     if placement.unsupported_reason or placement.heading_placement.is_identity:
         return stream
     notice = placement_notice(
-        rig, str(job.source), kept=False, over=placement.heading_placement
+        rig, str(job.source), is_kept=False, rig_placement=placement.heading_placement
     )
-    return replace(unplace_take(stream), notices=stream.notices + notice)
+    return replace(remove_placement(stream), notices=stream.notices + notice)
 
 
 def _retarget(

@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from animtool.clip.blocks import sample_blocks
-from animtool.clip.channels import curves_of
+from animtool.clip.channels import component_curves
 from animtool.clip.clip import Clip
-from animtool.clip.file import ClipFile, load_clip, load_rig_of, open_clip
+from animtool.clip.file import ClipFile, load_clip, load_clip_rig, open_clip
 from animtool.clip.keyed_curve import KeyedCurve
 from animtool.clip.sample import ClipNotice, SampledMotion, sample_channels
 from animtool.clip.schema import ChannelModel, key_times
@@ -34,8 +34,8 @@ def open_clip_source(
     ``rig`` is the rig file; None is the one that the clip names.
     """
     file = open_clip(path)
-    loaded_rig = load_rig_of(file, rig)
-    rig_path = rig or file.needed_rig()
+    loaded_rig = load_clip_rig(file, rig)
+    rig_path = rig or file.required_rig()
     clip = load_clip(file, loaded_rig)
     stream = clip_stream(file, clip, loaded_rig, clamp=clamp)
     stream.notices += [*loaded_rig.notices, *clip.notices]
@@ -47,7 +47,7 @@ def open_clip_source(
         "units": unit_name(loaded_rig.meters_per_unit),
     }
     stream.control_curves = {
-        channel.target.removeprefix("control/"): curves_of([channel])
+        channel.target.removeprefix("control/"): component_curves([channel])
         for channel in clip.channels
         if channel.target.startswith("control/")
     }
@@ -65,7 +65,7 @@ def clip_stream(
     reported_pairs: set[tuple[str, str]] = set()
 
     def to_motion(sampled: SampledMotion) -> Motion:
-        for note in sampled.targeted:
+        for note in sampled.clip_notices:
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))

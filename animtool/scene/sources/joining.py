@@ -16,7 +16,7 @@ from animtool.core.quantities import plain_number
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import seconds_between
-from animtool.edit.combine import other_frames
+from animtool.edit.combine import sample_other_take
 from animtool.edit.travel import nearby_positions
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion
@@ -88,7 +88,7 @@ class _Layer:
         """Return its motion at frames of the first source, clamped to its range."""
         clock = self.take.clock
         if self.source.stream.curve is None:
-            return other_frames(self.take, rate, first, count, self.delay * rate)
+            return sample_other_take(self.take, rate, first, count, self.delay * rate)
         begin_code = clock.start + (first / rate - self.delay) * clock.fps
         return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
 
@@ -288,7 +288,7 @@ class _JoinedTake:
                 name = self.base.rig.controls[i].name
                 merged_curves.pop(name, None)
                 if name in curves:
-                    merged_curves[name] = curves[name].retimed(
+                    merged_curves[name] = curves[name].with_linear_time(
                         float(clock.start), ratio, begin
                     )
         return merged_curves

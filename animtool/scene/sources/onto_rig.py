@@ -14,7 +14,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, Severity, listed, names_fault
 from animtool.core.readers import USD, find_reader
 from animtool.core.record import dataclass
-from animtool.motion.driving import with_combined_weights
+from animtool.motion.driving import combine_missing_weights
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import TakeStream
@@ -91,7 +91,7 @@ class NameMap:
         if weights is None:
             return None
         missing_shapes = np.flatnonzero(self.shapes < 0)
-        return with_combined_weights(weights, self.rig.shapes, missing_shapes)
+        return combine_missing_weights(weights, self.rig.shapes, missing_shapes)
 
 
 def map_names(rig: Rig, other_rig: Rig) -> NameMap:

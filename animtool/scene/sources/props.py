@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.motion.transforms import Track, Transforms, placed_track
+from animtool.motion.transforms import Track, Transforms, apply_animated_placement
 from animtool.rig.placement import Placement
 from animtool.scene.bake.progress import Meter, StageCost
 from animtool.scene.file.entries import SceneProp
@@ -156,7 +156,7 @@ class _TimedProp:
             codes = float(start) + (times - float(self.begin)) * float(rate)
             return dropped(codes).inverse()
 
-        return placed_track(track, inverse_placement)
+        return apply_animated_placement(track, inverse_placement)
 
     def notes(self, fps: Fraction) -> Iterator[Fault]:
         """Yield notices of the prop that do not depend on frames."""

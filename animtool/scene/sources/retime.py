@@ -119,7 +119,7 @@ def _retime_stream(
         step=step,
         curve=None if curve is None else sample_shifted,
         control_curves={
-            name: curves.retimed(first_code, float(1 / ratio), origin)
+            name: curves.with_linear_time(first_code, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
             if ratio > 0
         },
@@ -149,7 +149,9 @@ def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
         raise no_frames_error(
             shot, shot.start, shot.end, take.clock.count / take.clock.rate
         )
-    pose = TakeSampler.of(take).at(nearby_positions([float(sample)], take.clock.count))
+    pose = TakeSampler.from_take(take).sample(
+        nearby_positions([float(sample)], take.clock.count)
+    )
     constant = pose.select(np.zeros(count, np.int64))
     return replace(
         stream,

@@ -17,7 +17,7 @@ from animtool.core.names import has_kind_suffix, nearest
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.fields import record_of
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.motion import Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
@@ -161,7 +161,7 @@ class SkinMotion:
         self._skin = CharacterSkin(character, name)
         self._times = character.times
         surface = self._skin.surface
-        self._faces = triangulated(surface.counts, surface.indices)
+        self._faces = triangulate(surface.counts, surface.indices)
         self._frame = lru_cache(CACHED_FRAMES)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.document import Location, parse_location
 from animtool.documents.fields import record_of
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
     character_colliders,
@@ -64,7 +64,7 @@ class _MeshMotion:
         self._start = self._first if frame is None else frame
         first_frame = source.sample(None if source.span is None else self._first)
         self._count = len(first_frame.points)
-        self._faces = triangulated(first_frame.counts, first_frame.indices)
+        self._faces = triangulate(first_frame.counts, first_frame.indices)
         self._cached_points = lru_cache(CACHED_TIMES)(self._points)
 
     def points(self, t: float) -> FloatArray:

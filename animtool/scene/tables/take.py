@@ -22,7 +22,7 @@ from animtool.core.files.output import STDOUT
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.edit.resample import outside_take, resampled
+from animtool.edit.resample import missing_frames_fault, resampled
 from animtool.edit.retiming import trim
 from animtool.motion.motion import Motion
 from animtool.motion.take import Take, TakeStream
@@ -134,7 +134,10 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
             for frame in (start, end)
         )
         raise OptionError(
-            replace(outside_take(frames, *take_range), path=str(plan.takes[0].source))
+            replace(
+                missing_frames_fault(frames, *take_range),
+                path=str(plan.takes[0].source),
+            )
         )
     return trim(take, max(first, float(clock.start)), last)
 

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.record import dataclass
-from animtool.maths.faces import edges, triangulated
+from animtool.maths.faces import edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
 from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
@@ -216,7 +216,7 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
         ends,
         quad_diagonals(*faces),
         fold_pairs(*faces),
-        triangulated(*faces),
+        triangulate(*faces),
     )
     carrier = _main_joint(rig, surface, network)
     return SurfaceBody(entry.name, entry.kind, network, carrier, mesh)

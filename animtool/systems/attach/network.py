@@ -14,8 +14,8 @@ from animtool.core.record import dataclass
 from animtool.maths.faces import (
     coincident_edges,
     directed_edges,
-    distinct_pairs,
     edge_counts,
+    unique_pairs,
 )
 from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
@@ -178,7 +178,7 @@ def quad_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
     [[0, 2], [1, 3]]
     """
     corners = indices[np.repeat(counts == 4, counts)].reshape(-1, 4)
-    return distinct_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
+    return unique_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
 
 
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
@@ -203,4 +203,4 @@ def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     neighbours[is_reversed] = neighbours[is_reversed, ::-1]
     first_edges, second_edges = coincident_edges(edge_corners)
     pairs = np.stack([neighbours[first_edges], neighbours[second_edges]], axis=-1)
-    return distinct_pairs(pairs.reshape(-1, 2))
+    return unique_pairs(pairs.reshape(-1, 2))

@@ -10,7 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.faces import directed_edges, triangulated
+from animtool.maths.faces import directed_edges, triangulate
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
@@ -119,7 +119,7 @@ def triangulate_capped(
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    triangles = triangulated(counts, indices)
+    triangles = triangulate(counts, indices)
     edge_corners = directed_edges(counts, indices)
     edge_keys = np.sort(edge_corners, axis=1) @ [point_count, 1]
     _, edge_numbers, face_counts = np.unique(

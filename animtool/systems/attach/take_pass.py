@@ -22,7 +22,13 @@ from animtool.core.errors import (
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.motion.passes import ColliderBuilder, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import (
+    ColliderBuilder,
+    FrameScope,
+    Pass,
+    PassContext,
+    TakePart,
+)
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import AttachmentActor
@@ -402,11 +408,11 @@ PASS = Pass(
     "simulate",
     "Simulate chains, cloth and strands of the rig",
     SimulateOptions,
-    Scope.WINDOW,
+    FrameScope.WINDOW,
     _run,
     option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.SHAPES, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS, TakePart.POINTS}),
-    settles=True,
-    tells=True,
+    needs_preroll=True,
+    reports_progress=True,
 )

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, refuse, warning
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.sim.colliders import Mesh
 from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, Agents, separate_agents
 from animtool.systems.crowds.ground import GroundFrame, Terrain
@@ -113,7 +113,7 @@ def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
         refuse("SIM145", message, "ground", "remove one of them")
     if mesh is not None:
         surface = mesh()[0]
-        corners = triangulated(surface.counts, surface.indices)
+        corners = triangulate(surface.counts, surface.indices)
         return frame, Terrain(surface.goal_points[corners])
     if shape is None:
         return frame, Terrain()

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.frames import MeshFrame
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.bodies import Pusher, Wrenches
@@ -171,7 +171,7 @@ class SystemSurface(_StateObserver):
         frame = self._frames(t)
         if frame.indices is not self._indices:
             self._indices = frame.indices
-            self._faces = triangulated(frame.counts, frame.indices)
+            self._faces = triangulate(frame.counts, frame.indices)
         return self._faces
 
 

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, OptionError, Refusals, refuse
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.sim.colliders import Collider, Mesh, Poses, Shape
 from animtool.systems.rigid.cores import ConvexCore, core_mesh, core_of
 from animtool.systems.rigid.kind import (
@@ -341,7 +341,7 @@ def collider_shape(shape: Shape) -> Shape:
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = core_mesh(core_of(shape))
-    return Mesh(points, triangulated(counts, corners), closed=True)
+    return Mesh(points, triangulate(counts, corners), closed=True)
 
 
 def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:

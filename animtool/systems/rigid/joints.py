@@ -319,7 +319,7 @@ def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
     if not length:
         message = f"the axis of {name!r} has no direction"
         refuse("SIM061", message, f"{where}.axis", "use axis: [0, 1, 0]")
-    return so3.between(np.array([1.0, 0.0, 0.0]), axis / length)
+    return so3.shortest_rotation(np.array([1.0, 0.0, 0.0]), axis / length)
 
 
 def relative_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:

@@ -122,7 +122,7 @@ def _physics_shape(
         case Mesh():
             points, corners = shape.weld()
             triangles = corners.astype(np.int64)
-    rotation = so3.between(Y_AXIS, axis / np.linalg.norm(axis))
+    rotation = so3.shortest_rotation(Y_AXIS, axis / np.linalg.norm(axis))
     frame = np.concatenate(
         [pose[:3] + so3.rotate(pose[3:], centre), so3.multiply(pose[3:], rotation)]
     )

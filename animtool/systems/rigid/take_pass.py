@@ -16,7 +16,7 @@ from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.motion.motion import Channel
-from animtool.motion.passes import OptionChecks, Pass, PassContext, Scope, TakePart
+from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.joints import (
     LocalTransforms,
@@ -298,10 +298,10 @@ PASS = Pass(
     "ragdoll",
     "Let the rig fall from a frame on, as rigid bodies of its colliders",
     RagdollOptions,
-    Scope.CLIP,
+    FrameScope.CLIP,
     apply_ragdoll,
     _checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),
-    tells=True,
+    reports_progress=True,
 )

@@ -7,7 +7,7 @@ from itertools import combinations, product
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, IntArray, as_floats
-from animtool.maths.faces import coincident_edges, distinct_pairs, edges, triangulated
+from animtool.maths.faces import coincident_edges, edges, triangulate, unique_pairs
 from animtool.systems.springs.body import Body, build_body
 from animtool.systems.springs.records import Family
 
@@ -156,7 +156,7 @@ def surface(
     """
     positions = as_floats(points, ("N", 3), "points")
     face_sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
-    triangles = triangulated(face_sizes, corners)
+    triangles = triangulate(face_sizes, corners)
     mesh_edges = edges(face_sizes, corners)
     face_diagonals = _face_diagonals(face_sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
@@ -173,7 +173,7 @@ def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
         pairs.append(
             _corner_pairs(counts, indices, np.full_like(counts, step))[has_diagonal]
         )
-    return distinct_pairs(np.concatenate(pairs))
+    return unique_pairs(np.concatenate(pairs))
 
 
 def _corner_pairs(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
@@ -192,7 +192,7 @@ def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
     opposite_corners = np.concatenate([triangles[:, (k + 2) % 3] for k in range(3)])
     first, second = coincident_edges(triangle_edges)
     is_mesh_edge = _contains_pairs(np.sort(triangle_edges[first], axis=1), mesh_edges)
-    return distinct_pairs(
+    return unique_pairs(
         np.stack([opposite_corners[first], opposite_corners[second]], axis=1)[
             is_mesh_edge
         ]

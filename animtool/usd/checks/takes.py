@@ -18,7 +18,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
+from animtool.motion.reorient import transform_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
@@ -194,7 +194,7 @@ def _animation_take(
         placement = skeleton_placement(skeleton.GetPrim(), rig_data.rig, codes.tolist())
     if not placement.full.is_identity:
         roots = np.array(rig_data.rig.roots, np.int64)
-        motion_channels = placed_motion(motion_channels, roots, placement.full).map(
+        motion_channels = transform_motion(motion_channels, roots, placement.full).map(
             Channel.compact
         )
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))

@@ -64,7 +64,7 @@ def read_joint(
         PrimLocation.from_prim(source.path, axis).fail(
             "SIM051", f"is {axis_name!r}", "X, Y or Z"
         )
-    axis_rotation = so3.between(AXIS_VECTORS["X"], AXIS_VECTORS[axis_name])
+    axis_rotation = so3.shortest_rotation(AXIS_VECTORS["X"], AXIS_VECTORS[axis_name])
     bodies, frames = [], []
     for side in (0, 1):
         position = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, excerpt
 from animtool.core.names import numbered_names
 from animtool.maths import so3
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape
 from animtool.usd.caches.reader import PointReader, mesh_fault
 from animtool.usd.layers.faults import PrimLocation
@@ -102,7 +102,7 @@ def read_shapes(
         source.add_notice(prim, f"has a size of {list(sizes)} m: skipped")
         return
     axis_rotation = (
-        so3.between(AXIS_VECTORS["Y"], _prim_axis(source, prim))
+        so3.shortest_rotation(AXIS_VECTORS["Y"], _prim_axis(source, prim))
         if kind in TYPES_WITH_AXIS
         else so3.IDENTITY
     )
@@ -152,7 +152,7 @@ def _read_mesh(
             "SIM051",
             f"has a point at {largest_coordinate:g} m; the limit is {MAX_NUMBER:g}",
         )
-    return points, triangulated(counts, vertex_indices).astype(np.int64)
+    return points, triangulate(counts, vertex_indices).astype(np.int64)
 
 
 def _attribute_value(prim: Any, name: str) -> float:

@@ -16,7 +16,7 @@ from animtool.maths import so3
 from animtool.motion.transforms import (
     Track,
     Transforms,
-    placed_transforms,
+    apply_placement,
     transform_by_matrices,
 )
 from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
@@ -56,11 +56,11 @@ class PropPlacements:
         self, track: Track, path: str, codes: FloatArray, transforms: Transforms
     ) -> Transforms:
         """Convert a track's transforms at time codes ``(F,)`` to its parent's space."""
-        if self.target is None or not track.placed:
+        if self.target is None or not track.has_transform:
             return transforms
         if is_same_or_below(path, self.model):
             if self.rig_from_take is not None:
-                transforms = placed_transforms(transforms, self.rig_from_take(codes))
+                transforms = apply_placement(transforms, self.rig_from_take(codes))
             parent_matrices = parent_from_space(
                 self.target, path, codes, in_skeleton_space=True
             )
@@ -69,7 +69,7 @@ class PropPlacements:
                 transforms = self._follow_rig_placement(transforms, codes)
             up_rotation = up_from_up(self.target.up, self.up)
             if up_rotation is not None:
-                transforms = placed_transforms(
+                transforms = apply_placement(
                     transforms, Placement.from_rotation(np.array(up_rotation))
                 )
             parent_matrices = parent_from_space(
@@ -97,7 +97,7 @@ class PropPlacements:
         return (
             transforms
             if placement_matrices.simplified().is_identity
-            else placed_transforms(transforms, placement_matrices)
+            else apply_placement(transforms, placement_matrices)
         )
 
 
@@ -209,7 +209,7 @@ def _premultiply(transforms: Transforms, matrices: FloatArray) -> Transforms:
         np.abs(similarity_matrices - matrices).max()
         <= IDENTITY_TOLERANCE * np.abs(matrices).max()
     ):
-        return placed_transforms(
+        return apply_placement(
             transforms, Placement(translations, rotations, uniform_scales)
         )
     return transform_by_matrices(transforms, matrices)

@@ -226,7 +226,7 @@ def _attribute_type(attribute: Any) -> Attribute:
     name, type_name = attribute.GetName(), str(attribute.GetTypeName())
     width = _TYPE_WIDTHS.get(_value_kind(attribute), 0)
     if width:
-        return Attribute(name, type_name, width, length=name in _LENGTH_ATTRIBUTES)
+        return Attribute(name, type_name, width, is_length=name in _LENGTH_ATTRIBUTES)
     sample_times = attribute.GetTimeSamples() or [Usd.TimeCode.EarliestTime()]
     choices = dict.fromkeys(map(attribute.Get, sample_times))
     return Attribute(name, type_name, 0, tuple(choices))
@@ -328,7 +328,7 @@ class _PrimSampler:
         )
         if not self.is_animated:
             return _repeat_transforms(transforms, len(times))
-        return replace(transforms, clamped=self._find_clamped(codes))
+        return replace(transforms, is_clamped=self._find_clamped(codes))
 
     def _find_clamped(self, codes: FloatArray) -> BoolArray | None:
         first, last = map(float, _stage_span(self.stage, self.keys))
@@ -360,7 +360,9 @@ class _PrimSampler:
                     len(codes), attribute_type.width
                 )
                 self._check_finite(values)
-                columns.append(values * (self.unit if attribute_type.length else 1.0))
+                columns.append(
+                    values * (self.unit if attribute_type.is_length else 1.0)
+                )
             else:
                 columns.append(
                     np.array([attribute_type.choices.index(row) for row in rows])

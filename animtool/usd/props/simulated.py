@@ -21,7 +21,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import replacement_path
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.frames import (
     CharactersFrame,
     CurvesFrame,
@@ -157,7 +157,7 @@ class SimulatedPrim:
     @cached_property
     def triangles(self) -> IntArray:
         """Faces of the first frame as triangles ``(T, 3)``."""
-        return triangulated(self._first_frame.counts, self._first_frame.indices)
+        return triangulate(self._first_frame.counts, self._first_frame.indices)
 
     @cached_property
     def child_names(self) -> list[str]:

@@ -137,8 +137,8 @@ def author_props(
             track, path, codes, track.at(times[:, i])
         )
         _author_track(spec, track, codes, transforms, placements.unit_at_path(path))
-        if transforms.clamped is not None and transforms.clamped.any():
-            notices.append(_clamped_notice(track, path, codes, transforms.clamped))
+        if transforms.is_clamped is not None and transforms.is_clamped.any():
+            notices.append(_clamped_notice(track, path, codes, transforms.is_clamped))
     return paths, notices
 
 
@@ -199,7 +199,7 @@ def _author_track(
         rows = matrices.swapaxes(1, 2)
         author("xformOp:transform", types.Matrix4d, rows, _to_matrix)
         author_xform_order(spec, "xformOp:transform")
-    elif track.placed:
+    elif track.has_transform:
         author(
             "xformOp:translate",
             types.Double3,
@@ -221,7 +221,7 @@ def _author_track(
             author(
                 attribute.name,
                 value_type,
-                values / (unit if attribute.length else 1.0),
+                values / (unit if attribute.is_length else 1.0),
                 make,
             )
         else:

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, names_fault
 from animtool.core.record import dataclass
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion
+from animtool.motion.reorient import transform_motion
 from animtool.rig.fit import RigFit, check_fit
 from animtool.rig.parts import Shape
 from animtool.rig.placed import at_origin, transform_rig
@@ -53,7 +53,9 @@ class RigJointMap:
     def map_placed_motion(self, codes: FloatArray, motion: Motion) -> Motion:
         """Place a take's motion at time codes ``(F,)`` in rig space, then map it."""
         if self.rig_from_take is not None:
-            motion = placed_motion(motion, self.take_roots, self.rig_from_take(codes))
+            motion = transform_motion(
+                motion, self.take_roots, self.rig_from_take(codes)
+            )
         return self.map_motion(motion)
 
     def map_motion(self, motion: Motion) -> Motion:

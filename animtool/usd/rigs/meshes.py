@@ -14,7 +14,7 @@ from pxr import Gf, Sdf, Vt
 
 from animtool.core.array_types import Float32Array, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
-from animtool.maths.faces import closed, triangulated, vertex_normals
+from animtool.maths.faces import is_closed, triangulate, vertex_normals
 from animtool.motion.frames import MeshFrame
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Subdivision
@@ -104,7 +104,7 @@ class MeshForm(FrameForm[MeshFrame]):
         """Return bounds and normals; only meshes that tear use the frame's faces."""
         faces = writer.triangles
         if frame.tears:
-            faces = triangulated(frame.counts, frame.indices)
+            faces = triangulate(frame.counts, frame.indices)
         normals = vertex_normals(frame.points, faces)
         return {"extent": bounds(points, 0.0), "normals": normals.astype(np.float32)}
 
@@ -182,7 +182,7 @@ def _author_mesh_prim(
         spec,
         values,
         subdivision=SUBDIVISION[surface.subdivision],
-        is_closed=closed(surface.counts, surface.indices),
+        is_closed=is_closed(surface.counts, surface.indices),
     )
     return spec
 

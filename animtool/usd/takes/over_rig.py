@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.reorient import placement_notice, unplace_take
+from animtool.motion.reorient import placement_notice, remove_placement
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
 from animtool.rig.placed import transform_rig
@@ -95,10 +95,13 @@ def convert_over_rig(
         has_no_rest, choice = False, choice or KEEP
     if rig_placement.unsupported_reason or has_no_rest or not is_transformed:
         # Without a rest pose the take is in the space of its rig, which is this one.
-        stream = unplace_take(stream) if choice == DROP else stream
+        stream = remove_placement(stream) if choice == DROP else stream
         keep_placement = choice != DROP
         notices += placement_notice(
-            rig, where, kept=keep_placement, over=rig_placement.heading_placement
+            rig,
+            where,
+            is_kept=keep_placement,
+            rig_placement=rig_placement.heading_placement,
         )
         return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
     has_placement = rig_placement.is_animated or not heading_placement.is_identity
@@ -106,7 +109,10 @@ def convert_over_rig(
         choice is None and (stream.rig.has_animated_parents or not has_placement)
     )
     notices += placement_notice(
-        rig, where, kept=keep_placement, over=rig_placement.heading_placement
+        rig,
+        where,
+        is_kept=keep_placement,
+        rig_placement=rig_placement.heading_placement,
     )
     if not keep_placement:
         inverse_scale = rig_placement.upright_scale.inverse()

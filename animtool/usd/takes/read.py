@@ -18,7 +18,11 @@ from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.rates import rate_from_float
 from animtool.core.units import unit_name
 from animtool.motion.motion import Channel, Motion
-from animtool.motion.reorient import placed_motion, placement_notice, unplace_take
+from animtool.motion.reorient import (
+    placement_notice,
+    remove_placement,
+    transform_motion,
+)
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
@@ -207,7 +211,7 @@ def _apply_placement(
     if applied_placement.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
-    return placed_motion(motion, roots, applied_placement).map(Channel.compact)
+    return transform_motion(motion, roots, applied_placement).map(Channel.compact)
 
 
 def _drop_placement(
@@ -221,11 +225,11 @@ def _drop_placement(
     placed_rig = rest_rig(local_rig, placement)
     source_rig = replace(placed_rig, has_animated_parents=placement.is_animated)
     stream.notices += placement_notice(
-        source_rig, path, kept=False, stays=local_rig.rides
+        source_rig, path, is_kept=False, is_in_joints=local_rig.rides
     )
     stream.rig = rest_rig(local_rig, placement, DROP)
     heading_placement = stream.rig.placement
-    stream = unplace_take(stream)
+    stream = remove_placement(stream)
     stream.rig = replace(stream.rig, has_animated_parents=False)
     if source_rig.placement is not None or source_rig.has_animated_parents:
         stream.dropped = _dropped_placement_reader(

@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
-from animtool.maths.pops import rotation_pops, translation_pops
+from animtool.maths.pops import find_rotation_pops, find_translation_pops
 from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -105,7 +105,7 @@ def _pop_fault(
 
 
 def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _PopSteps:
-    flags, amounts = rotation_pops(
+    flags, amounts = find_rotation_pops(
         subject.rotation_steps[:, columns], subject.interval, _ignored_steps(subject)
     )
     return _PopSteps(subject.rotating_joints[columns], flags, amounts, "rad")
@@ -115,7 +115,7 @@ def _shift_pops(
     subject: MotionSubject, columns: IntArray, min_shift: float
 ) -> _PopSteps:
     size = subject.size
-    flags, amounts = translation_pops(
+    flags, amounts = find_translation_pops(
         subject.translation_steps[:, columns],
         subject.interval,
         _ignored_steps(subject),

@@ -13,7 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import plain_number
-from animtool.motion.quaternion_order import ORDER_HINT, swapped_order
+from animtool.motion.quaternion_order import ORDER_HINT, find_swapped_order
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.kinematics import rest_world
@@ -326,7 +326,7 @@ def body_axis(subject: MotionSubject) -> Stance | None:
 
 def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if quaternions look like the other order (MOT222)."""
-    order = swapped_order(subject.take.rig, subject.take.motion)
+    order = find_swapped_order(subject.take.rig, subject.take.motion)
     if order is not None and subject.has_rest:
         yield subject.fault("MOT222", None, None, order.message, ORDER_HINT)
 

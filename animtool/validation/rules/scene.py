@@ -257,7 +257,7 @@ def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
     times = take.motion.track_times.dense()[..., 0]
     indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
-        is_outside = track.at(times[:, column]).clamped
+        is_outside = track.at(times[:, column]).is_clamped
         if is_outside is None or not is_outside.all():
             continue
         first_time, last_time = times[[0, -1], column]

@@ -12,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool.clip.suspicious_times import keys_beyond
+from animtool.clip.suspicious_times import keys_without_effect
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, listed
 from animtool.core.record import dataclass
@@ -78,7 +78,7 @@ def _keys_outside(
     """Yield keys or spans of a goal outside a frame range."""
     for goal_kind, value in goal.values.items():
         if isinstance(value, Keyed):
-            unused_keys = keys_beyond(value.channel, first, last)
+            unused_keys = keys_without_effect(value.channel, first, last)
             if len(unused_keys):
                 yield goal_kind, value.channel.times[unused_keys].tolist(), True
     for key, spans in (("hold", goal.spans), ("during", goal.during)):

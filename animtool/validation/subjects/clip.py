@@ -16,7 +16,7 @@ from animtool.clip.file import (
     clip_of_document,
     file_units,
     load_clip,
-    load_rig_of,
+    load_clip_rig,
 )
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import AnimtoolError, Fault, Severity
@@ -95,7 +95,7 @@ def open_clip_document(document: Document) -> CheckedFile:
         hint = "write 'rig: hero.rig.yaml' into it"
         fault = document.fault("CLIP011", ("clip",), message, hint)
         return CheckedFile(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
-    rig = load_rig_of(file)
+    rig = load_clip_rig(file)
     clip = load_clip(file, rig)
     path = document.path
     checked_file = CheckedFile(Kind.CLIP, list(clip.notices))

@@ -65,7 +65,7 @@ def opened(folder: Path, trees: list[Tree]) -> tuple[TakeStream, Clip]:
     path.write_bytes(as_binary(trees))
     stream = read_fbx(path)
     assert isinstance(stream.curve, KeyedCurve)
-    return stream, stream.curve.clip()
+    return stream, stream.curve.get_clip()
 
 
 def off(stream: TakeStream, clip: Clip) -> float:

@@ -12,7 +12,7 @@ from support.cli import animtool
 
 from animtool import bake, open_source
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, StrictError
-from animtool.motion.passes import PASSES, Pass, PassContext, Scope
+from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake_outputs
 from animtool.scene.bake.options import BakeOptions
@@ -82,7 +82,7 @@ def test_passes_run_once(shot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         return take
 
     options = type(load_scene(shot).passes[0].options)
-    counting = Pass("counting", "Count", options, Scope.CLIP, counted)
+    counting = Pass("counting", "Count", options, FrameScope.CLIP, counted)
     monkeypatch.setattr("scene.bake.test_outputs.COUNTING", counting, raising=False)
     monkeypatch.setitem(PASSES, "counting", "scene.bake.test_outputs:COUNTING")
     shot.write_text(SCENE.replace("mirror", "counting"), "utf-8")

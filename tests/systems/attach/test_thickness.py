@@ -10,7 +10,7 @@ from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
 from support.piercing import distances, pierced
 
 from animtool.core.errors import OptionError
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import SimulateOptions, settings_for
@@ -26,7 +26,7 @@ OPTIONS = {"settle": 0.0, "bend": 0.5, "diagonals": 5.0, "rate": 2400.0}
 
 def triangles(rig: Rig) -> np.ndarray:
     faces = rig.meshes[0].faces.load().astype(np.int64)
-    return triangulated(np.full(len(faces), 4), faces.ravel())
+    return triangulate(np.full(len(faces), 4), faces.ravel())
 
 
 def whirled(seconds: float = 0.8) -> Take:

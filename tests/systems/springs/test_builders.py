@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from animtool.maths.faces import triangulated
+from animtool.maths.faces import triangulate
 from animtool.systems.springs import (
     Body,
     Family,
@@ -109,7 +109,7 @@ def test_polygons_are_crossed_between_corners_that_are_no_neighbours() -> None:
     body = surface(np.eye(6, 3), [6], six, mass=1.0, diagonals=ONE)
     edges = {tuple(sorted((i, (i + 1) % 6))) for i in range(6)}
     assert pairs(body) == set(combinations(range(6), 2)) - edges
-    assert triangulated(np.array([6]), six).tolist()[-1] == [0, 4, 5]
+    assert triangulate(np.array([6]), six).tolist()[-1] == [0, 4, 5]
 
 
 @given(st.integers(1, 4), st.integers(1, 4), st.integers(1, 4))

@@ -121,7 +121,7 @@ def test_a_camera_without_values(tmp_path: Path) -> None:
 
 def test_what_is_still_is_read_once(tmp_path: Path) -> None:
     source = opened(write_props(tmp_path / "props.usda"), "/Post")
-    assert not source.track.moves
+    assert not source.track.is_animated
     assert source.span is None
     found = source.track.at(np.array([1.0, 900.0]))
     assert_allclose(found.translations, [[0.01, 0.02, 0.03]] * 2)
@@ -130,7 +130,7 @@ def test_what_is_still_is_read_once(tmp_path: Path) -> None:
 def test_attributes_alone(tmp_path: Path) -> None:
     path = write_props(tmp_path / "props.usda")
     track = opened(path, "/Settings", attributes=("level",)).track
-    assert not track.placed
+    assert not track.has_transform
     assert track.at(CODES[:2]).values[0].tolist() == [[2.5], [2.5]]
     wet = opened(path, "/Set/box", attributes=("wetness",)).track
     assert wet.attributes[0].width == 4

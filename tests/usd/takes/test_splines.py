@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose
 from pxr import Sdf, Ts, Usd
 
-from animtool.maths.curves import Curves, Extrapolation, SegmentKind, fold
+from animtool.maths.curves import Curves, Extrapolation, SegmentKind, fold_times
 from animtool.usd.takes.splines import author_curve
 
 Floats = npt.NDArray[np.float64]
@@ -130,7 +130,7 @@ def slope(curves: Curves, i: int, into: bool) -> float:
 
 def reference(curves: Curves, times: Floats) -> Floats:
     pre, post = curves.pre[0], curves.post[0]
-    found = fold(times, curves.times[0], curves.times[-1], pre, post)
+    found = fold_times(times, curves.times[0], curves.times[-1], pre, post)
     values = np.array([inside(curves, float(t)) for t in found.times])
     values += found.cycles * (curves.values[-1] - curves.values[0])
     last = len(curves.times) - 2
