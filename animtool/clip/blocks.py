@@ -168,6 +168,7 @@ class _BlockLayout:
     def _arrange_channel(
         self, part: str, channel: Channel | None, frames: int, skipped_frames: int
     ) -> Channel:
+        """Return a channel with the rows that move in any block animated."""
         if channel is None:
             width = len(self.is_moving_by_part[part])
             channel = Channel.static(np.zeros((width, 1)), frames)

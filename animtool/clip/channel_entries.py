@@ -187,17 +187,17 @@ class ChannelReader:
 
     def _check_interps(
         self,
-        at: Location,
+        curve_location: Location,
         model: CurveModel,
         target: str,
         allowed_interps: frozenset[Interp],
     ) -> bool:
         """Return whether all interpolations apply; record those that do not."""
         named_interps: list[tuple[Location, str | None]] = [
-            ((*at, "interp"), model.interp)
+            ((*curve_location, "interp"), model.interp)
         ]
         named_interps += [
-            ((*at, "keys", k, "interp"), key.interp)
+            ((*curve_location, "keys", k, "interp"), key.interp)
             for k, key in enumerate(_key_models(model))
         ]
         not_allowed = [
@@ -213,18 +213,20 @@ class ChannelReader:
             self.document.add("CLIP009", location, message, hint)
         return not not_allowed
 
-    def _check_times(self, at: Location, model: CurveModel, times: FloatArray) -> None:
+    def _check_times(
+        self, curve_location: Location, model: CurveModel, times: FloatArray
+    ) -> None:
         """Record times beyond the limit, and times that do not ascend."""
         if (np.abs(times) <= MAX_FRAME).all() and (np.diff(times) > 0).all():
             return
         if isinstance(model.keys, PlainKeys) and model.keys.name:
-            self._add_time_fault((*at, "keys"), model.keys)
+            self._add_time_fault((*curve_location, "keys"), model.keys)
             return
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
-            self.document.add("CLIP004", (*at, "keys", k, "t"), message)
+            self.document.add("CLIP004", (*curve_location, "keys", k, "t"), message)
         for k, previous in self.document.not_ascending(
-            (*at, "keys"), times.tolist(), "t"
+            (*curve_location, "keys"), times.tolist(), "t"
         ):
             is_duplicate = times[k] == times[previous]
             problem = (
@@ -232,7 +234,7 @@ class ChannelReader:
                 if is_duplicate
                 else (f"comes before the key at {times[previous]:g}")
             )
-            location = (*at, "keys", k, "t")
+            location = (*curve_location, "keys", k, "t")
             hint = "key times must ascend"
             self.document.add(
                 "CLIP004", location, f"frame {times[k]:g} {problem}", hint
@@ -254,29 +256,30 @@ class ChannelReader:
         hint = "key times must ascend"
         self.document.add("CLIP004", location, f"{message}{times[k - 1]:g}", hint)
 
-    def _check_handles(self, at: Location, model: CurveModel) -> None:
+    def _check_handles(self, curve_location: Location, model: CurveModel) -> None:
         """Refuse handles on the wrong side of their keys."""
         for k, key in enumerate(_key_models(model)):
             for name, handle, sign in (("in", key.in_, -1), ("out", key.out, 1)):
                 if not isinstance(handle, list) or isinstance(handle[0], list):
                     continue
                 if handle[0] * sign < 0:
-                    side = "before" if sign < 0 else "after"
+                    side_text = "before" if sign < 0 else "after"
                     message = f"the handle's time {handle[0]:g} points the wrong way"
-                    written = flow_text(name, [-handle[0], handle[1]])
-                    hint = f"write {written}: '{name}' is {side} its key"
-                    location = (*at, "keys", k, name)
+                    handle_text = flow_text(name, [-handle[0], handle[1]])
+                    hint = f"write {handle_text}: '{name}' is {side_text} its key"
+                    location = (*curve_location, "keys", k, name)
                     self.document.add("CLIP005", location, message, hint)
 
     def _check_no_slopes(
-        self, at: Location, model: CurveModel, keys: Sequence[KeyModel]
+        self, curve_location: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
         """Refuse handles and tangents on quaternion keys."""
         hint = "write euler: XYZ to key three angles, which have them"
         locations: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
-        locations = [(at, model, ("tangents", "parametrization"))]
+        locations = [(curve_location, model, ("tangents", "parametrization"))]
         locations += [
-            ((*at, "keys", k), key, ("in_", "out", "tcb")) for k, key in enumerate(keys)
+            ((*curve_location, "keys", k), key, ("in_", "out", "tcb"))
+            for k, key in enumerate(keys)
         ]
         for location, entry, names in locations:
             for name in names:
@@ -286,7 +289,7 @@ class ChannelReader:
                     self.document.add("CLIP009", (*location, key), message, hint)
 
     def _warn_of_unused_handles(
-        self, at: Location, model: CurveModel, interps: tuple[Interp, ...]
+        self, curve_location: Location, model: CurveModel, interps: tuple[Interp, ...]
     ) -> None:
         """Warn of handles that the adjacent interpolation does not use.
 
@@ -307,20 +310,26 @@ class ChannelReader:
                     property_names = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' has no effect with {property_names}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
-                    self.document.warn("CLIP104", (*at, "keys", k, name), message, hint)
-        self._warn_of_path(at, model, {*(interps[:-1] or interps)})
+                    self.document.warn(
+                        "CLIP104", (*curve_location, "keys", k, name), message, hint
+                    )
+        self._warn_of_path(curve_location, model, {*(interps[:-1] or interps)})
 
     def _warn_of_path(
-        self, at: Location, model: CurveModel, segments: Collection[Interp]
+        self, location: Location, model: CurveModel, segments: Collection[Interp]
     ) -> None:
         """Warn of a Catmull-Rom parametrization without Catmull-Rom keys."""
         is_set = "parametrization" in model.model_fields_set
         if is_set and Interp.CATMULL_ROM not in segments:
             message = "'parametrization' has no effect without catmull_rom"
-            self.document.warn("CLIP104", (*at, "parametrization"), message)
+            self.document.warn("CLIP104", (*location, "parametrization"), message)
 
     def _read_values(
-        self, at: Location, model: CurveModel, components: int, is_positive: bool
+        self,
+        curve_location: Location,
+        model: CurveModel,
+        components: int,
+        is_positive: bool,
     ) -> FloatArray | None:
         """Return the values of keys ``(K, D)``; None with a fault otherwise."""
         value_rows = []
@@ -330,7 +339,7 @@ class ChannelReader:
             if components == 3 and len(value_row) == 1 and is_positive:
                 value_row = value_row * 3
             if len(value_row) != components:
-                location = (*at, "keys", k, "v")
+                location = (*curve_location, "keys", k, "v")
                 hint = _form_hint(model, len(value_row), components)
                 if hint not in shown_hints:
                     count = counted(len(value_row), "number")
@@ -346,7 +355,7 @@ class ChannelReader:
 
     def _read_handles(
         self,
-        at: Location,
+        key_location: Location,
         key: KeyModel,
         model: CurveModel,
         components: int,
@@ -375,7 +384,7 @@ class ChannelReader:
                 zeros = [0] * components if components > 1 else 0
                 handle_text = flow_text(name, [-2 if name == "in" else 2, zeros])
                 hint = f"for example {handle_text}"
-                self.document.add("CLIP007", (*at, name), message, hint)
+                self.document.add("CLIP007", (*key_location, name), message, hint)
                 both_sides.append((Tangent.FREE, no_handle))
                 continue
             both_sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
@@ -383,23 +392,27 @@ class ChannelReader:
         return in_tangent_type, in_handle, out_tangent_type, out_handle
 
     def _read_quaternions(
-        self, at: Location, values: FloatArray, array_name: str = ""
+        self, curve_location: Location, values: FloatArray, array_name: str = ""
     ) -> FloatArray:
         """Return unit (x, y, z, w) of [w, x, y, z]."""
         rotations, zero_rows = file_quaternions(values)
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
-            location = (*at, "keys") if array_name else (*at, "keys", k, "v")
+            location = (
+                (*curve_location, "keys")
+                if array_name
+                else (*curve_location, "keys", k, "v")
+            )
             warn_of_quaternion_length(self.document, location, values[k].tolist())
         if array_name and zero_rows:
             message = (
                 f"row {zero_rows[0]} of {array_name!r} is a quaternion of zero length"
             )
-            self.document.add("RIG006", (*at, "keys"), message)
+            self.document.add("RIG006", (*curve_location, "keys"), message)
             return rotations
         for k in zero_rows:
             message = f"quaternion {values[k].tolist()} has zero length"
-            self.document.add("RIG006", (*at, "keys", k, "v"), message)
+            self.document.add("RIG006", (*curve_location, "keys", k, "v"), message)
         return rotations
 
 

@@ -226,6 +226,7 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
 
 
 def _concatenate_or_empty(parts: list[FloatArray]) -> FloatArray:
+    """Return concatenated arrays; an empty one without any."""
     return np.concatenate([np.zeros(0), *parts])
 
 

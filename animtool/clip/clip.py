@@ -133,6 +133,7 @@ class Clip:
         first_code, frames_per_code = float(self.first), float(self.fps / rate)
 
         def curve(codes: FloatArray) -> Motion:
+            """Return the motion of the clip at time codes of the take."""
             clip_times = first_code + (codes - first_code) * frames_per_code
             return sample_channels(self.channels, rig, clip_times, clamp=clamp).motion
 
@@ -225,6 +226,7 @@ def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
+    """Return whether all values keep their bits when written in a unit."""
     return all(float(scaled_decimal(value, unit)) * unit == value for value in values)
 
 

@@ -258,6 +258,7 @@ def driven_pose(
     """Return a motion whose control-driven joints follow other values."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
+        """Return a channel of the take with control-driven joints replaced."""
         take_channel: Channel = getattr(motion, name)
         new_channel: Channel = getattr(controls, name)
         exact_channel: Channel = getattr(exact_controls, name)

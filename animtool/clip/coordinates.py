@@ -144,6 +144,7 @@ def _with_best_revolution(
     ]
 
     def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
+        """Return the cost of a number of revolutions."""
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
         excess_sum = False
         for motion, mimic, follower_type in followers:
@@ -274,15 +275,16 @@ class _KeyedJoint:
     fitted_values: Mapping[str, FloatArray]
     tolerances: Tolerances
 
-    def driven_values(self, part: str, *, fitted: bool = False) -> FloatArray:
+    def driven_values(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted_values if fitted else self.control_values
+        source = self.fitted_values if use_fitted else self.control_values
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
-    def driven_vectors(self, part: str, *, fitted: bool = False) -> FloatArray:
+    def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
         columns = [
-            self.driven_values(f"{part}.{axis}", fitted=fitted) for axis in "xyz"
+            self.driven_values(f"{part}.{axis}", use_fitted=use_fitted)
+            for axis in "xyz"
         ]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
@@ -303,7 +305,7 @@ class _KeyedJoint:
             if self._differs(
                 difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
             ):
-                driven_part = self.driven_values("slide", fitted=True)
+                driven_part = self.driven_values("slide", use_fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "slide",
@@ -317,7 +319,7 @@ class _KeyedJoint:
             if self._differs(
                 difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
             ):
-                driven_part = self.driven_vectors("translation", fitted=True)
+                driven_part = self.driven_vectors("translation", use_fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "translation",
@@ -337,7 +339,7 @@ class _KeyedJoint:
             if self._differs(
                 difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
             ):
-                driven_part = self.driven_values("angle", fitted=True)
+                driven_part = self.driven_values("angle", use_fitted=True)
                 yield self._track(
                     ChannelKind.ROTATION,
                     "angle",
@@ -352,7 +354,7 @@ class _KeyedJoint:
             if self._differs(
                 difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
             ):
-                driven_part = so3.exp(self.driven_vectors("rotation", fitted=True))
+                driven_part = so3.exp(self.driven_vectors("rotation", use_fitted=True))
                 keyed_rotation = so3.align_signs(
                     so3.multiply(so3.conjugate(driven_part), motion.rotation)
                 )

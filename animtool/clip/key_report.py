@@ -57,6 +57,7 @@ def channel_errors(
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def errors(target: str) -> tuple[FloatArray, str | None]:
+        """Return the error of a target in every frame, and its unit."""
         group, _, name = target.partition("/")
         if group == "control":
             return np.abs(values_of_target[name] - controls[name]), None

@@ -49,8 +49,8 @@ def _warn_of_seconds(
     if texts is None:
         return False
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
-    at = ("channels", i, "keys", len(channels[i].times) - 1, "t")
-    document.warn("CLIP110", at, f"key times from {texts[0]}", texts[1])
+    location = ("channels", i, "keys", len(channels[i].times) - 1, "t")
+    document.warn("CLIP110", location, f"key times from {texts[0]}", texts[1])
     return True
 
 

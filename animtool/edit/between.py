@@ -119,6 +119,7 @@ class TakeSampler:
         start, step = float(clock.start), float(clock.step)
 
         def sample(times: FloatArray) -> Motion:
+            """Return the motion of the take at the mapped times."""
             return self.sample(
                 nearby_positions((source_times(times) - start) / step, clock.count)
             )

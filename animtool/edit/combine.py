@@ -118,6 +118,7 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         placement = Placement.from_rotation(np.array(rotation))
 
     def matched(motion: Motion) -> Motion:
+        """Return a motion in the axes and the order of the rig."""
         motion = replace(
             motion,
             weights=_reorder(motion.weights, shapes),
@@ -180,6 +181,7 @@ def combine(
     is_unmasked = strength.joints is None
 
     def numbers(name: str) -> Channel | None:
+        """Return combined weights or controls."""
         base_channel, other_channel = getattr(base, name), getattr(other, name)
         if not is_unmasked or (base_channel is None and other_channel is None):
             return _checked_channel(base_channel)
@@ -295,6 +297,7 @@ def _full_difference(operation: additive.Difference) -> Operation:
     """Return a difference as an operation that ignores weights."""
 
     def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
+        """Return the difference; the weight is ignored."""
         return operation(source, base)
 
     return apply

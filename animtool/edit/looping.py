@@ -184,6 +184,7 @@ def map_attributes(
     """
 
     def numbers(values: FloatArray) -> FloatArray:
+        """Return the values of an attribute mapped column by column."""
         columns = values.reshape(len(values), -1, 1)
         mapped_columns = function(columns)
         return mapped_columns.reshape(len(mapped_columns), *values.shape[1:])
@@ -212,13 +213,15 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
     count = len(transforms)
 
     def sample(times: FloatArray) -> Transforms:
+        """Return the transforms at times."""
         positions = nearby_positions(times, count)
 
-        def between(values: FloatArray) -> FloatArray:
+        def interpolate(values: FloatArray) -> FloatArray:
+            """Return values interpolated at the positions."""
             all_rows = np.arange(values.shape[1])
             return positions.interpolate(Channel(values[0], all_rows, values)).values
 
-        mapped_transforms = map_attributes(track, transforms, between)
+        mapped_transforms = map_attributes(track, transforms, interpolate)
         values = tuple(
             mapped_transforms.values[i]
             if attribute.width
@@ -343,6 +346,7 @@ def _loop_track(
     looped_motion = cycle.loop_motion(motion)
 
     def close_numbers(values: FloatArray) -> FloatArray:
+        """Return a looped attribute."""
         cycle_values = close_vectors(values, seam, lambda frame_values: frame_values)
         return np.concatenate([cycle_values] * repeats)
 
@@ -394,6 +398,7 @@ class _CycleState:
         shifts = self.travel.shifts[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:
+            """Return translations moved to the next cycle."""
             return np.asarray(np.einsum("aij,faj->fai", linear, values) + shifts)
 
         cycle = close_vectors(channel.values, self.blend, to_next_cycle)
@@ -404,6 +409,7 @@ class _CycleState:
         travel = self.travel.rotations[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:
+            """Return rotations moved to the next cycle."""
             return so3.multiply(travel, values)
 
         cycle = close_rotations(channel.values, self.blend, to_next_cycle)

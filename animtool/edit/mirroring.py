@@ -69,6 +69,7 @@ class ControlMirror:
         rest_rotations = rest_world(rig).linear[0]
 
         def effect(control_index: int, sign: float) -> FloatArray:
+            """Return the flattened effect of a control in a direction."""
             return _flatten_effect(
                 _control_effect(rig, control_index, sign, rest_rotations)
             )

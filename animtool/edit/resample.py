@@ -297,6 +297,7 @@ def filter_motion(motion: Motion, cutoff: float, rate: float) -> Motion:
     """Return a motion low-pass filtered at a cut-off [Hz], times unchanged."""
 
     def filter_channel(channel: Channel) -> Channel:
+        """Return a low-pass filtered channel."""
         is_rotation = channel is motion.rotations
         lowpass_filter = filters.lowpass_rotations if is_rotation else filters.lowpass
         values = lowpass_filter(channel.values, cutoff, rate, order=FILTER_ORDER)

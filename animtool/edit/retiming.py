@@ -399,6 +399,7 @@ def time_warp(
     )
 
     def source_times(times: FloatArray) -> FloatArray:
+        """Return the times of the take that the curve shows."""
         return interpolate_keys(key_times, values, times, interpolation)
 
     positions = nearby_positions(

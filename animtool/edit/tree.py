@@ -58,6 +58,7 @@ def match_joints(
 
 
 def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
+    """Return the error of an unknown joint in an option (SCN012)."""
     suggestions = most_similar(name, rig.names)
     message = (
         f"{option}: unknown joint {excerpt(name)}; the rig has {listed(rig.names)}"
@@ -140,14 +141,17 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
     joints[child] = replace(joints[child], parent=child)
     joints.insert(child, Joint(name, parent))
 
-    def grown(channel: Channel, neutral: FloatArray) -> Channel:
+    def insert_row(channel: Channel, neutral: FloatArray) -> Channel:
+        """Return a channel with a row for the new joint."""
         return Channel(
             np.insert(channel.rest, child, neutral, axis=0),
             channel.animated + (channel.animated >= child),
             channel.values,
         )
 
-    return _with_changed_channels(take, replace(take.rig, joints=tuple(joints)), grown)
+    return _with_changed_channels(
+        take, replace(take.rig, joints=tuple(joints)), insert_row
+    )
 
 
 def remove_joint(take: Take, joint: int) -> Take:
@@ -176,7 +180,8 @@ def remove_joint(take: Take, joint: int) -> Take:
         if i != joint:
             joints.append(rig_joint)
 
-    def shrunk(channel: Channel, _: FloatArray) -> Channel:
+    def remove_row(channel: Channel, _: FloatArray) -> Channel:
+        """Return a channel without the row of the joint."""
         is_kept = channel.animated != joint
         animated_rows = channel.animated[is_kept]
         return Channel(
@@ -188,7 +193,7 @@ def remove_joint(take: Take, joint: int) -> Take:
     smaller_rig = replace(
         rig, joints=tuple(joints), bind=_bind_poses_without(rig, joint)
     )
-    return _with_changed_channels(take, smaller_rig, shrunk)
+    return _with_changed_channels(take, smaller_rig, remove_row)
 
 
 def _move_scale_to_children(take: Take, joint: int) -> Take:

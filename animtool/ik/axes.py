@@ -18,11 +18,11 @@ MAX_DISTANCE = 1e6
 MAX_REACH = 1.5
 
 
-def up_axis_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
+def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
     """Return a hint if a missed target is in reach with the other up axis.
 
     Args:
-        solved: The solved take.
+        solved_take: The solved take.
         goal_index: A goal whose position is missed.
         frame: Time code of a miss.
     """
@@ -81,7 +81,7 @@ def _limb_target(
     positions = rest_world(rig).positions[0]
     bones = positions[chain[:-1]] - positions[chain[1:]]
     reach = float(np.linalg.norm(bones, axis=1).sum())
-    fps = solved.take.clock.fps
+    fps = solved_take.take.clock.fps
     point = value.at(SampleFrames(np.array([frame]), fps))[0]
     if not abs(point).max() < MAX_DISTANCE:
         return None

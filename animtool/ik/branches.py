@@ -100,11 +100,13 @@ class Interval:
     def _solve(
         self, starts: FloatArray, frames: IntArray, options: IkOptions
     ) -> IkResult:
+        """Return the solved poses of frames."""
         targets = targets_of_frames(self.targets, frames)
         preferred = self.preferred[frames]
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _empty_rows(self, count: int) -> FloatArray:
+        """Return rig coordinates of which only those of the chain matter."""
         return np.zeros((count, self.problem.coordinates))
 
     def difference_from_reference(self, poses: FloatArray, row: int) -> FloatArray:
@@ -130,10 +132,10 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     return np.asarray(np.where(counts > 0, relative_misses, 0.0) * counts, np.float64)
 
 
-def miss_cost(misses: FloatArray, reached: BoolArray) -> FloatArray:
+def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
     """Return the cost of weighted misses ``(F,)``; 0 where goals are reached."""
     cost = MISS_COST * (1.0 + (misses**2).sum(axis=(1, 2)))
-    return np.where(reached, 0.0, cost)
+    return np.where(is_reached, 0.0, cost)
 
 
 def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:

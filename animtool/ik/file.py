@@ -95,6 +95,7 @@ class _TargetsReader:
         )
 
     def read_tracks(self) -> TargetTracks:
+        """Return the tracks of the file; record its faults."""
         fps = self._read_rate()
         warn_of_order(self.document)
         goals = [
@@ -148,6 +149,7 @@ class _TargetsReader:
         faults[:] = [other, *(fault for fault in faults if fault not in unknown)]
 
     def _read_units(self) -> ClipUnits:
+        """Return the units of the file, by default those of its rig."""
         rig, units = self.rig, self.model.units
         length = 1.0 if rig is None else rig.meters_per_unit
         angle = math.radians(1.0) if rig is None else rig.radians_per_unit
@@ -158,6 +160,7 @@ class _TargetsReader:
         return ClipUnits(length, angle)
 
     def _read_rate(self) -> Fraction | None:
+        """Return the frame rate; None if the file has none."""
         if self.model.fps is None:
             return None
         try:
@@ -167,6 +170,7 @@ class _TargetsReader:
             return None
 
     def _read_range(self) -> tuple[Fraction | None, Fraction | None]:
+        """Return first and last frame; None if the file has no range."""
         if self.model.range is None or self.document.is_placeholder(("range",)):
             return None, None
         first, last = self.model.range
@@ -254,6 +258,7 @@ class _TargetsReader:
     def _read_root(
         self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
     ) -> str | None:
+        """Return the root of a goal: that of the file, else that of its chain."""
         name = model.root
         if name is None:
             return None if chain is None else chain.root
@@ -299,6 +304,7 @@ class _TargetsReader:
         return [(first, last) for first, last, _ in spans]
 
     def _read_axis(self, location: Location, axis: list[float]) -> Vector:
+        """Return a unit direction; a fault if it has zero length."""
         length = math.hypot(*axis)
         if not length > MIN_DIRECTION:
             message = f"direction {axis} has zero length"
@@ -340,6 +346,7 @@ class _TargetsReader:
     def _read_weight(
         self, location: Location, model: float | CurveModel
     ) -> Value | None:
+        """Return a weight or weight curve; None with a fault."""
         if not isinstance(model, CurveModel):
             return Constant((float(model),))
         curve = self.values.read_curve(location, model, "weight")

@@ -262,6 +262,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
+    """Return the faults of a goal's root."""
     if goal.root is None:
         return []
     if goal.root not in rig.names:
@@ -331,6 +332,7 @@ def _quaternion_w_columns() -> list[int]:
 
 
 def _is_rotation(kind: GoalKind) -> bool:
+    """Return whether targets of a kind are rotations."""
     return kind.value_type is TargetValue.ROTATION
 
 

@@ -150,18 +150,18 @@ def _limit_combinations(
 
 
 def _replace_rows(
-    result: IkResult, other: IkResult, rows: IntArray, from_rows: IntArray
+    result: IkResult, replacement: IkResult, rows: IntArray, from_rows: IntArray
 ) -> IkResult:
     """Return a result with some rows replaced by those of another."""
     if not len(rows):
         return result
     statuses = list(result.statuses)
     for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
-        statuses[row] = other.statuses[source]
+        statuses[row] = replacement.statuses[source]
     arrays = {}
     for name in _per_problem_arrays():
         values = getattr(result, name).copy()
-        values[rows] = getattr(other, name)[from_rows]
+        values[rows] = getattr(replacement, name)[from_rows]
         arrays[name] = values
     return replace(result, statuses=tuple(statuses), **arrays)
 

@@ -142,6 +142,8 @@ def solve_take(
     seconds_spent = 0.0
 
     def solve_round(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> TakeIk:
+        """Return the take solved for tracks; progress covers all solves."""
+
         def report(fraction: float) -> None:
             if progress is not None:
                 progress((solves_done + fraction) / solve_count)
@@ -149,6 +151,7 @@ def solve_take(
         return _solve_take(take, tracks, fade_sources, options, static, only, report)
 
     def solve_fade_source(tracks: TargetTracks, fade_sources: tuple[Take, ...]) -> Take:
+        """Return the solved take that a goal fades from."""
         nonlocal solves_done, seconds_spent
         solution = solve_round(tracks, fade_sources)
         solves_done, seconds_spent = solves_done + 1, seconds_spent + solution.seconds
@@ -195,29 +198,29 @@ def _solve_take(
         for part in solve_spans.spans:
             solved_parts.append(run.solve_span(part))
             progress(solved_parts[-1].span.frames.stop / take.clock.count)
-    solved = gather_take(take, indices, local, tracks, targets, solved_parts, rate)
+    solved_take = gather_take(take, indices, local, tracks, targets, solved_parts, rate)
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
-    has_poles = bool(solved.active[:, :, PARTS.index("pole")].any())
+    has_poles = bool(solved_take.active[:, :, PARTS.index("pole")].any())
     return replace(
-        solved,
-        open_poles=_find_open_poles(rig, indices, solved, targets)
+        solved_take,
+        open_poles=_find_open_poles(rig, indices, solved_take, targets)
         if has_poles
         else None,
         moving_between=solve_spans.moving_between,
         away=_min_target_distances(goals, rig, world, targets),
-        size=max(rig_size, solved.problem.length),
+        size=max(rig_size, solved_take.problem.length),
     )
 
 
 def _find_open_poles(
-    rig: Rig, indices: IntArray, solved: TakeIk, targets: Targets
+    rig: Rig, indices: IntArray, solved_take: TakeIk, targets: Targets
 ) -> BoolArray:
     """Return where poles lie on the line of their solved limb ``(F, E)``."""
-    motion = solved.take.motion
+    motion = solved_take.take.motion
     local = motion.translations.gather(indices), motion.rotations.gather(indices)
-    goals = [track.goal for track in solved.tracks.goals]
+    goals = [track.goal for track in solved_take.tracks.goals]
     return poles_on_lines(
-        rig, goals, forward_kinematics(rig, *local), targets, solved.active
+        rig, goals, forward_kinematics(rig, *local), targets, solved_take.active
     )
 
 
@@ -274,6 +277,7 @@ def _locate_faults(tracks: TargetTracks) -> Iterator[None]:
 
 
 def _at_goal(fault: Fault, tracks: TargetTracks) -> Fault:
+    """Return a fault located at its goal in the targets file."""
     goal = _GOAL.match(fault.where or "")
     if fault.path is not None or goal is None:
         return fault.in_file(tracks.path)

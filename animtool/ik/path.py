@@ -137,6 +137,7 @@ class FramePath:
         moving_range: tuple[int, int],
         max_iterations: int,
     ) -> tuple[FloatArray, FloatArray]:
+        """Return poses and misses from the kernel that smooths frames."""
         chain = self.problem.chain
         anchor, speed, acceleration = weights
         first, end = moving_range

@@ -98,7 +98,7 @@ class GoalReport:
 
 
 def goal_reports(
-    solved: TakeIk,
+    solved_take: TakeIk,
     tolerance: float = MISSED_LENGTH,
     angle_tolerance: float = MISSED_ANGLE,
 ) -> list[GoalReport]:
@@ -108,18 +108,18 @@ def goal_reports(
     yields.
 
     Args:
-        solved: The solved take.
+        solved_take: The solved take.
         tolerance: Tolerance of positions [m].
         angle_tolerance: Tolerance of orientations, aims and poles [rad].
     """
-    times = solved.take.clock.times
+    times = solved_take.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
     reports = []
     is_yielded = np.array(
-        [status is IkStatus.YIELDED for status in solved.statuses], np.bool_
+        [status is IkStatus.YIELDED for status in solved_take.statuses], np.bool_
     )
-    for e, track in enumerate(solved.tracks.goals):
-        is_targeted, misses = solved.active[:, e], solved.misses[:, e]
+    for e, track in enumerate(solved_take.tracks.goals):
+        is_targeted, misses = solved_take.active[:, e], solved_take.misses[:, e]
         miss_reports = tuple(
             _misses(part, times[is_targeted[:, i]], misses[is_targeted[:, i], i])
             for i, part in enumerate(PARTS)
@@ -128,7 +128,9 @@ def goal_reports(
         is_missed = np.asarray((is_targeted & (misses > limits)).any(axis=1), np.bool_)
         if track.goal.priority > 0 or track.goal.soft > 0:
             is_missed = np.asarray(is_missed & ~is_yielded, np.bool_)
-        spans = tuple(_spans(solved, np.where(is_targeted, misses, 0.0), is_missed))
+        spans = tuple(
+            _spans(solved_take, np.where(is_targeted, misses, 0.0), is_missed)
+        )
         reports.append(
             GoalReport(
                 track.name, track.goal.joint, track.location, miss_reports, spans
@@ -152,10 +154,10 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
 
 
 def _spans(
-    solved: TakeIk, misses: FloatArray, is_missed: BoolArray
+    solved_take: TakeIk, misses: FloatArray, is_missed: BoolArray
 ) -> list[MissedSpan]:
     """Return the spans of frames that miss a goal, from misses ``(F, 4)``."""
-    times = solved.take.clock.times
+    times = solved_take.take.clock.times
     spans = []
     for first, end in runs(is_missed):
         span_misses = misses[first:end]
@@ -169,53 +171,53 @@ def _spans(
                 float(span_misses[:, ~IS_LENGTH].max()),
                 float(times[worst_frame]),
                 IkStatus.STEADIER
-                if IkStatus.STEADIER in solved.statuses[first:end]
-                else solved.statuses[worst_frame],
+                if IkStatus.STEADIER in solved_take.statuses[first:end]
+                else solved_take.statuses[worst_frame],
             )
         )
     return spans
 
 
 def take_notices(
-    solved: TakeIk, reports: list[GoalReport], *, smooth: bool = False
+    solved_take: TakeIk, reports: list[GoalReport], *, smooth: bool = False
 ) -> list[Fault]:
     """Return all warnings of a solved take."""
     return [
-        *span_notices(solved),
-        *independent_frame_notices(solved, smooth=smooth),
-        *far_target_notices(solved, reports),
-        *missed_notices(solved, reports),
-        *pole_notices(solved),
-        *jump_notices(solved),
+        *span_notices(solved_take),
+        *independent_frame_notices(solved_take, smooth=smooth),
+        *far_target_notices(solved_take, reports),
+        *missed_notices(solved_take, reports),
+        *pole_notices(solved_take),
+        *jump_notices(solved_take),
     ]
 
 
-def missed_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+def missed_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal that is missed."""
     return [
         replace(
-            _goal_warning(solved, "IK101", i, _miss_text(report)),
-            hint=_miss_hint(solved, report, i),
+            _goal_warning(solved_take, "IK101", i, _miss_text(report)),
+            hint=_miss_hint(solved_take, report, i),
         )
         for i, report in enumerate(reports)
         if report.spans
     ]
 
 
-def pole_notices(solved: TakeIk) -> list[Fault]:
+def pole_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning for each pole that leaves its limb's plane open (IK103)."""
-    if solved.open_poles is None:
+    if solved_take.open_poles is None:
         return []
-    times, notices = solved.take.clock.times, []
-    for e, track in enumerate(solved.tracks.goals):
-        frames = np.flatnonzero(solved.open_poles[:, e])
+    times, notices = solved_take.take.clock.times, []
+    for e, track in enumerate(solved_take.tracks.goals):
+        frames = np.flatnonzero(solved_take.open_poles[:, e])
         if not len(frames):
             continue
         spans = [
             frame_label(times[first])
             if end - first == 1
             else span_label(times[first], times[end - 1])
-            for first, end in runs(solved.open_poles[:, e])
+            for first, end in runs(solved_take.open_poles[:, e])
         ]
         noun = "frame" if len(frames) == 1 else "frames"
         message = (
@@ -223,17 +225,19 @@ def pole_notices(solved: TakeIk) -> list[Fault]:
             f"its end at {noun} {listed(spans, 4)}: the limb may bend in any direction"
         )
         hint = "move the pole to the side on which the middle joint is to be"
-        notices.append(replace(_goal_warning(solved, "IK103", e, message), hint=hint))
+        notices.append(
+            replace(_goal_warning(solved_take, "IK103", e, message), hint=hint)
+        )
     return notices
 
 
-def _miss_hint(solved: TakeIk, report: GoalReport, i: int) -> str | None:
+def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
     worst = max(report.spans, key=lambda span: span.distance)
-    hint = up_axis_hint(solved, i, worst.frame) if worst.distance > 0 else None
+    hint = up_axis_hint(solved_take, i, worst.frame) if worst.distance > 0 else None
     if hint is not None:
         return hint
-    far_miss = FAR_MISS * solved.problem.length
+    far_miss = FAR_MISS * solved_take.problem.length
     if any(span.distance > far_miss for span in report.spans):
         return (
             unit_hint(solved, i, worst.frame)
@@ -246,13 +250,16 @@ def _miss_hint(solved: TakeIk, report: GoalReport, i: int) -> str | None:
         )
         return f"{hint}start that is nearer"
     if any(span.status is IkStatus.CONFLICT for span in report.spans):
-        return _root_hint(solved)
+        return _root_hint(solved_take)
     return None
 
 
-def _root_hint(solved: TakeIk) -> str | None:
+def _root_hint(solved_take: TakeIk) -> str | None:
     """Return a hint if a goal without root moves a free joint above other goals."""
-    rig, goals = solved.take.rig, [track.goal for track in solved.tracks.goals]
+    rig, goals = (
+        solved_take.take.rig,
+        [track.goal for track in solved_take.tracks.goals],
+    )
     chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
         if goal.root is not None:
@@ -265,77 +272,80 @@ def _root_hint(solved: TakeIk) -> str | None:
             )
             if moves_other_goals and rig.joints[joint].type is JointType.FREE:
                 message = f"the free joint {rig.names[joint]!r} moves for "
-                message += f"{solved.tracks.goals[e].name!r} and moves other goals "
+                message += (
+                    f"{solved_take.tracks.goals[e].name!r} and moves other goals "
+                )
                 return f"{message}too: 'root: {rig.names[child]}' keeps it still"
     return None
 
 
-def span_notices(solved: TakeIk) -> list[Fault]:
+def span_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning for each hold span that lies outside the frames of the take.
 
     A single pose has no such warnings: the spans may be meant for other frames.
     """
-    times = solved.take.clock.times
+    times = solved_take.take.clock.times
     if len(times) == 1:
         return []
     return [
         _goal_warning(
-            solved,
+            solved_take,
             "TGT104",
             i,
             f"the span from {span_label(first, last)}, to hold {track.name!r}, "
             f"contains none of the frames {times[0]:g} to {times[-1]:g}",
         )
-        for i, track in enumerate(solved.tracks.goals)
+        for i, track in enumerate(solved_take.tracks.goals)
         for first, last in track.spans
         if last < times[0] or first > times[-1]
     ]
 
 
-def rest_notices(solved: TakeIk) -> list[Fault]:
+def rest_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning if all goals only hold the rest pose (TGT109).
 
     For targets that are solved without a motion to start from.
     """
-    goals = solved.tracks.goals
+    goals = solved_take.tracks.goals
     if not goals or any(goal.parts or not goal.spans for goal in goals):
         return []
     message = f"holding {listed([goal.name for goal in goals])} changes nothing: "
     message += "without a start clip, all frames are the rest pose"
-    fault = _goal_warning(solved, "TGT109", 0, message)
+    fault = _goal_warning(solved_take, "TGT109", 0, message)
     return [replace(fault, hint=f"pass the motion with {argument('clip')}")]
 
 
-def jump_notices(solved: TakeIk) -> list[Fault]:
+def jump_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning if joints jump, with the largest jump."""
-    if not solved.jumps:
+    if not solved_take.jumps:
         return []
-    largest = max(solved.jumps, key=_jump_sort_key(solved))
+    largest = max(solved_take.jumps, key=_jump_sort_key(solved_take))
     first, last = (
-        frame_label(solved.take.clock.times[largest.frame - frames_back])
+        frame_label(solved_take.take.clock.times[largest.frame - frames_back])
         for frames_back in (1, 0)
     )
     message = f"joint {largest.joint!r} {'slides' if largest.slides else 'rotates'} by "
     message += f"{_step_text(largest, largest.size)} from frame {first} to {last}"
     if largest.source > 0:
         message += f" ({_step_text(largest, largest.source)} in the source)"
-    frames = len({jump.frame for jump in solved.jumps} - {largest.frame})
+    frames = len({jump.frame for jump in solved_take.jumps} - {largest.frame})
     if frames:
         message += f"; joints jump in {counted(frames, 'other frame')} too"
-    other_joints = sorted({jump.joint for jump in solved.jumps} - {largest.joint})
+    other_joints = sorted({jump.joint for jump in solved_take.jumps} - {largest.joint})
     if other_joints:
         message += f"; also {listed(other_joints)}"
-    path = str(solved.tracks.path)
-    by_goals = all(jump.by_goals for jump in solved.jumps)
+    path = str(solved_take.tracks.path)
+    by_goals = all(jump.by_goals for jump in solved_take.jumps)
     level = Severity.NOTE if by_goals else Severity.WARNING
-    return [Fault("IK102", message, path, (), _jump_hint(solved, largest), level)]
+    return [Fault("IK102", message, path, (), _jump_hint(solved_take, largest), level)]
 
 
-def _jump_sort_key(solved: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
+def _jump_sort_key(solved_take: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
     """Return a sort key of jumps; slides are measured in chain lengths."""
 
     def bad(jump: Jump) -> tuple[bool, float]:
-        unit = solved.problem.length if jump.slides else 1.0
+        """Return whether goals do not explain a jump, and its excess."""
+        unit = solved_take.problem.length if jump.slides else 1.0
         return (not jump.by_goals, (jump.size - jump.source) / unit)
 
     return bad
@@ -346,26 +356,26 @@ def _step_text(jump: Jump, size: float) -> str:
     return length_text(size) if jump.slides else angle_text(math.degrees(size), 3)
 
 
-def _jump_hint(solved: TakeIk, worst: Jump) -> str:
+def _jump_hint(solved_take: TakeIk, worst: Jump) -> str:
     """Return a hint that reduces the jumps of a take."""
-    smoothing = solved.steadier
+    smoothing = solved_take.steadier
     if smoothing is not None:
         remaining_text = "leaves no jump"
         if smoothing.angle > 0:
             remaining_text = "leaves rotations of "
             remaining_text += f"{angle_text(math.degrees(smoothing.angle), 3)} at most"
         return f"{argument('smooth', f'{smoothing.seconds:g}')} {remaining_text}"
-    track = _fading_goal(solved, worst)
+    track = _fading_goal(solved_take, worst)
     if track is not None:
         hint = f"the goal {track.name!r} starts or ends there within "
         return f"{hint}{counted(round(track.ease), 'frame')}: a longer ease: slows it"
     if worst.by_goals:
         return "its goals move or rotate as fast there: space their keys farther apart"
-    goal = _straightening_goal(solved, worst)
+    goal = _straightening_goal(solved_take, worst)
     if goal is not None:
         hint = f"the limb becomes straight there: soft: {SUGGESTED_SOFT:g} on the goal "
         return f"{hint}{goal!r} eases it, and stops slightly short of its target"
-    if solved.moving_between:
+    if solved_take.moving_between:
         return "each frame is solved on its own; let the joints between move (TGT105)"
     hint = (
         f"no smoother path was found, nor with {argument('smooth')}; a target that "
@@ -374,102 +384,108 @@ def _jump_hint(solved: TakeIk, worst: Jump) -> str:
     return f"{hint}from {worst.joint!r}, moves earlier or has less weight may help"
 
 
-def _fading_goal(solved: TakeIk, worst: Jump) -> GoalTrack | None:
+def _fading_goal(solved_take: TakeIk, worst: Jump) -> GoalTrack | None:
     """Return a goal of the joint that fades in or out at a jump."""
-    time = float(solved.take.clock.times[worst.frame])
-    for track in solved.tracks.goals:
+    time = float(solved_take.take.clock.times[worst.frame])
+    for track in solved_take.tracks.goals:
         ends = [(first - track.ease, first) for first, _ in track.during]
         ends += [(last, last + track.ease) for _, last in track.during]
         fades = any(start < time <= end + 1 for start, end in ends)
-        if fades and worst.joint in _chain_names(solved, track):
+        if fades and worst.joint in _chain_names(solved_take, track):
             return track
     return None
 
 
-def _chain_names(solved: TakeIk, track: GoalTrack) -> list[str]:
+def _chain_names(solved_take: TakeIk, track: GoalTrack) -> list[str]:
     """Return the names of a goal's joint and the joints above it."""
-    rig = solved.take.rig
+    rig = solved_take.take.rig
     return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
 
 
-def _straightening_goal(solved: TakeIk, worst: Jump) -> str | None:
+def _straightening_goal(solved_take: TakeIk, worst: Jump) -> str | None:
     """Return the goal whose limb snaps straight with the pin, if any."""
-    rig = solved.take.rig
+    rig = solved_take.take.rig
     if rig.joints[rig.index(worst.joint)].type is not JointType.PIN:
         return None
     rows = slice(worst.frame - 1, worst.frame + 1)
-    for e, track in enumerate(solved.tracks.goals):
-        is_missed = solved.misses[rows, e, 0] > MISSED_LENGTH
-        all_active = solved.active[rows, e, 0].all()
+    for e, track in enumerate(solved_take.tracks.goals):
+        is_missed = solved_take.misses[rows, e, 0] > MISSED_LENGTH
+        all_active = solved_take.active[rows, e, 0].all()
         snaps = all_active and is_missed[0] != is_missed[1] and not track.goal.soft
         if (
             snaps
-            and worst.joint in _chain_names(solved, track)
-            and _may_be_soft(solved, e)
+            and worst.joint in _chain_names(solved_take, track)
+            and _may_be_soft(solved_take, e)
         ):
             return track.name
     return None
 
 
-def _may_be_soft(solved: TakeIk, e: int) -> bool:
+def _may_be_soft(solved_take: TakeIk, e: int) -> bool:
     """Return whether a goal may be soft."""
-    problem = solved.problem
+    problem = solved_take.problem
     goals = list(problem.goals)
     goals[e] = replace(goals[e], soft=SUGGESTED_SOFT)
     moving = {problem.rig.index(name) for name in problem.joints}
     return not find_limbs(problem.rig, goals, moving, problem.chain)[1]
 
 
-def far_target_notices(solved: TakeIk, reports: list[GoalReport]) -> list[Fault]:
+def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault]:
     """Return a warning for each goal whose targets are far from its effector's start.
 
     Missed goals get another warning.
 
     Args:
-        solved: The solved take.
+        solved_take: The solved take.
         reports: Reports of its goals, from `goal_reports`.
     """
     notices = []
-    for i, (report, distance) in enumerate(zip(reports, solved.away, strict=True)):
-        if report.spans or not distance > FAR_TARGET * solved.size:
+    for i, (report, distance) in enumerate(zip(reports, solved_take.away, strict=True)):
+        if report.spans or not distance > FAR_TARGET * solved_take.size:
             continue
         message = (
             f"the targets of {report.name!r} are at least {length_text(distance)} "
         )
-        message += f"from its start, but the rig is {length_text(solved.size)} "
+        message += f"from its start, but the rig is {length_text(solved_take.size)} "
         message += "large"
         hint = "do the targets use these units and this space?"
-        notices.append(replace(_goal_warning(solved, "TGT106", i, message), hint=hint))
+        notices.append(
+            replace(_goal_warning(solved_take, "TGT106", i, message), hint=hint)
+        )
     return notices
 
 
-def independent_frame_notices(solved: TakeIk, *, smooth: bool = False) -> list[Fault]:
+def independent_frame_notices(
+    solved_take: TakeIk, *, smooth: bool = False
+) -> list[Fault]:
     """Return a notice if each frame was solved individually: a warning if ``smooth``.
 
     Args:
-        solved: The solved take.
+        solved_take: The solved take.
         smooth: Whether smoothing was requested, which needs connected frames.
     """
-    frames = len(solved.statuses)
-    if not solved.moving_between or frames == 1:
+    frames = len(solved_take.statuses)
+    if not solved_take.moving_between or frames == 1:
         return []
     message = f"each of {counted(frames, 'frame')} is solved on its own, as "
-    message += f"{listed([repr(name) for name in solved.moving_between], max_items=6)} "
+    message += (
+        f"{listed([repr(name) for name in solved_take.moving_between], max_items=6)} "
+    )
     message += "between the joints that may move "
-    message += "moves too" if len(solved.moving_between) == 1 else "move too"
+    message += "moves too" if len(solved_take.moving_between) == 1 else "move too"
     hint = "that takes longer, no smoother path is searched for, and nothing is "
     hint += "smoothed; let these joints move, or move by what their types have"
     level = Severity.WARNING if smooth else Severity.NOTE
-    return [Fault("TGT105", message, str(solved.tracks.path), (), hint, level)]
+    return [Fault("TGT105", message, str(solved_take.tracks.path), (), hint, level)]
 
 
-def _goal_warning(solved: TakeIk, code: str, goal: int, message: str) -> Fault:
+def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fault:
     """Return a warning about one of the goals."""
-    line, column = solved.tracks.goals[goal].location
+    line, column = solved_take.tracks.goals[goal].location
     return Fault(
         code,
         message,
-        str(solved.tracks.path),
+        str(solved_take.tracks.path),
         (line,),
         severity=Severity.WARNING,
         column=column,
@@ -507,12 +523,14 @@ def _frames_text(span: MissedSpan) -> str:
     return f"frames {span_label(span.first, span.last)}"
 
 
-def status_text(solved: TakeIk) -> str:
+def status_text(solved_take: TakeIk) -> str:
     """Return the number of frames by status, as text.
 
     NEAREST and STEADIER frames are reported together if there are both.
     """
-    counts = {IkStatus(name): count for name, count in solved.status_counts.items()}
+    counts = {
+        IkStatus(name): count for name, count in solved_take.status_counts.items()
+    }
     steadier = counts.pop(IkStatus.STEADIER, 0)
     if steadier:
         missed_count = steadier + counts.pop(IkStatus.NEAREST, 0)

@@ -204,6 +204,7 @@ class Session:
         return packed, packed.targets
 
     def _unknown_goal_error(self, name: str) -> OptionError:
+        """Return the error of a goal that the session does not have."""
         suggestions = most_similar(name, self._goals)
         hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"the session has no goal {excerpt(name)}"
@@ -279,6 +280,7 @@ def _target_parts(
 
 
 def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
+    """Return the session's goal, or one with the kinds of a call's targets."""
     if goal is not None:
         return goal
     return Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))

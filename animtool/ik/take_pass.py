@@ -64,14 +64,14 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     rig = take.rig
     take, tracks = rig_and_tracks(take, options, context.folder)
     options_of_solve = solve_options(options)
-    solved = solve_take(take, tracks, options_of_solve, progress=context.progress)
+    solved_take = solve_take(take, tracks, options_of_solve, progress=context.progress)
     context.notices.extend(tracks.notices)
     goals = goal_reports(
-        solved,
+        solved_take,
         max(options_of_solve.tolerance, MISSED_LENGTH),
         max(options_of_solve.angle_tolerance, MISSED_ANGLE),
     )
-    warnings = take_notices(solved, goals, smooth=options_of_solve.smooth > 0)
+    warnings = take_notices(solved_take, goals, smooth=options_of_solve.smooth > 0)
     context.notices.extend(warnings)
     times = solved.take.clock.times
     context.placed_joints.extend(
@@ -81,7 +81,7 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.metric]
     context.errors.extend(lengths)
-    return replace(solved.take, rig=rig)
+    return replace(solved_take.take, rig=rig)
 
 
 def solve_options(options: Any) -> TakeOptions:

@@ -349,6 +349,7 @@ class TakeSolver:
         return best_smoothing if best_smoothing.seconds > 0 else None
 
     def _build_problem(self, span: SolveSpan, goals: Sequence[Goal]) -> Problem:
+        """Return the problem of goals in a frame span."""
         return build(
             span.rig,
             goals,

@@ -288,6 +288,7 @@ class ValueReader:
     def _read_rotation(
         self, location: Location, numbers: list[float]
     ) -> Constant | None:
+        """Return a constant rotation; None with a fault if its length is 0."""
         rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
         if is_invalid:
             message = f"quaternion {numbers} has zero length"
@@ -299,6 +300,7 @@ class ValueReader:
     def _read_keyed_or_prim(
         self, location: Location, model: ValueModel, key: str
     ) -> Value | None:
+        """Return a value from keys or from a prim; None with a fault."""
         if (model.keys is None) == (model.prim is None):
             contents = (
                 "both keys and a prim" if model.prim else "neither keys nor a prim"
@@ -330,6 +332,7 @@ class ValueReader:
     def _read_prim(
         self, location: Location, model: ValueModel, key: str
     ) -> Value | None:
+        """Return a point or rotation that follows a prim; None with a fault."""
         motion = self._open_prim_motion(location, model)
         if motion is None:
             return None

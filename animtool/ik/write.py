@@ -46,10 +46,13 @@ def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
 
 @dataclass(frozen=True, slots=True)
 class _TargetsWriter:
+    """Formats target tracks, and collects the arrays they refer to."""
+
     units: ClipUnits
     arrays: dict[str, FloatArray] = field(default_factory=dict)
 
     def file_lines(self, tracks: TargetTracks) -> Iterator[str]:
+        """Yield the lines of the file."""
         angle = "rad" if self.units.angle == 1.0 else "deg"
         yield "targets: animtool/1"
         yield f"units: {{length: {unit_name(self.units.length)}, angle: {angle}}}"
@@ -65,6 +68,7 @@ class _TargetsWriter:
                 yield f"  {line}"
 
     def _goal_lines(self, track: GoalTrack) -> Iterator[str]:
+        """Yield the lines of a goal."""
         goal, chain = track.goal, track.chain
         if goal.root is not None and (chain is None or goal.root != chain.root):
             yield f"root: {yaml_scalar(goal.root)}"
@@ -84,6 +88,7 @@ class _TargetsWriter:
         yield from _option_lines(track, goal)
 
     def _value_text(self, key: str, value: Value) -> Iterator[str]:
+        """Yield the entry of a value: a constant, an array or keys."""
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
             case Constant(row):
@@ -100,6 +105,7 @@ class _TargetsWriter:
                 raise ValueError(f"{key} follows a prim, which is not written")
 
     def _weight_lines(self, track: GoalTrack) -> Iterator[str]:
+        """Yield the weights that differ from 1."""
         weights = track.weights
         if not weights:
             return

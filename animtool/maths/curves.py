@@ -52,7 +52,7 @@ class FoldedTimes:
     times: FloatArray  # within the range ``(F,)``
     # Time before (negative) or after the range for linear extrapolation; else 0
     # ``(F,)``.
-    beyond: FloatArray
+    overshoot: FloatArray
     # Cycles before (negative) or after the range, if each adds the curve's rise; else 0
     # ``(F,)``.
     cycles: FloatArray
@@ -266,6 +266,7 @@ def cubic_curves(
     keys, width = values.shape
 
     def handles(offsets: FloatArray) -> FloatArray:
+        """Return handles of all curves from their value offsets."""
         return np.stack([np.zeros(keys * width), offsets.T.ravel()], axis=-1)
 
     return Curves(
@@ -326,7 +327,7 @@ def evaluate(
         folded_times = fold_times(at, start, end, curves.pre[c], curves.post[c])
         rows[c], overshoot[c], cycles[c] = (
             folded_times.times,
-            folded_times.beyond,
+            folded_times.overshoot,
             folded_times.cycles,
         )
     slopes = end_slopes(curves)

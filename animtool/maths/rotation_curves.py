@@ -296,7 +296,7 @@ def evaluate_rotations(
         rows if is_batched else rows[:, None],
         np.broadcast_to(kinds, times.shape).astype(np.int64),
         folded_times.times,
-        folded_times.beyond,
+        folded_times.overshoot,
         folded_times.cycles,
     )
     return rotations if is_batched else rotations[:, 0]

@@ -338,6 +338,7 @@ class _CoordinateReader:
         return self.cache[name]
 
     def _read_coordinate(self, name: str) -> FloatArray:
+        """Return a coordinate from the motion's transforms."""
         rig = self.run.rig
         joint_name, part = split_coordinate(name)
         j = rig.index(joint_name)

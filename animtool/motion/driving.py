@@ -55,6 +55,7 @@ def drive_stream(stream: TakeStream, *, report_replaced: bool = False) -> TakeSt
     start = float(stream.start or 1)
 
     def blocks() -> Iterator[Motion]:
+        """Yield the driven blocks; add the warnings at the end."""
         frames_done = 0
         for block in stream.blocks:
             indices = np.arange(

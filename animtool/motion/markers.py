@@ -92,6 +92,7 @@ class Markers:
         """Return some of the markers, by index, in that order."""
 
         def columns(values: Any) -> Any:
+            """Return some columns of an array, or None."""
             return None if values is None else values[:, markers]
 
         return replace(

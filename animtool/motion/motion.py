@@ -212,6 +212,7 @@ class Motion:
         """Return the motion with a function applied to each channel it has."""
 
         def map_channel(channel: Channel | None) -> Channel | None:
+            """Return a mapped channel; None stays None."""
             return None if channel is None else function(channel)
 
         return Motion(
@@ -229,6 +230,7 @@ class Motion:
         """Return one motion of blocks that follow each other."""
 
         def concatenate_channel(name: str) -> Channel | None:
+            """Return the concatenated channel; None if absent."""
             channels = [getattr(block, name) for block in blocks]
             return None if channels[0] is None else Channel.concatenate(channels)
 

@@ -94,6 +94,7 @@ def check_tracks(
         raise error
 
     def checked(blocks: Iterator[Motion]) -> Iterator[Motion]:
+        """Yield the blocks; raise if their track times are missing."""
         for block in blocks:
             if block.track_times is None:
                 raise error

@@ -147,6 +147,7 @@ def apply_animated_placement(
         return track
 
     def sample(times: FloatArray) -> Transforms:
+        """Return the placed transforms at times."""
         return apply_placement(track.sample(times), placement(times))
 
     return replace(track, sample=sample)

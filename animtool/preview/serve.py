@@ -133,6 +133,7 @@ class _Handler(BaseHTTPRequestHandler):
         )
 
     def _send(self, code: int, body: bytes, kind: str) -> None:
+        """Send a response that is never cached."""
         self.send_response(code)
         self.send_header("Content-Type", kind)
         self.send_header("Content-Length", str(len(body)))

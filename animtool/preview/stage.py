@@ -236,11 +236,13 @@ class PointSlots:
         )
         previous, self._slot_of_id = self._slot_of_id, {}
         previous_ids = {name: previous[name] for name in names if name in previous}
-        used = set(previous_ids.values())
-        free = (slot for slot in range(self.count + len(rows)) if slot not in used)
+        used_slots = set(previous_ids.values())
+        free_slots = (
+            slot for slot in range(self.count + len(rows)) if slot not in used_slots
+        )
         for name in names:
             self._slot_of_id[name] = (
-                previous_ids[name] if name in previous_ids else next(free)
+                previous_ids[name] if name in previous_ids else next(free_slots)
             )
         columns = np.array([self._slot_of_id[name] for name in names], np.int64)
         self.count = max(self.count, int(columns.max(initial=-1)) + 1)

@@ -251,10 +251,12 @@ def _split_by_size(
     return groups
 
 
-def _encoded_samples(stored: Array, kind: str) -> bytes:
+def _encoded_samples(stored_values: Array, kind: str) -> bytes:
     """Return samples column-major, delta-coded, as byte planes."""
     width = _WIDTHS[kind]
-    columns = stored.reshape(1, -1) if len(stored) == 1 else stored.T
+    columns = (
+        stored_values.reshape(1, -1) if len(stored_values) == 1 else stored_values.T
+    )
     columns = np.ascontiguousarray(columns, TYPES[kind])
     if kind != "f32":
         words = columns.view(f"<u{width}")

@@ -167,6 +167,7 @@ def add_take(
     def world(
         frame_slice: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
     ) -> WorldTransforms:
+        """Return the joint transforms of a range of frames from stored tracks."""
         translations_, rotations_, scales_ = (
             None if track is None else track.dense_values(frame_slice)
             for track in tracks.values()
@@ -362,6 +363,7 @@ def _contact_spans(
     timeline = draft.timeline
 
     def code(frame: int) -> int | float:
+        """Return the page frame of a take's frame."""
         return json_number(timeline.first + (first + frame) * timeline.step)
 
     return [

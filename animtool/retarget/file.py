@@ -161,6 +161,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     def joint_indices(
         side: str, names: Sequence[str], *location: str | int
     ) -> tuple[int, ...]:
+        """Return the indices of joints by name; record unknown ones."""
         for i, name in enumerate(names):
             if name not in indices[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
@@ -224,6 +225,7 @@ def _check_sides(
 
 
 def _name_list(value: str | list[str]) -> list[str]:
+    """Return one name or several as a list."""
     return [value] if isinstance(value, str) else value
 
 

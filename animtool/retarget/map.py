@@ -76,6 +76,7 @@ def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
 
 
 def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
+    """Yield the lines of a map file."""
     source_names, target_names = source.names, target.names
     yield f"# {yaml_scalar(source.name)} onto {yaml_scalar(target.name)}"
     yield "map: animtool/1"
@@ -135,6 +136,7 @@ def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
 
 
 def _flow_list(names: Sequence[str]) -> str:
+    """Return names as a YAML list, or one name alone."""
     if len(names) == 1:
         return yaml_scalar(names[0])
     return f"[{', '.join(map(yaml_scalar, names))}]"

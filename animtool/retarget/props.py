@@ -116,6 +116,7 @@ def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
     """Return a track with its path scaled and its size unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
+        """Return the scaled transforms at times."""
         sampled = track.sample(times)
         matrices = sampled.matrices
         if matrices is not None:

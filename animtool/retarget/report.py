@@ -192,6 +192,7 @@ class FitMeter:
             self._add_score("acceleration", scale_factors[0])
 
     def _add_score(self, score: str, values: FloatArray) -> None:
+        """Add per-frame values of a score."""
         self._values.setdefault(score, []).append(values)
 
     def _both_skeletons(

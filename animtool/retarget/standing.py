@@ -129,6 +129,7 @@ def _limb_vectors(
 
 
 def _unit_vectors(vectors: FloatArray) -> FloatArray:
+    """Return unit vectors; zero vectors stay zero."""
     sizes = np.linalg.norm(vectors, axis=1)
     return np.asarray(vectors / np.maximum(sizes, 1e-12)[:, None])
 
@@ -362,6 +363,7 @@ def with_source_warnings(
     )
 
     def blocks() -> Iterator[Motion]:
+        """Yield the blocks; check the first for its up axis."""
         for i, block in enumerate(stream.blocks):
             if i == 0 and file_format not in {"BVH", "markers"}:
                 stream.notices.extend(order_warning(stream.rig, block, str(path)))
@@ -394,4 +396,5 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
 
 
 def _other_axis(up: UpAxis) -> UpAxis:
+    """Return Z for Y up and Y for Z up."""
     return UpAxis.Z if up is UpAxis.Y else UpAxis.Y

@@ -139,6 +139,7 @@ class SkeletonTree:
         ]
 
     def _is_end(self, joint: int) -> bool:
+        """Return whether a leaf is a bone end or a twist joint."""
         if self.children[joint] or self.votes[joint]:
             return False
         return self.kinds[joint] == END or self.is_tip(joint)

@@ -376,6 +376,7 @@ class _GroupProblem:
         other_values = {name: value[frames] for name, value in values.items()}
 
         def residual_at(point: FloatArray) -> FloatArray:
+            """Return the residuals at values of the solved controls."""
             values_at = dict(zip(free_names, point.T, strict=True))
             return self.residuals({**other_values, **values_at}, frames)
 

@@ -185,6 +185,7 @@ def driven_coordinates(
     driven_result = coordinates.copy()
 
     def read(name: str) -> FloatArray:
+        """Return a coordinate of an undriven joint."""
         joint, part = split_coordinate(name)
         j = rig.index(joint)
         columns = coordinates[:, slices[j]]

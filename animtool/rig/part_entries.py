@@ -295,11 +295,12 @@ class PartReader:
     def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
         """Return the masses."""
 
-        def known(location: Location, name: str) -> bool:
+        def is_known_joint(location: Location, name: str) -> bool:
+            """Return whether a joint exists; record a fault otherwise."""
             return self._check_known(location, name, self.joints, "joint")
 
         entries, length = self.model.masses, self.units.length
-        return read_masses(self.document, entries, inherited, length, known)
+        return read_masses(self.document, entries, inherited, length, is_known_joint)
 
     def _read_mesh(self, location: Location, mesh: MeshModel) -> Mesh:
         """Return a mesh; check its arrays."""

@@ -126,7 +126,7 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
         return False
     if not has_branches or (
         bones.sum() > MAX_WORLD_RATIO * total
-        and not (_stands(rig, offsets) and not _stands(rig, positions))
+        and not (_is_upright(rig, offsets) and not _is_upright(rig, positions))
     ):
         return False
     distances = np.linalg.norm(positions[children], axis=1)
@@ -153,7 +153,7 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
     return True
 
 
-def _stands(rig: Rig, positions: FloatArray) -> bool:
+def _is_upright(rig: Rig, positions: FloatArray) -> bool:
     """Return whether the feet of a body are below all of its torso."""
     feet, torso = _feet_and_torso(rig)
     if not (feet and torso):

@@ -24,7 +24,7 @@ def test_times_within(mode: Extrapolation) -> None:
 
 def test_linear_keeps_what_is_beyond() -> None:
     folded = fold_times(TIMES, 0.0, 4.0, Extrapolation.LINEAR, Extrapolation.LINEAR)
-    assert (folded.times + folded.beyond).tolist() == TIMES.tolist()
+    assert (folded.times + folded.overshoot).tolist() == TIMES.tolist()
     assert not folded.cycles.any()
 
 

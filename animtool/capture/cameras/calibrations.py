@@ -71,6 +71,7 @@ def read_camera_document(path: Path) -> Document:
 
 
 def _parse_toml(text: str, path: Path) -> Document:
+    """Return a TOML file as a document, with the lines of its tables."""
     try:
         value = parse_toml(text)
     except ValueError as error:

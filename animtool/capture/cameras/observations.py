@@ -157,6 +157,7 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
 def _read_arrays(
     archives: Archives, path: Path, fps: FractionLike | None
 ) -> Observations:
+    """Return the observations of an npz; see `read_observations`."""
     array_names = archives.names(path)
     key = next((name for name in _PIXEL_ARRAYS if name in array_names), None)
     if key is None:
@@ -213,6 +214,7 @@ def _read_arrays(
 def _observation_rate(
     archives: Archives, path: Path, array_names: list[str], fps: FractionLike | None
 ) -> Fraction:
+    """Return the frame rate, as requested or from the file."""
     if fps is not None:
         return rate_option(fps)
     if "fs" not in array_names:
@@ -246,16 +248,16 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
                 else f"the calibration has {shown_names}: is it that of this capture?"
             )
             raise OptionError(Fault("CAM011", message, path, (), hint))
-        chosen = tuple(by_name[name] for name in observations.cameras)
+        matched_cameras = tuple(by_name[name] for name in observations.cameras)
     else:
-        chosen = cameras.cameras
-        if len(chosen) != views:
-            message = f"holds {counted(len(chosen), 'camera')}, but the observations "
-            message += f"have {views}"
+        matched_cameras = cameras.cameras
+        if len(matched_cameras) != views:
+            message = f"holds {counted(len(matched_cameras), 'camera')}, "
+            message += f"but the observations have {views}"
             hint = "use the calibration of this capture, or write camera_names in the "
             hint += "observations to tell which cameras they are"
             raise OptionError(Fault("CAM011", message, path, (), hint))
     if views < 2:
         message = "one camera sees no depth: at least two are needed"
         raise OptionError(Fault("CAM012", message, observations.path or path))
-    return replace(cameras, cameras=chosen)
+    return replace(cameras, cameras=matched_cameras)

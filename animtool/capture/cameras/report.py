@@ -154,6 +154,7 @@ def camera_notices(
     """
 
     def warning(code: str, message: str, hint: str | None = None) -> Fault:
+        """Return a warning about the camera's file."""
         return Fault(code, message, path or None, (), hint, Severity.WARNING)
 
     for shift in report.shifts:

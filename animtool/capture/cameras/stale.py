@@ -212,7 +212,7 @@ def truncated_error(
 
 
 def _exact_ranges(
-    judged: FloatArray,
+    triangulated_counts: FloatArray,
     rejected: FloatArray,
     camera: int,
     is_off: BoolArray,
@@ -220,7 +220,11 @@ def _exact_ranges(
 ) -> list[PoseShift]:
     """Return the exact frame ranges in which a camera does not fit."""
     is_rejected = np.concatenate(
-        [rejected[:, camera] > MIN_REJECTED_FRACTION * judged[:, camera], [False]]
+        [
+            rejected[:, camera]
+            > MIN_REJECTED_FRACTION * triangulated_counts[:, camera],
+            [False],
+        ]
     )
     ranges = []
     for begin, end in _outlier_runs(is_off, window):
@@ -228,17 +232,24 @@ def _exact_ranges(
         if begin and is_rejected[:begin].all():
             first = 0
         last = end + int(np.argmin(is_rejected[end:]))
-        fraction = _rejected_fraction(judged, rejected, camera, first, last)
+        fraction = _rejected_fraction(
+            triangulated_counts, rejected, camera, first, last
+        )
         ranges.append(PoseShift(first, last, fraction))
     return ranges
 
 
 def _rejected_fraction(
-    judged: FloatArray, rejected: FloatArray, camera: int, first: int, end: int
+    triangulated_counts: FloatArray,
+    rejected: FloatArray,
+    camera: int,
+    first: int,
+    end: int,
 ) -> float:
     """Return the rejected fraction of a camera's observations in frames."""
     return float(
-        rejected[first:end, camera].sum() / max(1, judged[first:end, camera].sum())
+        rejected[first:end, camera].sum()
+        / max(1, triangulated_counts[first:end, camera].sum())
     )
 
 

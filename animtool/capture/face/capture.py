@@ -222,6 +222,7 @@ def _read_model(
         return None
 
     def meters(key: str) -> FloatArray:
+        """Return an array in metres."""
         values: npt.NDArray[np.float64] = archives.load(path, key) * _unit_meters(
             key, unit
         )

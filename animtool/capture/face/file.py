@@ -254,6 +254,7 @@ def _displacement(
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
+        """Return vertex offsets at the landmarks."""
         offsets = np.zeros((len(surface.points), 3))
         if matching_shape.vertices is None:
             offsets[:] = values

@@ -304,6 +304,7 @@ def _in_neighbour_frame(
     local = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:
+        """Return positions of the gap in world space."""
         gap_frames = rotation[-len(values) :], shift[-len(values) :]
         return np.asarray(
             np.einsum("fij,fj->fi", gap_frames[0], values) + gap_frames[1]

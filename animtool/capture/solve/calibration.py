@@ -202,6 +202,7 @@ class _CalibrationState:
             return 1.0
 
         def spread(points: FloatArray) -> float:
+            """Return the median distance of markers from their centre."""
             visible_points = np.where(visible, points, np.nan)
             return float(np.nanstd(visible_points, axis=1).mean())
 

@@ -125,6 +125,7 @@ def solve_stream(
     )
 
     def blocks() -> Iterator[Motion]:
+        """Yield the motion; add the notices of the solve at the end."""
         known_count = len(solve.notices)
         yield from solve.blocks(progress)
         stream.notices += [fault.in_file(path) for fault in solve.notices[known_count:]]

@@ -143,6 +143,7 @@ def template_text(template: MarkerTemplate, title: str, rig: str | None = None) 
 def _template_lines(
     template: MarkerTemplate, title: str, rig: str | None
 ) -> Iterator[str]:
+    """Yield the lines of a template file."""
     yield f"# {title}"
     yield "markers: animtool/1"
     if rig is not None:

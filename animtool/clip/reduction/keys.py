@@ -85,6 +85,7 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
     def optional_channel(
         kind: ChannelKind, rest_motion: Channel | None
     ) -> Channel | None:
+        """Return a channel of a kind; None if the rest pose has none."""
         return (
             None
             if rest_motion is None

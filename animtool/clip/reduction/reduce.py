@@ -114,7 +114,7 @@ def reduce_motion(
 
     base_motion = None if base is None else base.motion
     budgets: list[TrackBudget] = []
-    reached = _SearchResult([], np.zeros((motion.frames, 1)), 0.0, 0)
+    search_result = _SearchResult([], np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
         world = _WorldErrors(rig, motion, base_motion, shell, bounds)
         if start is not None:
@@ -124,14 +124,16 @@ def reduce_motion(
             for t in joint_tracks
             if t.is_animated
         ]
-        reached = _search_tolerances(world, budgets)
+        search_result = _search_tolerances(world, budgets)
     weight_budgets = [
         TrackBudget.from_track(track, weight_tolerance)
         for track in weight_tracks
         if track.is_animated
     ]
 
-    frame, joint = divmod(int(np.argmax(reached.errors)), reached.errors.shape[1])
+    frame, joint = divmod(
+        int(np.argmax(search_result.errors)), search_result.errors.shape[1]
+    )
     return Reduction(
         clock=take.clock,
         rest=rest_motion,
@@ -139,19 +141,21 @@ def reduce_motion(
             rig, joint_tracks + weight_tracks, [*budgets, *weight_budgets]
         ),
         samples=motion.frames * sum(track.is_animated for track in tracks),
-        error=float(reached.errors[frame, joint]),
+        error=float(search_result.errors[frame, joint]),
         joint=rig.joints[joint].name if rig.joints else "",
         frame=frame,
-        held=reached.error_ratio <= 1,
+        held=search_result.error_ratio <= 1,
         weight_error=max(
             (float(shape.errors.max()) for shape in weight_budgets), default=0.0
         ),
-        rounds=reached.rounds,
+        rounds=search_result.rounds,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _SearchResult:
+    """Keys within their tolerances, and the remaining error."""
+
     keys: list[FittedKeys]
     errors: FloatArray
     error_ratio: float

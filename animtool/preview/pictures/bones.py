@@ -59,6 +59,7 @@ class BoneRenderer:
         poses: Sequence[PosedTake],
         color: Callable[[int], Color],
     ) -> None:
+        """Draw bones as octahedra and joints as balls."""
         size = max(pose.bounds_radius for pose in poses)
         octahedra, balls, colors_of_joints = [], [], []
         for pose in poses:

@@ -382,6 +382,7 @@ class PictureRenderer:
             shows_numbers = len(set(samples)) > 1
 
         def render(k: int) -> Array:
+            """Return the pixels of a film frame."""
             if self._options.turntable:
                 view.yaw = yaw + 2 * math.pi * k / len(samples)
             pixels = self._scene.draw(view, samples[k], picture, camera.shot)

@@ -76,6 +76,7 @@ def film_writer(
                 count = 0
 
                 def add(pixels: Array) -> None:
+                    """Encode one frame."""
                     nonlocal count
                     frame = _video_frame(av, pixels, palette)
                     frame.pts, frame.time_base = count, 1 / rate

@@ -118,6 +118,7 @@ class TrailRenderer:
     def _trail_segments(
         self, pose: PosedTake, sample: int, color: Color, contact: Color
     ) -> FloatArray:
+        """Return the segments of a take's trails, fading with time."""
         first = max(0, sample - TRAIL_SAMPLES)
         last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
         paths = pose.trail_positions(first, last)

@@ -232,6 +232,7 @@ class SceneRenderer:
         )
 
         def draw(target: Any) -> None:
+            """Draw all layers into a framebuffer."""
             self._draw_all(eye, view, visible, target, has_shadow=has_shadow, shot=shot)
 
         return picture.draw(self._colors["view"], draw)
@@ -290,6 +291,7 @@ class SceneRenderer:
         )
 
     def _draw_shapes(self, eye: EyeMatrices, shapes: Sequence[Solid]) -> None:
+        """Draw shapes, unless meshes are hidden."""
         for shape in shapes if "meshes" in self._shown_layers else []:
             if not (isinstance(shape, MeshRenderer) and shape.is_prototype):
                 shape.draw(eye)

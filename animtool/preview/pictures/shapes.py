@@ -282,14 +282,15 @@ class InstanceRenderer:
     def update(self, sample: int) -> None:
         """Place the instances at a sample."""
 
-        def at(name: str) -> Array | None:
+        def sample_stream(name: str) -> Array | None:
+            """Return a stream's values at the sample; None without the stream."""
             number = self._record.get(name)
             return (
                 None if number is None else self._streams.sample_values(number, sample)
             )
 
         translations, rotations_, scales, visible = (
-            at(name) for name in ("t", "r", "s", "visible")
+            sample_stream(name) for name in ("t", "r", "s", "visible")
         )
         assert translations is not None
         positions = translations.reshape(-1, 3).astype(np.float64)

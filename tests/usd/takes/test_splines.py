@@ -134,7 +134,7 @@ def reference(curves: Curves, times: Floats) -> Floats:
     values = np.array([inside(curves, float(t)) for t in found.times])
     values += found.cycles * (curves.values[-1] - curves.values[0])
     last = len(curves.times) - 2
-    for i, beyond in enumerate(found.beyond):
+    for i, beyond in enumerate(found.overshoot):
         if beyond:
             at = (0, False) if beyond < 0 else (last, True)
             values[i] += beyond * slope(curves, *at)
