@@ -34,7 +34,7 @@ class ThinnedSamples:
     kept_samples: IntArray  # indices of the kept samples, ascending ``(N,)``
     error: float  # largest distance of a point from its original position [m]
     joint_index: int  # of the joint of that point
-    worst_code: float  # time code of that error
+    code: float  # time code of that error
     weight_error: float  # largest error of a shape's weight [1]
 
     @property

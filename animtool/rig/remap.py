@@ -80,7 +80,7 @@ class ShapeLinks:
     """Links between source and target shapes."""
 
     links: tuple[ShapeLink, ...]
-    unlinked_sources: tuple[str, ...]  # unlinked source shapes
+    lost: tuple[str, ...]  # unlinked source shapes
     unlinked_targets: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:

@@ -95,7 +95,7 @@ def _transfer_by_name(
         for name, has_moved in zip(source, has_motion.tolist(), strict=True)
         if has_moved
     }
-    unlinked_names = [name for name in links.unlinked_sources if name in moving_shapes]
+    unlinked_names = [name for name in links.lost if name in moving_shapes]
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "

@@ -283,15 +283,13 @@ def _unmatched_notices(
     """Return notices of names only in the recording or only in the rig."""
     path = str(recording.path)
     notices = []
-    if has_rig_option and links.unlinked_sources:
+    if has_rig_option and links.lost:
         zero_shapes = {
             name
             for name, column in zip(recording.shapes, recording.weights.T, strict=True)
             if not np.nan_to_num(column).any()
         }
-        unmatched_names = [
-            name for name in links.unlinked_sources if name not in zero_shapes
-        ]
+        unmatched_names = [name for name in links.lost if name not in zero_shapes]
         if unmatched_names:
             message = f"{len(unmatched_names)} shapes are not in the rig: "
             hint = f"map them to its shapes with {argument('source.remap')}"

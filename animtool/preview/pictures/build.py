@@ -65,7 +65,7 @@ class PictureReport:
         pixels: Width and height.
         frames: Time codes of the frames shown, in order for a film.
         rate: Frames per second of a film; 0 for a still.
-        description: Format of the file, with the licence of its encoder.
+        about: Format of the file, with the licence of its encoder.
         page: The page that it shows.
     """
 
@@ -74,11 +74,11 @@ class PictureReport:
     pixels: tuple[int, int]
     frames: tuple[float, ...]
     rate: Fraction
-    description: str
+    about: str
     page: PreviewPage
 
     json_keys: ClassVar[str] = (
-        "'preview' output=path bytes=size format=description width height frames=count "
+        "'preview' output=path bytes=size format=about width height frames=count "
         "first last fps=rate not_shown=page.manifest.notices notices=page.notices"
     )
 
