@@ -355,7 +355,7 @@ class _LayerPlan:
         other = match_rig(stream.rig, self.other, is_additive=is_additive)
         self._weights(time_codes(Fraction(1), Fraction(1), 1))
         if is_additive:
-            stream.notices.extend(_pose_notices(other, self.joints))
+            stream.notices.extend(_pose_notices(other, self.joint_indices))
         return replace(stream, blocks=self._layered_blocks(stream, other))
 
     def _weights(self, times: FloatArray) -> FloatArray:
@@ -451,10 +451,12 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
     return [Fault("SCN118", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _pose_notices(other: Take, joints: list[int] | None) -> list[Fault]:
+def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
     """Return a warning if an additive layer holds poses, not a difference (SCN119)."""
     rig = other.rig
-    rows = np.arange(len(rig.joints)) if joints is None else np.array(joints)
+    rows = (
+        np.arange(len(rig.joints)) if joint_indices is None else np.array(joint_indices)
+    )
     rest = rig.rest_translations[rows]
     lengths = np.linalg.norm(rest, axis=1)
     has_length = (lengths > 0) & (rig.parents[rows] >= 0)
