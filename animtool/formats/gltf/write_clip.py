@@ -141,7 +141,7 @@ def write_clip(
     )
     duration = float(seconds[-1])
     if tolerance is None and matches_curve(take):
-        native = getattr(take.curve, "native", None)
+        native = getattr(take.curve, "native_keys", None)
         duration = native.last_time if isinstance(native, NativeKeys) else duration
     if not animation.lasts_until(duration):
         # glTF requires a channel: a static key keeps the name and duration of the clip.
@@ -163,7 +163,7 @@ def _source_keys(take: Take) -> dict[tuple[int, str], SamplerKeys]:
     start = take.clock.start
     if not matches_curve(take):
         return {}
-    native = getattr(take.curve, "native", None)
+    native = getattr(take.curve, "native_keys", None)
     if isinstance(native, NativeKeys):
         return convert_native_keys(native, start)
     clip = clip_of(take)
