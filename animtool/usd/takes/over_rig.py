@@ -118,7 +118,10 @@ def convert_over_rig(
         inverse_scale = rig_placement.upright_scale.inverse()
         rig_from_take = None if inverse_scale.is_identity else lambda _: inverse_scale
         return OverRig(
-            unplace_take(stream), rig_placement.upright_scale, rig_from_take, notices
+            remove_placement(stream),
+            rig_placement.upright_scale,
+            rig_from_take,
+            notices,
         )
     if not rig_placement.is_animated:
         inverse_scale = rig_placement.fixed.inverse()

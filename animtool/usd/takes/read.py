@@ -225,7 +225,7 @@ def _drop_placement(
     placed_rig = rest_rig(local_rig, placement)
     source_rig = replace(placed_rig, has_animated_parents=placement.is_animated)
     stream.notices += placement_notice(
-        source_rig, path, is_kept=False, is_in_joints=local_rig.rides
+        source_rig, path, is_kept=False, is_in_joints=local_rig.has_animated_parents
     )
     stream.rig = rest_rig(local_rig, placement, DROP)
     heading_placement = stream.rig.placement
