@@ -106,6 +106,7 @@ class _JointCleaner:
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
             cutoff = (
                 self._choose_cutoff(signal, rotation=rotation) if is_noisy else None
+            )
             frames = tuple(np.flatnonzero(is_spike).tolist())
             cleaned_signal = CleanedSignal(
                 self.names[joint], rotation, frames, noise, cutoff
@@ -318,7 +319,7 @@ def cleaning_notices(
     if removed is not None:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes motion, not only noise: "
-            f"{removed.part} changes by up to {removed.text(removed.max_change)}, its "
+            f"{removed.name} changes by up to {removed.text(removed.max_change)}, its "
             f"noise is {removed.text(removed.noise)}"
         )
         hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"

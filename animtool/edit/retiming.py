@@ -21,7 +21,7 @@ from animtool.edit.frames import (
     check_count,
     check_range,
     exact_fraction,
-    frame_refusal,
+    frame_error,
     seconds_hint,
 )
 from animtool.edit.straight import interpolation_notices

@@ -151,7 +151,7 @@ class _TriangulationRun:
         ]
         width = max(1.0, float(np.median(widths)))
         limit = SUSPECT_NOISE * width
-        if noise.stale or not noise.agree or middle > limit:
+        if noise.stale_cameras or not noise.cameras_agree or median_noise > limit:
             self._refuse_other_convention(limit)
         if median_noise > MAX_NOISE * width:
             message = (

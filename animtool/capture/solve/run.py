@@ -389,16 +389,17 @@ def check_units(
     )
     message = (
         f"the markers are {size_factor:.3g} times {comparison} than those on the rig"
+    )
     document = None if template is None else template.document
     for notice in () if document is None else document.notices:
         if notice.code == "MKT003":
-            message = f"{notice.message}; captured markers are {times:.3g} times "
+            message = f"{notice.message}; captured markers are {size_factor:.3g} times "
             message += f"{comparison} than those on the rig"
             error = replace(
                 notice, code="SOL005", message=message, severity=Severity.ERROR
             )
             raise OptionError(error)
-    written, unit_read = _confused_units(ratio)
+    unit_written, unit_read = _confused_units(ratio)
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
     )
