@@ -203,31 +203,31 @@ class _ClipReader:
         """Record once, and not for each channel, that the rig is another one."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig is None or not unknown:
+        if self.rig is None or not unknown_targets:
             return
-        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown)
+        guesses = sum("did you mean" in (fault.hint or "") for fault in unknown_targets)
         is_other = len(unknown_targets) >= max(MIN_TARGETS, MIN_UNKNOWN * count)
-        is_other &= guesses < MIN_GUESSED * len(unknown)
+        is_other &= guesses < MIN_GUESSED * len(unknown_targets)
         is_for_named_rig = self._named_rig_has_all()
         if not is_other and not is_for_named_rig:
             return
         lacks = f"has none of the {count} targets"
         if len(unknown_targets) < count:
             lacks = f"lacks {len(unknown_targets)} of the {count} targets"
-        subjects = (fault.message.removeprefix("unknown ") for fault in unknown)
+        subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
         names = listed(list(dict.fromkeys(subjects)), 4)
         message = f"rig {self.rig.name!r} {lacks}: {names}"
         hint = "is it the right rig?"
-        other = replace(unknown[0], message=message, hint=hint)
+        rig_fault = replace(unknown_targets[0], message=message, hint=hint)
         if is_for_named_rig:
             hint = (
                 f"the clip is for {self.model.rig}, which has them; animtool retarget, "
                 "or the pass retarget of a scene, moves its take to another rig"
             )
-            other = self.document.fault("CLIP002", ("rig",), message, hint)
+            rig_fault = self.document.fault("CLIP002", ("rig",), message, hint)
         elif self.model.rig is not None:
             hint = f"the clip names {self.model.rig}; {hint}"
-            other = replace(other, hint=hint)
+            rig_fault = replace(rig_fault, hint=hint)
         self.document.faults[:] = [
             rig_fault,
             *(f for f in faults if f not in unknown_targets),
@@ -246,7 +246,7 @@ class _ClipReader:
             for channel in self.model.channels
         )
 
-    def _fps(self) -> Fraction:
+    def _read_rate(self) -> Fraction:
         """Return the frame rate; record an invalid one."""
         try:
             return parse_rate(self.model.fps)

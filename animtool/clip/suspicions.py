@@ -229,14 +229,14 @@ def warn_of_angle_keys(
         rig: Rig whose limits show units of pins, if it is known.
     """
     angles = [(curve, curve.values / units.angle) for curve in curves]
-    angles = [
-        (curve, values) for curve, values in angles if values.any()
-    ]
+    angles = [(curve, values) for curve, values in angles if values.any()]
     if not angles:
         return
     in_degrees = units.angle != 1.0
     named = [(curve.name, values) for curve, values in angles]
-    if not (_in_radians(named) if in_degrees else _in_degrees(named, rig)):
+    if not (
+        _look_like_radians(named) if in_degrees else _look_like_degrees(named, rig)
+    ):
         return
     curve, values = max(angles, key=lambda row: np.abs(row[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
@@ -255,35 +255,41 @@ def warn_of_angle_keys(
     document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 
 
-def _in_radians(angles: list[tuple[str, FloatArray]]) -> bool:
+def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
+    """Return whether angles look like radians."""
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
     largest = np.abs(values).max()
-    multiples = np.count_nonzero(are_multiples(values))
-    if largest <= FULL_REVOLUTION and multiples >= MIN_EXACT * len(values):
+    multiple_count = np.count_nonzero(are_multiples(values))
+    if largest <= FULL_REVOLUTION and multiple_count >= MIN_EXACT * len(values):
         return True
     if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
         return False
-    moving = [
+    moving_targets = [
         name
         for name, channel_values in angles
         if np.ptp(channel_values, axis=0).max() > MIN_SPAN
     ]
-    return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
+    return len(moving_targets) >= MIN_CHANNELS and any(
+        map(HINGE_NAMES.search, moving_targets)
+    )
 
 
-def _in_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
-    wound = [(target, values) for target, values in angles if _exceeds(values)]
-    if any(_winds_up(target, values, rig) for target, values in wound):
+def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
+    """Return whether angles look like degrees."""
+    beyond_revolution = [
+        (target, values) for target, values in angles if _exceeds_revolution(values)
+    ]
+    if any(_winds_up(target, values, rig) for target, values in beyond_revolution):
         return True
-    hinges = any(HINGE_NAMES.search(target) for target, _ in wound)
-    if hinges and len(wound) >= MIN_WOUND:
+    has_hinge = any(HINGE_NAMES.search(target) for target, _ in beyond_revolution)
+    if has_hinge and len(beyond_revolution) >= MIN_WOUND:
         return True
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
-    integers = np.mean(values == np.round(values))
+    integer_fraction = np.mean(values == np.round(values))
     return bool(
-        FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES and integers > 0.5
+        FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES and integer_fraction > 0.5
     )
 
 
@@ -300,7 +306,7 @@ def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
     return len(ends) == 2 and bool(largest > max(ends) + FULL_REVOLUTION)
 
 
-def _exceeds(values: FloatArray) -> bool:
+def _exceeds_revolution(values: FloatArray) -> bool:
     """Return whether the largest of some angles is more than a revolution [rad]."""
     return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
@@ -316,32 +322,35 @@ def _warn_of_metres(
     size = rest_size(rig)
     if units.length >= 1.0 or size < CHARACTER_SIZES[0]:
         return
-    strides = [np.ptp(v, axis=0).max() for _, v in _angles(channels)]
-    stride = max(strides, default=0.0)
+    rotation_ranges = [np.ptp(v, axis=0).max() for _, v in _angle_channels(channels)]
+    largest_rotation = max(rotation_ranges, default=0.0)
     # An idle has small motion of all kinds.
-    if strides and stride < MIN_STRIDE:
+    if rotation_ranges and largest_rotation < MIN_STRIDE:
         return
     if not has_unit and _warn_of_small_lengths(document, channels, units, rig):
         return
-    if not strides:
+    if not rotation_ranges:
         return
     for i, channel in root_translations(channels, rig):
         largest_distance = float(np.linalg.norm(channel.values, axis=1).max())
-        net = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
+        net_distance = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
         in_metres = largest_distance / units.length
         shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
         if (
             largest_distance > MAX_TRAVEL * size
             or not shortest_travel <= in_metres <= longest_travel
-            or net < largest_distance / 2
+            or net_distance < largest_distance / 2
         ):
             continue
         message = (
-            f"{channel.target!r} moves by {length_text(net)} while limbs rotate by "
-            f"{math.degrees(stride):.0f}°; the rig is {length_text(size)} tall"
+            f"{channel.target!r} moves by {length_text(net_distance)} while limbs "
+            f"rotate by {math.degrees(largest_rotation):.0f}°; "
+            f"the rig is {length_text(size)} tall"
         )
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
-        document.warn("CLIP108", (*_key_location(i, len(channel.times) - 1), "v"), message, hint)
+        document.warn(
+            "CLIP108", (*_key_location(i, len(channel.times) - 1), "v"), message, hint
+        )
         return
 
 
@@ -412,8 +421,7 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
     message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
     hint = f"for {largest:.4g}% write {largest / 100:.4g}"
     k = int(channels[i].values[:, 0].argmax())
-    document.warn("CLIP121", (*_at(i, k), "v"), message, hint)
-    )
+    document.warn("CLIP121", (*_key_location(i, k), "v"), message, hint)
 
 
 def _warn_of_controls(

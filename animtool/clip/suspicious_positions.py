@@ -14,7 +14,11 @@ from animtool.documents.document import Document
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.rig.suspicious_shape import FOOT_NAMES, HINGE_NAMES, source_rest_pose
+from animtool.rig.suspicious_shape import (
+    FOOT_NAMES,
+    HINGE_NAMES,
+    rest_pose_without_kernels,
+)
 
 # Fraction of a rig by which a joint rests away from its parent, or else is at it.
 MIN_REST = 0.05
@@ -69,9 +73,11 @@ def _warn_of_rest(
             continue
         rest = np.array(rig.joints[rig.index(name)].translation)
         length = float(np.linalg.norm(rest))
-        if length <= MIN_REST * size or not _from_parent(channel.values, rest):
+        if length <= MIN_REST * size or not _is_near_rest_position(
+            channel.values, rest
+        ):
             continue
-        shown, both = (
+        position_text, sum_text = (
             length_text(float(np.linalg.norm(position)))
             for position in (rest, rest + channel.values[0])
         )
@@ -79,8 +85,9 @@ def _warn_of_rest(
             "the origin" if rig.joints[rig.index(name)].parent < 0 else "its parent"
         )
         message = (
-            f"{channel.target!r} is keyed near the joint's rest position, {shown} from "
-            f"{origin}; keys are added to the rest position, so the joint is at {both}"
+            f"{channel.target!r} is keyed near the joint's rest position, "
+            f"{position_text} from {origin}; keys are added to the rest position, so "
+            f"the joint is at {sum_text}"
         )
         hint = (
             "subtract the rest position from the keys, or key "
@@ -90,14 +97,18 @@ def _warn_of_rest(
         return
 
 
-def _from_parent(values: FloatArray, rest: FloatArray) -> bool:
+def _is_near_rest_position(values: FloatArray, rest: FloatArray) -> bool:
     """Return whether translations stay near a rest position."""
     length = float(np.linalg.norm(rest))
     if (np.linalg.norm(values - rest, axis=1) <= AT_REST * length).all():
         return True
-    along = values @ rest / length**2
-    near = abs(float(along.mean()) - 1) <= NEAR_REST
-    return len(values) > 1 and near and bool((abs(along - 1) <= ABOUT_REST).all())
+    fraction_along_rest = values @ rest / length**2
+    is_near = abs(float(fraction_along_rest.mean()) - 1) <= NEAR_REST
+    return (
+        len(values) > 1
+        and is_near
+        and bool((abs(fraction_along_rest - 1) <= ABOUT_REST).all())
+    )
 
 
 def _warn_of_offsets(
@@ -114,11 +125,14 @@ def _warn_of_offsets(
         length = float(np.linalg.norm(rest))
         if length <= MIN_REST * size:
             continue
-        along = channel.values @ rest / length**2
+        fraction_along_rest = channel.values @ rest / length**2
         distances = np.linalg.norm(channel.values, axis=1)
         k = int(distances.argmin())
         # A body that lies on the ground is near 0, but hardly at it.
-        is_near = abs(float(along.mean())) <= NEAR_REST and max(along) <= ABOUT_REST
+        is_near = (
+            abs(float(fraction_along_rest.mean())) <= NEAR_REST
+            and max(fraction_along_rest) <= ABOUT_REST
+        )
         if distances[k] > AT_REST * length or not is_near:
             continue
         if joint.parent < 0:
@@ -145,7 +159,7 @@ def _warn_of_up_axis(
 ) -> None:
     """Warn of a root that walks into the ground (CLIP123)."""
     up = rig.up.vector
-    lowest = float((source_rest_pose(rig)[0] @ up).min())
+    lowest = float((rest_pose_without_kernels(rig)[0] @ up).min())
     for i, channel in root_translations(channels, rig):
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
         rest = np.array(rig.joints[rig.index(name)].translation)
@@ -160,9 +174,11 @@ def _warn_of_up_axis(
         sideways = np.linalg.norm(
             values - values[0] - np.outer(heights - heights[0], up), axis=1
         )
-        even = np.interp(channel.times, channel.times[[0, -1]], heights[[0, -1]])
+        even_heights = np.interp(
+            channel.times, channel.times[[0, -1]], heights[[0, -1]]
+        )
         if sideways.max() > MAX_SIDEWAYS * drop or (
-            np.abs(heights - even).max() > MAX_UNEVEN * drop
+            np.abs(heights - even_heights).max() > MAX_UNEVEN * drop
         ):
             continue
         message = (

@@ -13,7 +13,7 @@ from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
 from animtool.maths.curves import Extrapolation
-from animtool.motion.key_times import full_seconds, in_seconds
+from animtool.motion.key_times import are_in_seconds, full_seconds
 
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
@@ -67,7 +67,7 @@ def seconds_texts(
     if not times:
         return None
     rate, in_range = float(fps), frames and full_seconds(times, *frames, float(fps))
-    if not in_range and not in_seconds(times, fps):
+    if not in_range and not are_in_seconds(times, fps):
         return None
     first = min(float(row[0]) for row in times)
     last = max(float(row[-1]) for row in times)

@@ -43,7 +43,6 @@ from animtool.motion.passes import (
     Pass,
     PassContext,
     PlacedJoint,
-    Scope,
     required_take_path,
 )
 from animtool.motion.take import Take, TakeStream

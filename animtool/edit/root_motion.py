@@ -234,6 +234,7 @@ def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
 
 
 def _run(take: Take, options: RootMotionOptions, context: PassContext) -> Take:
+    """Run the pass: extract or recompose the root motion."""
     if parse_choice(RootMode, options.mode, "mode") is RootMode.RECOMPOSE:
         return recompose_root(take, options.root, keep=options.keep)
     _check_axes(options.axes)

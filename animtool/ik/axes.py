@@ -26,14 +26,14 @@ def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | No
         goal_index: A goal whose position is missed.
         frame: Time code of a miss.
     """
-    target, rig = _limb_target(solved, goal_index, frame), solved.take.rig
+    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
     if target is None:
         return None
-    point, start, reach = target
+    point, start, limb_length = target
     other_up = UpAxis.Y if rig.up is UpAxis.Z else UpAxis.Z
-    turned = so3.rotate(np.array(up_from_up(rig.up, other_up)), point)
+    rotated_point = so3.rotate(np.array(up_from_up(rig.up, other_up)), point)
     distances = np.linalg.norm(np.array([point, rotated_point]) - start, axis=1)
-    if not distances[1] <= bone_length < distances[0]:
+    if not distances[1] <= limb_length < distances[0]:
         return None
     axes = "[x, z, -y]" if rig.up is UpAxis.Y else "[x, -z, y]"
     return (
@@ -42,23 +42,23 @@ def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | No
     )
 
 
-def unit_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
+def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
     """Return a hint if a missed target is in reach with a smaller unit.
 
     Args:
-        solved: The solved take.
+        solved_take: The solved take.
         goal_index: A goal whose position is missed.
         frame: Time code of a miss.
     """
-    target, rig = _limb_target(solved, goal_index, frame), solved.take.rig
+    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
     if target is None:
         return None
-    point, start, reach = target
+    point, start, limb_length = target
     for unit in (LengthUnit.CM, LengthUnit.MM):
         factor = unit.meters / rig.meters_per_unit
         distance = float(np.linalg.norm(factor * point - start))
-        if factor < 1 and distance <= MAX_REACH * reach:
-            root = solved.tracks.goals[goal_index].goal.root
+        if factor < 1 and distance <= MAX_REACH * limb_length:
+            root = solved_take.tracks.goals[goal_index].goal.root
             return (
                 f"the rig is in {unit_name(rig.meters_per_unit)}; with "
                 f"'units: {{length: {unit}}}' the target is "
@@ -68,10 +68,10 @@ def unit_hint(solved: TakeIk, goal_index: int, frame: float) -> str | None:
 
 
 def _limb_target(
-    solved: TakeIk, goal_index: int, frame: float
+    solved_take: TakeIk, goal_index: int, frame: float
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Return a target, the root of its limb at rest, and the limb's length [m]."""
-    track, rig = solved.tracks.goals[goal_index], solved.take.rig
+    track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
     value, root = track.values.get("position"), track.goal.root
     if value is None or root is None:
         return None
@@ -80,9 +80,9 @@ def _limb_target(
     chain = chain[: chain.index(start) + 1]
     positions = rest_world(rig).positions[0]
     bones = positions[chain[:-1]] - positions[chain[1:]]
-    reach = float(np.linalg.norm(bones, axis=1).sum())
+    limb_length = float(np.linalg.norm(bones, axis=1).sum())
     fps = solved_take.take.clock.fps
-    point = value.at(SampleFrames(np.array([frame]), fps))[0]
+    point = value.sample(SampleFrames(np.array([frame]), fps))[0]
     if not abs(point).max() < MAX_DISTANCE:
         return None
-    return point, positions[start], reach
+    return point, positions[start], limb_length

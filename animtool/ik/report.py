@@ -240,7 +240,7 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     far_miss = FAR_MISS * solved_take.problem.length
     if any(span.distance > far_miss for span in report.spans):
         return (
-            unit_hint(solved, i, worst.frame)
+            unit_hint(solved_take, i, worst.frame)
             or "far out of reach: do the targets use these units and this space?"
         )
     if any(span.status is IkStatus.BUDGET for span in report.spans):

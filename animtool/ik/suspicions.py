@@ -20,7 +20,7 @@ from animtool.ik.values import Keyed
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
-    HALF_CIRCLE_Z,
+    HALF_REVOLUTION_ABOUT_Z,
     warn_of_quaternion,
     warn_of_stretch_percent,
 )
@@ -35,18 +35,22 @@ def warn_of_order(document: Document) -> None:
     rows: list[tuple[Location, list[float]]] = []
     for i, goal in enumerate(document.value["goals"]):
         value = goal.get("orientation")
-        at: Location = ("goals", i, "orientation")
+        location: Location = ("goals", i, "orientation")
         if isinstance(value, list):
-            rows.append((at, value))
+            rows.append((location, value))
         elif isinstance(value, dict) and isinstance(value.get("keys"), list):
             keys = enumerate(value["keys"])
-            rows += [((*at, "keys", k, "v"), key["v"]) for k, key in keys]
-    rows = [(at, row) for at, row in rows if isinstance(row, list) and len(row) == 4]
+            rows += [((*location, "keys", k, "v"), key["v"]) for k, key in keys]
+    rows = [
+        (location, row)
+        for location, row in rows
+        if isinstance(row, list) and len(row) == 4
+    ]
     if any(abs(row[0]) > abs(row[3]) for _, row in rows):
         return
-    for at, row in rows:
-        if row == HALF_CIRCLE_Z:
-            warn_of_quaternion(document, "TGT108", at)
+    for location, row in rows:
+        if row == HALF_REVOLUTION_ABOUT_Z:
+            warn_of_quaternion(document, "TGT108", location)
             return
 
 

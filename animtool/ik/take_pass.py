@@ -20,11 +20,11 @@ from animtool.ik.sub_rig import with_joint_data_of
 from animtool.ik.take_run import take_option_faults
 from animtool.ik.tracks import TargetTracks
 from animtool.motion.passes import (
+    FrameScope,
     OptionChecks,
     Pass,
     PassContext,
     PlacedJoint,
-    Scope,
     TakePart,
 )
 from animtool.motion.take import Take
@@ -73,10 +73,10 @@ def _run(take: Take, options: Any, context: PassContext) -> Take:
     )
     warnings = take_notices(solved_take, goals, smooth=options_of_solve.smooth > 0)
     context.notices.extend(warnings)
-    times = solved.take.clock.times
+    times = solved_take.take.clock.times
     context.placed_joints.extend(
-        PlacedJoint(track.goal.joint, track.name, times[solved.active[:, e, 0]])
-        for e, track in enumerate(solved.tracks.goals)
+        PlacedJoint(track.goal.joint, track.name, times[solved_take.active[:, e, 0]])
+        for e, track in enumerate(solved_take.tracks.goals)
     )
     misses = [miss for goal in goals for miss in goal.misses]
     lengths = [miss.max for miss in misses if miss.metric]

@@ -81,10 +81,10 @@ def full_seconds(
     >>> full_seconds([np.array([0.0, 1.0, 2.0])], 1, 48, 24)
     True
     """
-    together, count = np.concatenate(times), last - first + 1
+    all_times, count = np.concatenate(times), last - first + 1
     return bool(
         max(map(len, times)) >= MIN_KEYS
-        and 0 <= together.min() < first
-        and np.ptp(together) <= MAX_FRACTION * count
-        and together.max() * rate <= count + rate
+        and 0 <= all_times.min() < first
+        and np.ptp(all_times) <= MAX_FRACTION * count
+        and all_times.max() * rate <= count + rate
     )

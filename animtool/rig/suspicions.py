@@ -52,7 +52,7 @@ MIN_AXIS_ANGLE = 2.0
 MIN_AXIS_RADIANS = 0.5
 # Arms of cartoons stretch to a few times their length; more is a percentage [1].
 MIN_PERCENT_STRETCH = 5.0
-# Multiples of 90 degrees in radians with two decimals, such as 1.57.
+# Multiples of 90 degrees in radians are told at two decimals, such as 1.57.
 QUARTER_ROUNDING = 2e-3
 
 
@@ -65,7 +65,7 @@ class AngleLimit(NamedTuple):
 
     @property
     def largest_value(self) -> float:
-        """The largest of the values, without sign."""
+        """Largest absolute value."""
         return max(map(abs, self.values))
 
     def values_text(self, factor: float = 1.0) -> str:
@@ -100,7 +100,7 @@ def warn_of_angles(
 
 def limits_in_other_unit(limits: Iterable[AngleLimit], angle: str) -> list[AngleLimit]:
     """Return the limits that look like radians if ``angle`` is deg, or the reverse."""
-    limits = [limit for limit in limits if limit.largest > 0]
+    limits = [limit for limit in limits if limit.largest_value > 0]
     return _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
 
 
@@ -113,8 +113,8 @@ def are_multiples(values: ArrayLike) -> BoolArray:
     array = np.asarray(values, np.float64)
     is_multiple = np.zeros(array.shape, np.bool_)
     for step, tolerance in (ANGLE_STEP, STEP_TOLERANCE), (FINE_STEP, FINE_TOLERANCE):
-        counts = np.round(array / step)
-        is_multiple |= (np.abs(array - counts * step) < tolerance) & (counts != 0)
+        steps = np.round(array / step)
+        is_multiple |= (np.abs(array - steps * step) < tolerance) & (steps != 0)
     return is_multiple
 
 

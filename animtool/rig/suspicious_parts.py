@@ -16,7 +16,7 @@ from animtool.rig.expressions import Expression
 from animtool.rig.schema import RigModel
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import warn_of_stretch_percent
-from animtool.rig.suspicious_shape import HINGE_NAMES, source_rest_pose
+from animtool.rig.suspicious_shape import HINGE_NAMES, rest_pose_without_kernels
 
 # Radii of a body's colliders in the unit that is meant, relative to its size.
 RADIUS_RANGE = (0.001, 0.3)
@@ -42,7 +42,7 @@ def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
         warn_of_stretch_percent(document, ("ik", i, "stretch"), chain.stretch)
     _warn_of_degrees(document, rig)
     if any(map(HINGE_NAMES.search, rig.names)):
-        positions, _ = source_rest_pose(rig)
+        positions, _ = rest_pose_without_kernels(rig)
         size = float(np.linalg.norm(np.ptp(positions, axis=0)))
         _warn_of_radii(document, model, size)
         _warn_of_masses(document, model, rig, size)
@@ -94,7 +94,7 @@ def _warn_of_masses(document: Document, model: RigModel, rig: Rig, size: float) 
 def _warn_of_degrees(document: Document, rig: Rig) -> None:
     """Warn of a function of radians that is given degrees (RIG115)."""
     for location, expression in _expressions(document, rig):
-        program = expression.program()
+        program = expression.postfix_program()
         for (kind, name), (next_kind, function) in pairwise(program):
             is_call = kind == "name" and next_kind == "call"
             if not is_call or function not in _TRIGONOMETRIC:

@@ -77,10 +77,10 @@ def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
     low = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
     if not size or low <= size <= MAX_RIG_SIZE:
         return
-    at = ("units", "length") if "units" in document.value else ("joints",)
+    location = ("units", "length") if "units" in document.value else ("joints",)
     message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
     hint = fitting_unit_hint(size, unit, is_body=is_body)
-    document.warn("RIG217", at, message, hint)
+    document.warn("RIG217", location, message, hint)
 
 
 def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
@@ -95,7 +95,7 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
     "write 'units: {length: cm}': 1.51 m"
     """
     ranges = [BODY_SIZES] if is_body else []
-    for smallest, largest in (*ranges, (MIN_BODY_SIZE, MAX_SIZE)):
+    for smallest, largest in (*ranges, (MIN_BODY_SIZE, MAX_RIG_SIZE)):
         sizes = [
             (other, size / unit * other.meters)
             for other in LengthUnit

@@ -30,7 +30,7 @@ from animtool.retarget.take_pass import (
     _complete_limbs,
     _scale_warnings,
     checked_blocks,
-    insufficient_pairs,
+    insufficient_pairs_fault,
     retarget_stream,
 )
 from animtool.retarget.verdict import TakeStatus

@@ -140,7 +140,9 @@ def sampled_initial_noise(
     """Return the `initial_noise` of a sample of frames [px]."""
     frames, _, markers = observations.stored.shape[:3]
     step = max(1, frames * markers // SAMPLE_POINTS)
-    return initial_noise(observations.pixels(0, frames, step), camera_parameters(cameras))
+    return initial_noise(
+        observations.pixels(0, frames, step), camera_parameters(cameras)
+    )
 
 
 def _lengths(residuals: Float32Array) -> Any:

@@ -46,7 +46,7 @@ def warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
     suspects = limits_in_other_unit(limits, angle)
     if not suspects:
         return
-    largest = max(suspects, key=lambda limit: limit.largest)
+    largest = max(suspects, key=lambda limit: limit.largest_value)
     element = next(
         (
             element

@@ -24,8 +24,8 @@ from animtool.formats.robots.solids import build_capsule, build_mass
 from animtool.formats.robots.triangles import merge_surfaces
 from animtool.rig.kinematics import rest_world
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
-from animtool.rig.skeleton import MAX_SIZE, Joint, JointType, Rig
-from animtool.rig.suspicious_shape import source_rest_pose
+from animtool.rig.skeleton import MAX_RIG_SIZE, Joint, JointType, Rig
+from animtool.rig.suspicious_shape import rest_pose_without_kernels
 
 MAX_LISTED_JOINTS = 8
 # Sizes of most robots [m].
@@ -113,9 +113,9 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
 
 def _record_size(notes: XmlNotes, joints: list[Joint]) -> None:
     """Record a size that suggests another unit than metres (RIG217)."""
-    positions, _ = source_rest_pose(Rig("", tuple(joints)))
+    positions, _ = rest_pose_without_kernels(Rig("", tuple(joints)))
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    if size <= MAX_SIZE:
+    if size <= MAX_RIG_SIZE:
         return
     message = f"the robot measures {length_text(size)}, with lengths in m"
     hint = "check the positions"
