@@ -126,7 +126,8 @@ def renamed_arguments(
         ) -> Result:
             for old_name, new_name in new_names.items():
                 if old_name in keyword_arguments:
-                    _warn(f"{function.__name__}({old_name}=)", new_name)
+                    name = function.__qualname__.removesuffix(".__init__")
+                    _warn(f"{name}({old_name}=)", new_name)
                     keyword_arguments[new_name] = keyword_arguments.pop(old_name)
             return function(*args, **keyword_arguments)
 

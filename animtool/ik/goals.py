@@ -12,6 +12,7 @@ import numpy as np
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, counted, excerpt
 from animtool.core.names import most_similar
+from animtool.core.old_names import rename_attributes
 from animtool.core.record import dataclass
 from animtool.rig.parts import Vector
 from animtool.rig.skeleton import Rig
@@ -199,6 +200,9 @@ class Goal:
         return not any(self.offset) and not any(
             kind.depends_on_rotation for kind in self.kinds
         )
+
+
+rename_attributes(Goal, pivots="ignores_joint_rotation")
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import nearest
-from animtool.core.old_names import rename_attributes
+from animtool.core.old_names import rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -294,6 +294,17 @@ class Pass:
     # Returns the linear time mapping of the pass, from its options and a take's clock,
     # so that curves of controls stay curves; None if time changes otherwise.
     linear_time: Callable[[Any, Clock], LinearTime | None] = _no_linear_time
+
+
+_OLD_FIELDS = {
+    "settles": "needs_preroll",
+    "tells": "reports_progress",
+    "even": "linear_time",
+}
+rename_attributes(Pass, **_OLD_FIELDS)
+setattr(Pass, "__init__", renamed_arguments(**_OLD_FIELDS)(Pass.__init__))  # noqa: B010
+# The old name of `FrameScope`, for plug-ins.
+Scope = FrameScope
 
 
 def find_pass(name: str) -> Pass:

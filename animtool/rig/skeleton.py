@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
 from animtool.core.names import most_similar
+from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import load_object
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
@@ -365,3 +366,6 @@ class Rig:
                 )
                 raise FormatError(Fault("USD020", message, hint=hint))
         return paths
+
+
+rename_attributes(Rig, stands="placement", rides="has_animated_parents")

@@ -13,6 +13,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
+from animtool.core.old_names import rename_attributes
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
@@ -61,6 +62,9 @@ class Camera:
         size = self.size or (0, 0)
         pose = (self.rotation.ravel(), self.translation)
         return np.concatenate([lens, *pose, size])
+
+
+rename_attributes(Camera, numbers="kernel_parameters")
 
 
 @dataclass(frozen=True, slots=True)
