@@ -332,6 +332,10 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     if jobs and len(inputs) > 1:
         raise click.UsageError(f"{jobs[0]} is a batch file: pass it alone.")
     _refuse_output(inputs, params["output"])
+    scene = params["scene"]
+    if scene is not None and has_kind_suffix(scene, "batch"):
+        text = f"{scene} is a batch file, not a scene; run it: animtool batch {scene}"
+        raise click.UsageError(f"{text}.")
     if jobs:
         from animtool.batch.file import load_batch
 

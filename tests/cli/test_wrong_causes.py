@@ -207,6 +207,7 @@ def test_a_driver_in_radians(workplace: Path) -> None:
         (("retarget", WALK, BIPED, "-o", "o.usda"), f"write --to {BIPED}"),
         (("convert", WALK, "--to", "usda"), "OUTPUT is an argument"),
         (("plugins", "list"), "options only"),
+        (("batch", WALK, "--scene", "a.batch.yaml", "-o", "o.usda"), "run it"),
         (("job", "a.batch.yaml", "--task-seconds", "00:10:00"), "above 0"),
         (("job", "a.scene.yaml", "-o", "jobs"), "scene: a.scene.yaml"),
     ],
