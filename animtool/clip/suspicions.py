@@ -68,7 +68,7 @@ MIN_LAYER = 0.25
 # Smallest scale at all keys that may be a percentage [1].
 MIN_PERCENT = 10.0
 # Largest weight of a shape beyond which weights are percentages [1].
-PERCENT_WEIGHT = 10.0
+MIN_PERCENT_WEIGHT = 10.0
 # Frames at which controls are evaluated.
 MAX_TIMES = 64
 
@@ -415,7 +415,7 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
         if channel.target.startswith("shape/")
     ]
     largest, i = max(weights, default=(0.0, 0))
-    if largest < PERCENT_WEIGHT:
+    if largest < MIN_PERCENT_WEIGHT:
         return
     name = channels[i].target.removeprefix("shape/")
     message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"

@@ -21,16 +21,20 @@ MAX_DEPTH = 50
 # The parser's time grows with the square of the number of key parts. Matches start only
 # where no part or escape precedes, so that the search takes linear time.
 _KEY_PART = r"""(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')"""
-_LONG_KEY = re.compile(rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}")
+_TOO_DEEP_KEY = re.compile(
+    rf"(?<![\w\\-])(?:{_KEY_PART}[ \t]*+\.[ \t]*+){{{MAX_DEPTH}}}"
+)
 
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Return the tables of TOML text."""
     import tomllib
 
-    long_key = _LONG_KEY.search(text)
-    if long_key is not None:
-        raise _depth_error(f" (at line {text.count(chr(10), 0, long_key.start()) + 1})")
+    too_deep_key = _TOO_DEEP_KEY.search(text)
+    if too_deep_key is not None:
+        raise _depth_error(
+            f" (at line {text.count(chr(10), 0, too_deep_key.start()) + 1})"
+        )
     try:
         tables = tomllib.loads(text)
     except RecursionError as error:

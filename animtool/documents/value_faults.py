@@ -200,24 +200,24 @@ def _value_message(fault: Any) -> str:
     return _value_fault(value_text, fault)
 
 
-def _expected_noun(fault: Any) -> str | None:
+def _expected_noun(pydantic_error: Any) -> str | None:
     """Return what a value of the right type is called; None for other faults."""
-    if fault["type"] == "is_instance_of":
-        return "a list" if fault["ctx"]["class"] == "Sequence" else None
-    return _EXPECTED_NOUNS.get(fault["type"])
+    if pydantic_error["type"] == "is_instance_of":
+        return "a list" if pydantic_error["ctx"]["class"] == "Sequence" else None
+    return _EXPECTED_NOUNS.get(pydantic_error["type"])
 
 
-def _value_fault(value_text: str, fault: Any) -> str:
+def _value_fault(value_text: str, pydantic_error: Any) -> str:
     """Return the message for a value of the right type but out of range."""
-    context, kind = fault.get("ctx", {}), fault["type"]
+    context, kind = pydantic_error.get("ctx", {}), pydantic_error["type"]
     if kind == "extra_forbidden":
-        return f"unknown key {excerpt(str(fault['loc'][-1]))}"
+        return f"unknown key {excerpt(str(pydantic_error['loc'][-1]))}"
     key, comparison = _BOUND_FAULTS.get(kind, ("", ""))
     bound = context.get(key)
     if bound is not None and abs(bound) >= LARGE_NUMBER:
         return f"{value_text} is beyond {bound:g}"
     if bound is not None and 0 < bound <= SMALL_NUMBER:
-        is_positive = fault["input"] > 0
+        is_positive = pydantic_error["input"] > 0
         return (
             f"{value_text} is below {bound:g}"
             if is_positive
@@ -227,16 +227,18 @@ def _value_fault(value_text: str, fault: Any) -> str:
         return f"{value_text} is {comparison.format(f'{bound:g}')}"
     if kind == "value_error":
         return str(context["error"])
-    return f"{value_text}: {fault['msg'][0].lower()}{fault['msg'][1:]}"
+    return (
+        f"{value_text}: {pydantic_error['msg'][0].lower()}{pydantic_error['msg'][1:]}"
+    )
 
 
 def _choice_hint(faults: Sequence[Any]) -> str | None:
     """Return a hint with the nearest allowed value."""
-    for fault in faults:
-        context = fault.get("ctx", {})
-        value = context.get("tag", fault["input"])
+    for pydantic_error in faults:
+        context = pydantic_error.get("ctx", {})
+        value = context.get("tag", pydantic_error["input"])
         allowed = context.get("expected", context.get("expected_tags"))
-        if fault["type"] in _CHOICE_FAULTS and isinstance(value, str):
+        if pydantic_error["type"] in _CHOICE_FAULTS and isinstance(value, str):
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"

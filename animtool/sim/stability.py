@@ -53,13 +53,13 @@ def rate_limit(growth: Sequence[float]) -> Limit:
                 complex(-damping_ratio, root),
                 complex(-damping_ratio, -root),
             }
-        limits = (_first_growth(coefficients, value) for value in eigenvalues)
+        limits = (_first_unstable_step(coefficients, value) for value in eigenvalues)
         return min(limits) / omega
 
     return limit
 
 
-def _first_growth(growth: FloatArray, eigenvalue: complex) -> float:
+def _first_unstable_step(growth: FloatArray, eigenvalue: complex) -> float:
     """Return the first step above 0 at which a mode grows."""
     magnitude = abs(eigenvalue)
     scaled = growth * (eigenvalue / magnitude) ** np.arange(len(growth))

@@ -876,13 +876,13 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     seen = Observations(tuple("abcdefgh"), clock, pixels)
     found = measure_noise(seen, cameras, 5.0, 6600.0)
     assert found.cameras_agree
-    assert list(found.stale_cameras) == [2]
-    assert found.stale_cameras[2].angle == pytest.approx(0.05, rel=0.1)
+    assert list(found.pose_changes) == [2]
+    assert found.pose_changes[2].angle == pytest.approx(0.05, rel=0.1)
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     good = pixels.copy()
     good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
     found = measure_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
-    assert (found.cameras_agree, found.stale_cameras) == (True, {})
+    assert (found.cameras_agree, found.pose_changes) == (True, {})
     assert_allclose(found.pixels, 0.5, rtol=0.2)
     # All alike, they have one noise; one that is twice as noisy has its own.
     assert np.ptp(found.pixels) == 0

@@ -52,13 +52,13 @@ class ObservationNoise:
 
     Attributes:
         pixels: Standard deviation of an axis [px] ``(C,)``.
-        stale_cameras: Cameras that another pose fits much better in all frames, by
+        pose_changes: Cameras that another pose fits much better in all frames, by
             index.
         cameras_agree: Whether cameras agree on most of the points.
     """
 
     pixels: FloatArray
-    stale_cameras: dict[int, PoseChange]
+    pose_changes: dict[int, PoseChange]
     cameras_agree: bool = True
 
 

@@ -143,7 +143,7 @@ class _TriangulationRun:
             self._max_condition,
         )
         if not self.options.keep_moved:
-            self.active[:, list(noise.stale_cameras)] = False
+            self.active[:, list(noise.pose_changes)] = False
         self.noise = noise.pixels
         median_noise = float(np.median(self.noise))
         widths = [
@@ -151,7 +151,7 @@ class _TriangulationRun:
         ]
         width = max(1.0, float(np.median(widths)))
         limit = SUSPECT_NOISE * width
-        if noise.stale_cameras or not noise.cameras_agree or median_noise > limit:
+        if noise.pose_changes or not noise.cameras_agree or median_noise > limit:
             self._refuse_other_convention(limit)
         if median_noise > MAX_NOISE * width:
             message = (
@@ -163,7 +163,7 @@ class _TriangulationRun:
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
             self._warn("CAM108", message, hint)
-        return noise.stale_cameras
+        return noise.pose_changes
 
     def _refuse_other_convention(self, limit: float) -> None:
         """Refuse poses that fit in another convention, such as quaternions w last."""

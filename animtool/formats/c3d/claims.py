@@ -68,7 +68,7 @@ class Claims:
     parameters_end: int = 0
 
 
-def collect_claims(sections: Sections) -> Claims:
+def collect_declared_layouts(sections: Sections) -> Claims:
     """Return all layout values that a file states."""
     analog, candidates = _analog_claims(sections)
     return Claims(

@@ -21,7 +21,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.c3d.claims import (
     WORD_RANGE,
     Claim,
-    collect_claims,
+    collect_declared_layouts,
     trial_frame_range,
     unsigned_word,
 )
@@ -205,7 +205,7 @@ def read_c3d(
 
 def _find_layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     """Return the layout that fits the file; warn about contradicted claims."""
-    claims = collect_claims(sections)
+    claims = collect_declared_layouts(sections)
     ends = [*_data_ends(sections, len(data)), len(data)]
     result = choose_layout(
         claims,

@@ -237,17 +237,19 @@ def _frames_of_labels(times: IntArray, fractions: FloatArray) -> tuple[int, IntA
         _is_step_multiple(exact, step).mean() >= REGULAR_FRACTION
         and np.ptp(fractions) > 0
     ):
-        beats = np.round(exact / step)
+        step_counts = np.round(exact / step)
     else:
         # The label is the frame, whatever fraction follows it.
         return step, np.round(times / step).astype(np.int64)
-    return step, np.concatenate([[0], np.cumsum(beats)]).astype(np.int64)
+    return step, np.concatenate([[0], np.cumsum(step_counts)]).astype(np.int64)
 
 
 def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
     """Return which rows are a whole number of steps after the previous row."""
-    beats = exact / step
-    return np.asarray(np.abs(beats - np.round(beats)) * step <= MAX_CLOCK_JITTER)
+    step_counts = exact / step
+    return np.asarray(
+        np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER
+    )
 
 
 def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]:

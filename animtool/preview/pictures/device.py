@@ -173,7 +173,7 @@ class Framebuffer:
         return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
 
 
-def _create_context(module: ModuleType) -> Any:
+def _create_context(graphics_module: ModuleType) -> Any:
     """Return a windowless context (PRV005 if none can be created)."""
     backends: list[dict[str, Any]] = [{}]
     if sys.platform.startswith("linux"):
@@ -181,7 +181,9 @@ def _create_context(module: ModuleType) -> Any:
     reasons = []
     for backend in backends:
         try:
-            return module.create_context(standalone=True, require=330, **backend)
+            return graphics_module.create_context(
+                standalone=True, require=330, **backend
+            )
         # Backends raise exceptions of any type.
         except Exception as error:
             reasons.append(str(error))

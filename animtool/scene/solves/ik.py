@@ -309,21 +309,29 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
 
 def _with_goal_tolerances(job: IkJob) -> TakeOptions:
     """Return options whose tolerances are at least as strict as those of goals."""
-    length, angle = _goal_tolerances(job)
+    position_tolerance, angle_tolerance = _goal_tolerances(job)
     options = job.options
     return replace(
         options,
-        tolerance=min(options.tolerance, length or math.inf),
-        angle_tolerance=min(options.angle_tolerance, angle or math.inf),
+        tolerance=min(options.tolerance, position_tolerance or math.inf),
+        angle_tolerance=min(options.angle_tolerance, angle_tolerance or math.inf),
     )
 
 
 def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     """Return the errors above which a goal counts as missed [m], [rad]."""
-    options, length, angle = job.options, job.tolerance, job.angle_tolerance
+    options, position_tolerance, angle_tolerance = (
+        job.options,
+        job.tolerance,
+        job.angle_tolerance,
+    )
     return (
-        max(MISSED_LENGTH, options.tolerance) if length is None else length,
-        max(MISSED_ANGLE, options.angle_tolerance) if angle is None else angle,
+        max(MISSED_LENGTH, options.tolerance)
+        if position_tolerance is None
+        else position_tolerance,
+        max(MISSED_ANGLE, options.angle_tolerance)
+        if angle_tolerance is None
+        else angle_tolerance,
     )
 
 

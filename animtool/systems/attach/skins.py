@@ -191,12 +191,13 @@ class SkinContacts:
 
         They are measured in the first pose of a path.
         """
-        distance = radius + self._contact_settings[2]
+        search_distance = radius + self._contact_settings[2]
         solids = [
             ClosedSurface(skin.points(path)[0], skin.triangles) for skin in self._skins
         ]
         return [
-            contact_offsets(solid, targets, distance, inside=inside) for solid in solids
+            contact_offsets(solid, targets, search_distance, inside=inside)
+            for solid in solids
         ]
 
     def __bool__(self) -> bool:

@@ -51,9 +51,11 @@ class BodyPhase:
     def full_shape_indices(self, indices: IntArray) -> IntArray:
         """Return indices of shapes and colliders in the full system."""
         clipped_indices = np.minimum(indices, len(self.shapes) - 1)
-        excess = indices - len(self.shapes)
+        collider_indices = indices - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
-        return np.where(excess < 0, self.shapes[clipped_indices], count + excess)
+        return np.where(
+            collider_indices < 0, self.shapes[clipped_indices], count + collider_indices
+        )
 
     def with_parameters(
         self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0

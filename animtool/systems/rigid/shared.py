@@ -109,8 +109,10 @@ class RigidStates:
         bodies, motion = self.bodies, state.motion.copy()
 
         def velocity_changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
-            moments = pushes[:, 3:] - np.cross(state.motion[:, :3], pushes[:, :3])
-            return pushes[:, :3] / bodies.masses[:, None], moments
+            angular_impulses = pushes[:, 3:] - np.cross(
+                state.motion[:, :3], pushes[:, :3]
+            )
+            return pushes[:, :3] / bodies.masses[:, None], angular_impulses
 
         displacement, twist = velocity_changes(wrenches.delayed)
         twisted_motion = motion.copy()
@@ -139,8 +141,8 @@ class RigidStates:
 
         def impulse(displacement: FloatArray, angular_change: FloatArray) -> FloatArray:
             impulses = masses * displacement
-            moments = angular_change + so3.cross(before[:, :3], impulses)
-            return np.concatenate([impulses, moments], axis=1)
+            angular_impulses = angular_change + so3.cross(before[:, :3], impulses)
+            return np.concatenate([impulses, angular_impulses], axis=1)
 
         return Wrenches(
             impulse(

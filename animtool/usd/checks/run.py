@@ -27,7 +27,7 @@ from animtool.usd.checks.finite import (
     check_uniform,
 )
 from animtool.usd.checks.points import check_instancers, check_points
-from animtool.usd.checks.skeleton import check_physics, check_skeletons
+from animtool.usd.checks.skeleton import check_physics_joints, check_skeletons
 from animtool.usd.checks.skin import check_shapes, check_skins, check_targets
 from animtool.usd.checks.stage_metadata import (
     check_assets,
@@ -129,7 +129,7 @@ SAMPLE_CHECKS: tuple[Check, ...] = (
     check_points,
     check_instancers,
     check_extents,
-    check_physics,
+    check_physics_joints,
     check_splines,
     check_uniform,
     check_value_clips,

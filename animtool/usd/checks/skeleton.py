@@ -24,7 +24,7 @@ from animtool.usd.layers.faults import (
 from animtool.usd.rigs.rest_pose import collapsed_bone_faults, rest_faults
 
 
-def check_physics(subject: StageSubject) -> Iterator[Fault]:
+def check_physics_joints(subject: StageSubject) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every physics joint."""
     for joint in subject.of_type(UsdPhysics.Joint):
         yield from _check_bodies(subject, joint)

@@ -182,7 +182,7 @@ def _unmatched_notices(
     if len(missing_names) == len(take.joints):
         _check_shapes(take, target)
     names = target.skeleton.rig.names
-    rest_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
+    unmapped_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
     notices = []
     if missing_names:
         message = f"{len(missing_names)} joints of the take are not in the rig: "
@@ -190,11 +190,11 @@ def _unmatched_notices(
         notices.append(
             names_fault("USD102", message, missing_names, where, hint, severity)
         )
-    if rest_names:
-        message = f"{len(rest_names)} joints of the rig are not in the take: "
+    if unmapped_names:
+        message = f"{len(unmapped_names)} joints of the rig are not in the take: "
         hint, severity = "they stay at rest", Severity.NOTE
         notices.append(
-            names_fault("USD111", message, rest_names, where, hint, severity)
+            names_fault("USD111", message, unmapped_names, where, hint, severity)
         )
     return notices
 

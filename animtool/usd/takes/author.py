@@ -348,8 +348,8 @@ def write(
         if layer is None
         else _layer_job(take, path, layer, prim_path, force_fit=force_fit)
     )
-    authored, result = author(job, [usd_take])
-    write_usd(job, authored, result)
+    layers, result = author(job, [usd_take])
+    write_usd(job, layers, result)
     result.notices += notices
     return result
 

@@ -47,9 +47,9 @@ def round_blocks(
     for codes, motion in _split_blocks(blocks, len(rig.joints)):
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
-        root_path = None
+        root_trajectory = None
         if root_motion and rig.roots:
-            root_path = _extract_root_motion(
+            root_trajectory = _extract_root_motion(
                 rig, translations, rotations, meters_per_unit
             )
         names = rig.names
@@ -81,7 +81,7 @@ def round_blocks(
             stored_rotations,
             stored_scales,
             bounds,
-            root_path,
+            root_trajectory,
             error * meters_per_unit * rig_scale,
             float(codes[frame]),
             joint_index,
@@ -292,8 +292,8 @@ class AnimationWriter:
             are_quaternions=True,
         )
         author_xform_order(spec, *placing_ops, *names)
-        for codes, root_path in zip(self._codes, self._root_paths, strict=True):
-            translation_writer.add(codes, root_path.translations)
-            rotation_writer.add(codes, root_path.rotations)
+        for codes, root_trajectory in zip(self._codes, self._root_paths, strict=True):
+            translation_writer.add(codes, root_trajectory.translations)
+            rotation_writer.add(codes, root_trajectory.rotations)
         translation_writer.finish(np.zeros(3))
         rotation_writer.finish(so3.IDENTITY)

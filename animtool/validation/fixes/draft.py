@@ -40,7 +40,7 @@ class FileDraft(Protocol):
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
 
-    def difference(self) -> str:
+    def diff_text(self) -> str:
         """Return the changes as text."""
 
     def outputs(self) -> Sequence[Path]:

@@ -83,7 +83,7 @@ class LayerDraft:
                     continue
                 yield fault
 
-    def difference(self) -> str:
+    def diff_text(self) -> str:
         """Return the edits, one per line: a crate has no text diff."""
         return "".join(f"{line}\n" for line in self.edits)
 

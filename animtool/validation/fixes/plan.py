@@ -27,9 +27,9 @@ class PlannedFix:
     # Findings with a fix that remain, and why.
     unfixed_findings: list[tuple[Fault, str]] = field(default_factory=list)
 
-    def difference(self) -> str:
+    def diff_text(self) -> str:
         """Return the changes as text."""
-        return self.draft.difference()
+        return self.draft.diff_text()
 
 
 def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:

@@ -190,7 +190,7 @@ class TextDraft:
                 continue
             yield fault
 
-    def difference(self) -> str:
+    def diff_text(self) -> str:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
         lines = difflib.unified_diff(

@@ -20,7 +20,7 @@ POSE_FRAMES = 2
 MIN_SCALE = 1e-4
 # Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
 MAX_WEIGHT, MIN_WEIGHT = 2.0, -1.0
-PERCENT_WEIGHT = 10.0
+MIN_PERCENT_WEIGHT = 10.0
 # Largest length ratio of bones between bind and rest pose, and the fraction of bones
 # that may exceed it; and the largest distance of the bind pose [size].
 MAX_LENGTH_RATIO, MAX_BONES, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
@@ -87,7 +87,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     message += f"; also {listed(other_names)}" if other_names else ""
     largest = float(np.abs(values).max())
     hint = "weights must be from 0 to 1"
-    if largest > PERCENT_WEIGHT:
+    if largest > MIN_PERCENT_WEIGHT:
         hint += f"; for {largest:.4g}% write {largest / 100:.4g}"
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
