@@ -368,8 +368,8 @@ class LinearizedFrame {
     face_.deform(w, points_.data());
     std::fill(g, g + shapes, 0.0);
     std::fill(cross_.begin(), cross_.end(), 0.0);
-    std::fill(pose_h_, pose_h_ + POSE_DOFS * POSE_DOFS, 0.0);
-    std::fill(pose_g_, pose_g_ + POSE_DOFS, 0.0);
+    std::fill(pose_hessian_, pose_hessian_ + POSE_DOFS * POSE_DOFS, 0.0);
+    std::fill(pose_gradient_, pose_gradient_ + POSE_DOFS, 0.0);
     if (face_.camera)
       std::fill(h, h + shapes * shapes, 0.0);
     else
@@ -403,8 +403,8 @@ class LinearizedFrame {
     }
     double largest = 0;
     for (std::size_t i = 0; i < POSE_DOFS; ++i)
-      largest = std::max(largest, pose_h_[i * POSE_DOFS + i]);
-    std::copy(pose_h_, pose_h_ + POSE_DOFS * POSE_DOFS, factor_);
+      largest = std::max(largest, pose_hessian_[i * POSE_DOFS + i]);
+    std::copy(pose_hessian_, pose_hessian_ + POSE_DOFS * POSE_DOFS, factor_);
     double pivots[POSE_DOFS];
     factor_block(factor_, POSE_DOFS, POSE_DOFS, MIN_INFORMATION * largest, pivots);
     if (largest == 0) return;
@@ -412,7 +412,7 @@ class LinearizedFrame {
     std::vector<double>& coupling = coupling_;
     coupling.resize(POSE_DOFS * shapes);
     double right_hand_side[POSE_DOFS];
-    std::copy(pose_g_, pose_g_ + POSE_DOFS, right_hand_side);
+    std::copy(pose_gradient_, pose_gradient_ + POSE_DOFS, right_hand_side);
     solve_forward(factor_, POSE_DOFS, POSE_DOFS, right_hand_side);
     for (std::size_t s = 0; s < shapes; ++s) {
       double column[POSE_DOFS];
@@ -510,15 +510,15 @@ class LinearizedFrame {
       if (scaled == 0) continue;
       for (std::size_t s = 0; s < shapes; ++s) cross_[i * shapes + s] += scaled * shape_row_[s];
       for (std::size_t k = 0; k < POSE_DOFS; ++k)
-        pose_h_[i * POSE_DOFS + k] += scaled * pose_row[k];
-      pose_g_[i] += scaled * z;
+        pose_hessian_[i * POSE_DOFS + k] += scaled * pose_row[k];
+      pose_gradient_[i] += scaled * z;
     }
   }
 
   const Face& face_;
   std::vector<double> points_, cross_, shape_row_, coupling_;
-  double pose_h_[POSE_DOFS * POSE_DOFS]{}, pose_g_[POSE_DOFS]{}, factor_[POSE_DOFS * POSE_DOFS]{},
-      right_hand_side_[POSE_DOFS]{};
+  double pose_hessian_[POSE_DOFS * POSE_DOFS]{}, pose_gradient_[POSE_DOFS]{},
+      factor_[POSE_DOFS * POSE_DOFS]{}, right_hand_side_[POSE_DOFS]{};
 };
 
 }  // namespace

@@ -238,7 +238,7 @@ class SegmentFinder {
   const double* fractions() const { return fractions_; }
 
   // Whether runs are so short that linear segments are evaluated time by time instead.
-  bool is_dense() const { return run_count_ && 4 * run_count_ >= runs_[run_count_ - 1].end; }
+  bool has_short_runs() const { return run_count_ && 4 * run_count_ >= runs_[run_count_ - 1].end; }
 
   // Interpolates a linear curve at all times, from the nearer and the farther key of each.
   void interpolate(const double* values, double* out) {
@@ -292,7 +292,7 @@ void evaluate_bezier(const Segment& segment, const double* times, double* out, s
 // Evaluates one curve; values are constant outside of its keys.
 void evaluate_curve(const Keys& keys, bool is_linear, SegmentFinder& finder, const double* times,
                     double* out) {
-  if (is_linear && finder.is_dense()) {
+  if (is_linear && finder.has_short_runs()) {
     finder.interpolate(keys.values, out);
     return;
   }

@@ -56,7 +56,7 @@ struct Chain {
 class PoseInterpolation {
  public:
   void compute(const Quaternion* a, const Quaternion* b, std::size_t count) {
-    a_ = a, b_ = b, count_ = count;
+    start_rotations_ = a, end_rotations_ = b, count_ = count;
     angles_.resize(count), sines_.resize(count);
     for (std::size_t m = 0; m < count; ++m) {
       const double cosine = a[m].x * b[m].x + a[m].y * b[m].y + a[m].z * b[m].z + a[m].w * b[m].w;
@@ -75,15 +75,15 @@ class PoseInterpolation {
         start_weight = std::sin((1 - fraction) * angles_[m]) / sines_[m];
         end_weight = std::sin(fraction * angles_[m]) / sines_[m];
       }
-      out[m] = {start_weight * a_[m].x + end_weight * b_[m].x,
-                start_weight * a_[m].y + end_weight * b_[m].y,
-                start_weight * a_[m].z + end_weight * b_[m].z,
-                start_weight * a_[m].w + end_weight * b_[m].w};
+      out[m] = {start_weight * start_rotations_[m].x + end_weight * end_rotations_[m].x,
+                start_weight * start_rotations_[m].y + end_weight * end_rotations_[m].y,
+                start_weight * start_rotations_[m].z + end_weight * end_rotations_[m].z,
+                start_weight * start_rotations_[m].w + end_weight * end_rotations_[m].w};
     }
   }
 
  private:
-  const Quaternion *a_ = nullptr, *b_ = nullptr;
+  const Quaternion *start_rotations_ = nullptr, *end_rotations_ = nullptr;
   std::size_t count_ = 0;
   std::vector<double> angles_, sines_;
 };

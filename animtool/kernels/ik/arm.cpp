@@ -124,7 +124,7 @@ struct Line {
   Triple axis, point;
 };
 
-// Sine of the angle between two lines.
+// Sine of the angle between two joint axes.
 double sine_between(const Line& a, const Line& b) { return norm(cross_product(a.axis, b.axis)); }
 
 // Computes the point of line a nearest to line b; returns their distance.
@@ -152,7 +152,7 @@ enum class WristMethod { NONE, PARALLEL_23, INTERSECT_23, INTERSECT_12, PARALLEL
 struct ArmGeometry {
   ArmKind kind = ArmKind::NONE;
   WristMethod method = WristMethod::NONE;
-  Line lines[ARM_PINS];
+  Line joint_axes[ARM_PINS];
   Triple wrist;         // intersection of the last three axes, or of the last two
   Triple intersection;  // intersection of two of the first three axes
   Triple tip;
@@ -179,15 +179,15 @@ bool is_arm(const Task& task) {
 
 // The method that positions the wrist.
 WristMethod wrist_method(ArmGeometry& arm) {
-  const Line* lines = arm.lines;
-  if (sine_between(lines[0], lines[1]) > ARM_TOLERANCE) {
-    if (sine_between(lines[1], lines[2]) < ARM_TOLERANCE) return WristMethod::PARALLEL_23;
-    if (nearest_point(lines[0], lines[1], arm.intersection) < ARM_TOLERANCE)
+  const Line* joint_axes = arm.joint_axes;
+  if (sine_between(joint_axes[0], joint_axes[1]) > ARM_TOLERANCE) {
+    if (sine_between(joint_axes[1], joint_axes[2]) < ARM_TOLERANCE) return WristMethod::PARALLEL_23;
+    if (nearest_point(joint_axes[0], joint_axes[1], arm.intersection) < ARM_TOLERANCE)
       return WristMethod::INTERSECT_12;
-  } else if (sine_between(lines[1], lines[2]) > ARM_TOLERANCE) {
+  } else if (sine_between(joint_axes[1], joint_axes[2]) > ARM_TOLERANCE) {
     return WristMethod::PARALLEL_12;
   }
-  return nearest_point(lines[1], lines[2], arm.intersection) < ARM_TOLERANCE
+  return nearest_point(joint_axes[1], joint_axes[2], arm.intersection) < ARM_TOLERANCE
              ? WristMethod::INTERSECT_23
              : WristMethod::NONE;
 }
@@ -200,23 +200,23 @@ ArmGeometry analyze_arm(const Task& task) {
   const double zero[ARM_PINS] = {};
   forward(task.chain, zero, frames);
   for (std::size_t n = 0; n < ARM_PINS; ++n) {
-    std::copy_n(&frames.axes[9 * n], 3, arm.lines[n].axis.data());
-    std::copy_n(&frames.origins[3 * n], 3, arm.lines[n].point.data());
+    std::copy_n(&frames.axes[9 * n], 3, arm.joint_axes[n].axis.data());
+    std::copy_n(&frames.origins[3 * n], 3, arm.joint_axes[n].point.data());
   }
   std::copy_n(&frames.rotations[9 * (ARM_PINS - 1)], 9, arm.zero_rotation);
   rotate(arm.zero_rotation, task.goals[0].offset, arm.tip.data());
-  arm.tip = plus(arm.tip, arm.lines[ARM_PINS - 1].point);
-  if (!(nearest_point(arm.lines[4], arm.lines[5], arm.wrist) < ARM_TOLERANCE)) return arm;
-  const Line* lines = arm.lines;
-  if (sine_between(lines[1], lines[2]) < ARM_TOLERANCE &&
-      sine_between(lines[2], lines[3]) < ARM_TOLERANCE &&
-      sine_between(lines[0], lines[1]) > ARM_TOLERANCE &&
-      sine_between(lines[3], lines[4]) > ARM_TOLERANCE) {
+  arm.tip = plus(arm.tip, arm.joint_axes[ARM_PINS - 1].point);
+  if (!(nearest_point(arm.joint_axes[4], arm.joint_axes[5], arm.wrist) < ARM_TOLERANCE)) return arm;
+  const Line* joint_axes = arm.joint_axes;
+  if (sine_between(joint_axes[1], joint_axes[2]) < ARM_TOLERANCE &&
+      sine_between(joint_axes[2], joint_axes[3]) < ARM_TOLERANCE &&
+      sine_between(joint_axes[0], joint_axes[1]) > ARM_TOLERANCE &&
+      sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE) {
     arm.kind = ArmKind::PARALLEL;
     return arm;
   }
-  const bool is_wrist =
-      is_on_line(arm.wrist, lines[3]) && sine_between(lines[3], lines[4]) > ARM_TOLERANCE;
+  const bool is_wrist = is_on_line(arm.wrist, joint_axes[3]) &&
+                        sine_between(joint_axes[3], joint_axes[4]) > ARM_TOLERANCE;
   arm.method = is_wrist ? wrist_method(arm) : WristMethod::NONE;
   if (arm.method != WristMethod::NONE) arm.kind = ArmKind::WRIST;
   return arm;
@@ -300,8 +300,8 @@ class SixPins : public Arm {
     return branch_count_;
   }
 
-  const Triple& axis(int n) const { return arm_.lines[n].axis; }
-  const Triple& point_on(int n) const { return arm_.lines[n].point; }
+  const Triple& axis(int n) const { return arm_.joint_axes[n].axis; }
+  const Triple& point_on(int n) const { return arm_.joint_axes[n].point; }
 
   // A point after a rotation about an axis.
   Triple rotate_point(int n, double angle, const Triple& point) const {

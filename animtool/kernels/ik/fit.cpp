@@ -478,7 +478,7 @@ class PathFit : public Descent {
       }
       differentiate(task_, weighted_targets(t), state_, linear_.columns);
       double* normal = normals_.data() + static_cast<std::size_t>(i) * width_ * width_;
-      multiply_columns(task_, linear_, normal);
+      compute_normal_matrix(task_, linear_, normal);
       double* frame_downhill = downhill_.data() + static_cast<std::size_t>(i) * width_;
       for (int d = 0; d < width_; ++d) {
         const double* column = linear_.columns.data() + static_cast<std::size_t>(d) * task_.rows;

@@ -41,7 +41,7 @@ double evaluate_rest(const Task& task, const double* q, const double* rest, doub
   return cost;
 }
 
-void multiply_columns(const Task& task, const Linearized& linear, double* normal) {
+void compute_normal_matrix(const Task& task, const Linearized& linear, double* normal) {
   const int dofs = task.chain.dofs;
   for (int d = 0; d < dofs; ++d) {
     const double* column = linear.columns.data() + static_cast<std::size_t>(d) * task.rows;
@@ -72,7 +72,7 @@ void linearize(const Task& task, const double* targets, const double* rest, cons
     }
     out.downhill[d] = sum;
   }
-  if (out.is_primal) multiply_columns(task, out, out.normal.data());
+  if (out.is_primal) compute_normal_matrix(task, out, out.normal.data());
 }
 
 }  // namespace animtool::ik

@@ -60,7 +60,7 @@ double evaluate_rest(const Task& task, const double* q, const double* rest, doub
                      double* rest_downhill);
 
 // Computes the lower triangle of J^T J (D, D).
-void multiply_columns(const Task& task, const Linearized& linear, double* normal);
+void compute_normal_matrix(const Task& task, const Linearized& linear, double* normal);
 
 // Linearises the residuals at a pose.
 void linearize(const Task& task, const double* targets, const double* rest, const State& state,

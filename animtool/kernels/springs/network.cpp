@@ -14,8 +14,8 @@ namespace animtool {
 namespace {
 
 // Checks and converts indices of particles.
-std::vector<std::int32_t> read_particles(const char* name, const std::int64_t* values,
-                                         std::size_t size, std::size_t particles) {
+std::vector<std::int32_t> read_particle_indices(const char* name, const std::int64_t* values,
+                                                std::size_t size, std::size_t particles) {
   check::indices(name, values, size, 0, static_cast<std::int64_t>(particles));
   return {values, values + size};
 }
@@ -94,11 +94,12 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
     lines.indices.push_back(static_cast<std::int32_t>(s));
   }
   lines.prepare(count);
-  triangles = read_particles("triangles", faces.data(), faces.size(), count);
+  triangles = read_particle_indices("triangles", faces.data(), faces.size(), count);
   std::copy_n(gravity_vector.data(), 3, gravity);
-  pinned = read_particles("pinned", pins.data(), pins.size(), count);
+  pinned = read_particle_indices("pinned", pins.data(), pins.size(), count);
   pinned_track = read_track("pinned_path", pinned_path, pinned.size(), knots.size());
-  anchors = read_particles("anchors", anchor_particles.data(), anchor_particles.size(), count);
+  anchors =
+      read_particle_indices("anchors", anchor_particles.data(), anchor_particles.size(), count);
   anchor_track = read_track("anchor_path", anchor_path, anchors.size(), knots.size());
   wind_track = read_track("winds", winds, 1, knots.size());
   collect_edges();
