@@ -62,6 +62,7 @@ _OPTION_BY_FILE_KIND = {
 }
 # Commands to suggest for an option: the first of these that has it.
 _SUGGESTED_COMMANDS = ("bake", "retarget", "ik", "batch", "validate", "preview", "info")
+_UNITS = {"mm", "cm", "m", "in", "deg", "rad", "s", "ms"}
 _NUMBER = re.compile(r"-?[\d.]+")
 # Values of several numbers by their placeholder in help.
 _SEVERAL_NUMBERS = {
@@ -231,6 +232,8 @@ def _argument_named(name: str, command: click.Command) -> str | None:
 
 def _argument_hint(text: str, context: click.Context) -> str | None:
     """Return a hint for an unexpected argument of a command."""
+    if text in _UNITS:
+        return f"write number and unit in one word, such as 1{text}"
     flags = {flag for param in _options(context.command) for flag in param.opts}
     path = Path(text)
     suffixes = [suffix[1:] for suffix in path.suffixes]

@@ -237,6 +237,9 @@ def _range_notices(
             )
             message += _CLAMPED_SUFFIX if clamp else ""
             hint = None if clamp else _CLAMP_HINT
+            value = float(values[worst_frame])
+            if not clamp and control.high == 1 and MIN_PERCENT <= value <= 100:
+                hint = f"for {value:g}% write {value / 100:g}"
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
             amount = float(abs(excess[worst_frame]))
@@ -244,6 +247,8 @@ def _range_notices(
     return notices
 
 
+# A control from 0 to 1 that is so large is keyed in percent.
+MIN_PERCENT = 10.0
 _CLAMP_HINT = f"{argument('source.clamp', True)} clamps it"
 _CLAMPED_SUFFIX = ": clamped"
 

@@ -111,6 +111,9 @@ def version_of(
         message = "the first line is missing"
         expected_kind = kind_of_name(document.path, kind or "rig")
         hint = f"write `{expected_kind}: animtool/1` above line 1"
+        if kind is None and not path_kind and not kinds_in_file:
+            message = "is not an animtool file: no key names its kind"
+            hint = "such files end in .rig.yaml, .clip.yaml or .scene.yaml"
         # A clip and a scene name their rig.
         names_rig = kind == path_kind and kinds_in_file == ["rig"]
         if kinds_in_file and not names_rig:

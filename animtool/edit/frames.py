@@ -50,10 +50,12 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
     index = round((exact_fraction(frame, name) - clock.start) / clock.step)
     if not 0 <= index < clock.count:
         last = clock.start + (clock.count - 1) * clock.step
+        nearest = clock.start if index < 0 else last
         raise frame_error(
             f"{name} is frame {frame:g}, but the take has "
             f"{float(clock.start):g}-{float(last):g}",
-            seconds_hint({name: frame}, clock.start, clock.fps, last),
+            seconds_hint({name: frame}, clock.start, clock.fps, last)
+            or f"write {argument(name, f'{float(nearest):g}')}",
         )
     return index
 

@@ -121,7 +121,12 @@ def _run_trim(
         stream,
         start=new_start,
         blocks=_trim_blocks(
-            stream, first_index, last_index, first_code, in_shot=in_shot
+            stream,
+            first_index,
+            last_index,
+            first_code,
+            in_shot=in_shot,
+            hint=None if in_shot else _trim_hint(options, first_code, stream.fps),
         ),
     )
 
@@ -149,8 +154,12 @@ def _trim_blocks(
     start: Fraction,
     *,
     in_shot: bool,
+    hint: str | None = None,
 ) -> Iterator[Motion]:
-    """Yield the frames of a range; refuse a range outside the take."""
+    """Yield the frames of a range; refuse a range outside the take.
+
+    ``hint``: which frames the range means if it is in seconds.
+    """
     count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
@@ -170,6 +179,11 @@ def _trim_blocks(
             f"but the take has {float(start):g}-{float(last):g}",
             f"write frames from {float(start):g} to {float(last):g}",
         )
+    if hint is not None and last_index == first_index and count > 1:
+        message = f"1 of {count} frames remains"
+        stream.notices.append(
+            Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)
+        )
     if last_index is not None and last_index >= count and not in_shot:
         last = start + (count - 1) * stream.step
         requested_end = float(start + last_index * stream.step)
@@ -177,9 +191,9 @@ def _trim_blocks(
             f"last is {requested_end:g}, but the take ends at {float(last):g}, at "
             f"{rate_label(stream.fps)}"
         )
-        hint = f"write {argument('last', f'{float(last):g}')}"
-        hint += ", or trim before a pass that changes the rate"
-        notice = Fault("SCN013", message, hint=hint, severity=Severity.NOTE)
+        end_hint = f"write {argument('last', f'{float(last):g}')}"
+        end_hint += ", or trim before a pass that changes the rate"
+        notice = Fault("SCN013", message, hint=end_hint, severity=Severity.NOTE)
         stream.notices.append(notice)
 
 

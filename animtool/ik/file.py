@@ -144,7 +144,10 @@ class _TargetsReader:
             f"{listed(list(names), 4)}; these targets look like those of another rig"
         )
         chains = [chain.name for chain in self.rig.chains]
-        hint = f"its chains are {listed(chains, 8)}" if chains else "it has no chains"
+        hint = f"{self.rig.name!r} has no chains"
+        if chains:
+            hint = f"the chains of {self.rig.name!r} are {listed(chains, 8)}"
+        hint += "; pass the rig that the targets are for"
         other = replace(unknown[0], message=message, hint=hint)
         faults[:] = [other, *(fault for fault in faults if fault not in unknown)]
 

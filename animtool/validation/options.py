@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, field, replace
 from pathlib import Path
@@ -211,7 +212,10 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         hint = nearest(prefix, list(rules))
         if corrected is not None:
             hint = f"did you mean {corrected!r}, with digits?"
-        elif hint.startswith("allowed"):
+        elif family := re.match("[A-Z]+", prefix.upper()):
+            is_known = any(code.startswith(family[0]) for code in rules)
+            hint = f"animtool explain {family[0]} lists them" if is_known else hint
+        if hint.startswith("allowed"):
             hint = "animtool explain lists them"
         faults.append(Fault("VAL005", message, path, (), hint))
     if faults:

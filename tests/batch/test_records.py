@@ -120,7 +120,7 @@ def test_a_byte_that_changed_is_found(data: st.DataObject) -> None:
 def test_a_line_without_end_is_not_read_whole(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(records, "MAX_LINE", 1000)
+    monkeypatch.setattr(records, "MAX_LINE_BYTES", 1000)
     path = tmp_path / "a"
     content = whole(path)
     path.write_bytes(content + b'{"n":"' + b"a" * 5000 + b'"}\n' + NINE)

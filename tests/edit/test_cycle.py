@@ -67,7 +67,8 @@ def test_a_first_frame_in_seconds(first: float, hint: str | None) -> None:
     with pytest.raises(OptionError) as error:
         frame_index(Clock(Fraction(30), Fraction(1), Fraction(1), 64), first, "first")
     (fault,) = error.value.faults
-    assert (fault.hint or "").endswith(hint) if hint else fault.hint is None
+    assert (fault.hint or "").endswith(hint or ""), fault.hint
+    assert ("seconds" in (fault.hint or "")) is (hint is not None)
 
 
 @pytest.mark.parametrize(

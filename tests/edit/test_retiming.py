@@ -177,3 +177,11 @@ def test_a_speed_in_percent(speed: float, found: bool, tmp_path: Path) -> None:
     TIME_SCALE.run(numbered(240), options, context)
     codes = [notice.code for notice in context.notices]
     assert codes.count("SCN117") == found
+
+
+def test_a_range_in_seconds_that_leaves_one_frame_is_said() -> None:
+    take = small(24)
+    short = trim(take, 0.5, 1.5)
+    assert [notice.code for notice in short.notices] == ["TAKE010"]
+    assert short.clock.count == 1
+    assert trim(take, 1, 1).notices == ()

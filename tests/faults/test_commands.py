@@ -73,12 +73,12 @@ def test_all_files_of_a_command_or_none(
     commit, placed = WrittenFile.commit, 0
     last = 0
 
-    def placing(self: WrittenFile, *, new: bool) -> None:
+    def placing(self: WrittenFile, *, must_be_new: bool) -> None:
         nonlocal placed
         placed += 1
         if placed == last:
             raise output_error(self.path, "the test says so")
-        commit(self, must_be_new=new)
+        commit(self, must_be_new=must_be_new)
 
     monkeypatch.setattr(WrittenFile, "commit", placing)
     whole = shutil.copytree(stage, tmp_path / "whole")

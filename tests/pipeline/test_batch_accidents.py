@@ -139,7 +139,7 @@ def test_an_interrupt_leaves_whole_files(
         "ended = batch_run._BatchRun._record_outcome\n"
         "def stop(self, outcome):\n"
         "    ended(self, outcome)\n"
-        "    if len(self.ended) == 3:\n"
+        "    if len(self.reports_by_number) == 3:\n"
         f"        os.kill(os.getpid(), {int(number)})\n"
         "batch_run._BatchRun._record_outcome = stop\n"
         "sys.exit(run(['batch', 'takes/*', '-o', 'out/{stem}.usdc', '-j', '3']))"

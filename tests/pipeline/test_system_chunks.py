@@ -174,7 +174,7 @@ from animtool.core.shot import FrameRange
 from animtool.scene.bake.progress import PeakMemory
 from animtool.usd.layers import chunks
 
-chunks.BUFFERED_BYTES = 500_000
+chunks.MAX_BUFFERED_BYTES = 500_000
 scene, folder = Path(sys.argv[1]), Path(sys.argv[2])
 for chunk in json.loads(sys.argv[3]):
     child = os.fork()

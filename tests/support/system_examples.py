@@ -382,6 +382,7 @@ EXAMPLES = {
             ({"species": [{"name": "fish", "count": 1}]}, 1),
         ),
         wild={"forces": [{"spring": {"anchor": [0, 0, 0], "k": 1e9}}]},
+        bounded=True,
         initial=np.concatenate([SHOAL, np.add(OFFSET, [[1.0, 0.2, 0.3]])]),
         orders={"symplectic_euler": 1, "midpoint": 2, "rk4": 4},
         more=("velocity_verlet",),

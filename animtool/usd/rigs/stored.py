@@ -158,7 +158,7 @@ def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
     unit = usd_rig.meters_per_unit
     message = (
         f"metersPerUnit is {unit:g}, but the Skeleton was written with "
-        f"{unit * stored_size / size:.4g}: it is {length_text(size)} tall instead of "
+        f"{unit * stored_size / size:.4g}: it measures {length_text(size)} instead of "
         f"{length_text(stored_size)}"
     )
     hint = f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "

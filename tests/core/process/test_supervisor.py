@@ -163,7 +163,7 @@ def child():
         while True:
             pass
 """
-    assert run(child, before="supervisor.GRACE = .05") == (130, "")
+    assert run(child, before="supervisor.GRACE_SECONDS = .05") == (130, "")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -93,7 +93,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
         path = folder / f"stage{suffix}"
         path.write_bytes(spoil(rng, text.encode()))
         for camera in load_cameras(path).cameras:
-            assert np.isfinite(camera.numbers).all()
+            assert np.isfinite(camera.kernel_parameters).all()
 
     def keypoints(rng: np.random.Generator) -> None:
         path, data = pick(rng, frames)
