@@ -239,7 +239,7 @@ def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
 
 
 def _chunk_sets(prim: Any) -> Iterator[ChunkSet]:
-    """Yield the value clips of a prim."""
+    """Yield a summary of each value clip set of a prim."""
     if not prim.HasAuthoredMetadata("clips"):
         return
     clips = Usd.ClipsAPI(prim)

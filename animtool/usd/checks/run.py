@@ -193,7 +193,7 @@ def _faults(subject: StageSubject) -> list[Fault]:
 
 
 def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
-    """Return the animations; empty if an attribute has a wrong type."""
+    """Return a stage's animations as takes; empty if an attribute has a wrong type."""
     try:
         return animation_takes(subject, path)
     except (FormatError, AttributeError, IndexError, TypeError, ValueError):
@@ -205,7 +205,7 @@ def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 def _run_check(check: Check, subject: StageSubject) -> Iterator[Fault]:
     """Yield the findings of a check, including errors that USD raises.
 
-    If a value has a wrong type, a check ends there.
+    The check stops at a value of the wrong type; the findings report that type.
     """
     try:
         with usd_errors(Path(subject.stage.GetRootLayer().identifier)):

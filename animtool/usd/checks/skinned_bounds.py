@@ -85,9 +85,9 @@ class SkinnedBounds:
 def find_overhang(
     root: Any, extents: FloatArray, times: Sequence[float]
 ) -> tuple[float, float, bool] | None:
-    """Return the largest distance of skinned points outside extents, and where.
+    """Return the largest distance of skinned points outside extents, and its time code.
 
-    For many points only some samples are posed, and the last value is False.
+    With many points, only a subset of the samples is posed; the last value is False.
 
     Args:
         root: The SkelRoot.

@@ -27,7 +27,7 @@ class SampledArray:
     counts: IntArray  # array lengths ``(F,)``; -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
-        """Return the samples of one length.
+        """Return the samples whose arrays have a given length.
 
         Returns their indices ``(N,)`` and values ``(N, count, width)``.
         """

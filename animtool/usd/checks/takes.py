@@ -246,7 +246,7 @@ def _animation_rig(
 def _attribute_rows(
     subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
-    """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
+    """Return attribute values at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
     array = subject.sampled_array(attr)

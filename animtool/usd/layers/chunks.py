@@ -40,7 +40,7 @@ MAX_BUFFERED_BYTES = 32_000_000
 
 
 class GrowingLayer:
-    """A layer that receives samples."""
+    """A layer that receives samples, flushed to disk above a memory limit."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
         """Start without buffered samples.
@@ -55,7 +55,7 @@ class GrowingLayer:
         self.size = 0  # size of the written file [byte]
 
     def count_bytes(self, size: int) -> None:
-        """Count buffered bytes; flush to disk above the limit."""
+        """Add to the count of buffered bytes; flush to disk above the limit."""
         self._buffered_bytes += size
         if self._path is not None and self._buffered_bytes > MAX_BUFFERED_BYTES:
             self.save()
@@ -188,14 +188,14 @@ class FrameWriter(Protocol[FramesIn_contra]):
     """Writer of the frames of one prim."""
 
     def add(self, block: FramesIn_contra) -> None:
-        """Write frames."""
+        """Write a block of frames of one prim."""
 
 
 class FrameReport(Protocol[FramesIn_contra]):
     """Report on the frames of one prim."""
 
     def count(self, block: FramesIn_contra) -> None:
-        """Add written frames."""
+        """Add a block of written frames to the report."""
 
 
 def write_frames(
@@ -224,7 +224,7 @@ class OneLayer(Generic[FramesT]):
         self.first, self.last = np.inf, -np.inf  # first and last time code
 
     def add(self, block: FramesT) -> None:
-        """Write frames."""
+        """Write a block of frames of one prim."""
         self._writers[block.prim].add(block)
         self.first = min(self.first, block.codes[0])
         self.last = max(self.last, block.codes[-1])

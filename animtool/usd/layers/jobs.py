@@ -119,7 +119,7 @@ class Rounding:
     )
 
     def count(self, block: WrittenBlock) -> None:
-        """Update the largest errors with those of a block."""
+        """Update the largest rounding errors with those of a block."""
         self.has_rounded_scales |= block.has_rounded_scales
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
@@ -208,12 +208,12 @@ class UsdResult:
 
     @property
     def first(self) -> Fraction:
-        """Time code of the first frame of any take."""
+        """Time code of the first frame of all takes."""
         return self.span.first
 
     @property
     def last(self) -> Fraction:
-        """Time code of the last frame of any take."""
+        """Time code of the last frame of all takes."""
         return self.span.last
 
     @property
@@ -223,17 +223,17 @@ class UsdResult:
 
     @property
     def sampled(self) -> list[str]:
-        """Attributes of a SkelAnimation that change in some take."""
+        """SkelAnimation attributes that change over time in at least one take."""
         return list(dict.fromkeys(name for take in self.takes for name in take.sampled))
 
     @property
     def joints(self) -> int:
-        """Largest number of joints of a SkelAnimation."""
+        """Largest joint count of all SkelAnimations."""
         return max(take.joints for take in self.takes)
 
     @property
     def rounding(self) -> Rounding:
-        """Largest rounding errors of any take."""
+        """Rounding errors of the take with the largest joint error."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 
     @property

@@ -199,7 +199,7 @@ def _bound_animation(skeleton: Any) -> Any:
 
 
 def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
-    """Return the joints that an animation with other joints lacks."""
+    """Return the Skeleton's joints that an animation with transforms does not list."""
     if animation is None:
         return []
     animated_joints = set(token_array(animation.GetJointsAttr()))

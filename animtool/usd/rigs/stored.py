@@ -48,7 +48,7 @@ from animtool.usd.rigs.skinned import unique_name
 def merge_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
-    """Return a rig's attachments with their arrays from USD, and names of dropped ones.
+    """Return a rig's attachments with arrays from USD, and names of dropped entries.
 
     Strands that the rig does not know come last. Entries are dropped if their mesh,
     curves or pinned vertices no longer exist.
@@ -151,7 +151,7 @@ def merge_rig(
 
 
 def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
-    """Return a warning if the stage's unit is not that the rig was written in."""
+    """Return a warning if the stage's unit differs from that the rig was written in."""
     stored_size, size = rest_size(stored_rig), rest_size(usd_rig)
     if not min(stored_size, size) > 0 or abs(size / stored_size - 1) < UNIT_TOLERANCE:
         return None

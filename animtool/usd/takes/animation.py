@@ -154,7 +154,7 @@ def _match_columns(
 
 
 def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
-    """Return a warning about frames that are read as seconds (TAKE009)."""
+    """Return a warning if time codes look like frames but count seconds (TAKE009)."""
     shown_rate = float(stage.GetFramesPerSecond())
     if not stage.HasAuthoredMetadata("framesPerSecond") or clock.count < MIN_FRAMES:
         return []

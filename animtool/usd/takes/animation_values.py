@@ -89,7 +89,7 @@ def read_samples(
 def nearest_samples(
     times: list[float], codes: list[float], drift: float
 ) -> list[float]:
-    """Return the time of the nearest sample within tolerance, else the frame's.
+    """Return the nearest sample time within ``drift`` of each frame, else the frame's.
 
     >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
     [1.0, 2.02, 3.0]
@@ -299,7 +299,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is close to one of its frames."""
+    """Return a grid of a given step if its frames are close to all samples, or None."""
     step_length = float(step)
     tolerance = MAX_FRAME_DRIFT * min(step_length, 1.0)
     is_common = step.denominator <= COMMON_DENOMINATORS[-1]
@@ -374,6 +374,6 @@ def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the largest step that divides every gap."""
+    """Return the greatest common divisor of the gaps between samples."""
     denominator = math.lcm(*(gap.denominator for gap in gaps))
     return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)
