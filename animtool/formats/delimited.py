@@ -117,7 +117,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the maximum number of decimals in a column; 15 for exponents."""
+        """Return the maximum number of decimals in a column; 15 with an exponent."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]

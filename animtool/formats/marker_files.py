@@ -31,7 +31,7 @@ def is_marker_file(path: Path) -> bool:
 
 
 def file_of(path: Path) -> Path:
-    """Return the file of a path that may end in ``#array``."""
+    """Return a path without the ``#array`` it may end in."""
     return Path(split_reference(str(path), "")[0])
 
 

@@ -147,9 +147,9 @@ class MarkerFile:
     def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
-        Invalid are points with an infinity or a number beyond float32, points with one
-        large number in all coordinates, such as 9999999 (MKR102), and points exactly at
-        the origin: what systems write for missing points.
+        A point is invalid if it has a number beyond float32, the same large number in
+        all coordinates, such as 9999999 (MKR102), or lies exactly at the origin
+        (MKR105). Capture systems write these values for missing points.
 
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """

@@ -400,7 +400,7 @@ def _marker_names(
 
 
 def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
-    """Return the number of cameras (of seven) per position, if stated."""
+    """Return how many of seven cameras saw each position; None if not stated."""
     mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None

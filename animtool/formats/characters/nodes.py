@@ -82,7 +82,7 @@ class NodeTree(Protocol):
 
 
 def find_root_nodes(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root node of each node; a root is its own."""
+    """Return the root node of each node; a root node is its own root."""
     roots = list(range(len(nodes)))
     for node in sort_parents_first(nodes):
         parent = nodes[node].parent

@@ -1,4 +1,4 @@
-"""Builds the stream of a character's take: chooses it, samples it, adds its keys."""
+"""Builds the stream of a character's take: choice of the take, samples and keys."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def finish_stream(
     build_clip: Callable[[str], tuple[Clip, list[Fault]]],
     native_keys: object = None,
 ) -> TakeStream:
-    """Add the keys of its take and details about the file to a stream.
+    """Add the keys of the take, and details about the file, to a stream.
 
     Args:
         stream: The stream.

@@ -126,7 +126,7 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return slopes of automatic keys between two others."""
+    """Return the slopes of automatic keys with neighbours on both sides [1/s]."""
     key_flags, chord_before, chord_after = flags[k], chords[k - 1], chords[k]
     time_before, time_after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
     duration = np.where(time_before + time_after > 0, time_before + time_after, np.inf)

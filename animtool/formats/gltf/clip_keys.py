@@ -45,7 +45,7 @@ class SamplerKeys:
     outs: FloatArray | None = None  # slopes out of them
 
     def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return accessor rows; weights are one scalar per row."""
+        """Return rows of the output accessor; ``scalars`` gives one number each."""
         values = self.values
         if self.ins is not None and self.outs is not None:
             values = np.stack([self.ins, self.values, self.outs], axis=1)

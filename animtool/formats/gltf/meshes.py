@@ -159,7 +159,7 @@ def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int
 def _skin_set_indices(
     attributes: JsonItem, accessor_indices: Mapping[str, int]
 ) -> list[int]:
-    """Return the indices of the sets of joints and weights."""
+    """Return the set indices of the JOINTS_n and WEIGHTS_n attributes."""
     joints, weights = (
         sorted(
             int(name.removeprefix(prefix))

@@ -32,7 +32,7 @@ class _SharedVertices:
 def build_meshes(
     gltf: Gltf, character: CharacterNodes, binder: SkinBinder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
-    """Return a character's meshes and shapes, the shapes' keys, and notices."""
+    """Return meshes, shapes, the node and morph target of each shape, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     meshes: list[Mesh] = []

@@ -55,7 +55,7 @@ class _AnimationBuilder:
         self.tracks.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s]; static ones get a second key."""
+        """Return whether keys last until a time [s]; extend a static track to it."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
         for k, (node, path, keys) in enumerate(self.tracks):
@@ -323,7 +323,7 @@ def _static_keys(like: SamplerKeys, value: float) -> SamplerKeys:
 
 
 def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
-    """Return linear or stepped weight keys at the union of their times."""
+    """Merge linear or stepped weights at the union of key times; None for others."""
     interpolation = tracks[0].interpolation
     if interpolation == "CUBICSPLINE" or any(
         keys.interpolation != interpolation for keys in tracks

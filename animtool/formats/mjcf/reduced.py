@@ -122,7 +122,7 @@ def reduce_model(
 
 @dataclass(frozen=True, slots=True)
 class _Reduction:
-    """Lines of a reduced model, with the source of each."""
+    """Lines of a reduced model, each with its source element."""
 
     meshes: _MeshDefaults
     notes: XmlNotes
@@ -287,7 +287,7 @@ class _MeshDefaults:
 
 
 def _inherited_is_mesh(geom: XmlElement, inherited: bool) -> bool:
-    """Return whether a geom is a mesh; unstated, the inherited value."""
+    """Return whether a geom is a mesh; without a type, the inherited value."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
     return inherited and "type" not in geom.attributes

@@ -126,7 +126,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
 def _read_marker_names(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
-    """Return marker names, each above three columns or one."""
+    """Return the marker names of a header line; each names one or three columns."""
     if separator == b" " and (line_separator := find_separator(line)) != b" ":
         separator = line_separator
     if separator == b" ":

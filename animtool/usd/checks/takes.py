@@ -145,7 +145,7 @@ def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with most joints of an animation, at least half of them."""
+    """Return the Skeleton with the most joints of an animation, if more than half."""
     joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
     most_joints = len(joints) // 2
