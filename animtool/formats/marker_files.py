@@ -47,8 +47,8 @@ def open_markers(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is the stated unit.
-        up: Its up axis; None is the stated axis, or Y.
+        unit: Unit of the lengths; None is the stated unit.
+        up: The up axis; None is the stated axis, or Y.
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names.
     """

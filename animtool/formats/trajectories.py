@@ -179,7 +179,7 @@ class MarkerFile:
 
 
 def _parse_unit(text: str) -> LengthUnit | None:
-    """Return the unit of a text; some writers truncate it."""
+    """Parse a unit name, which writers may truncate; None if unknown."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)
     matching_units = {unit for name, unit in _UNITS.items() if name.startswith(text)}

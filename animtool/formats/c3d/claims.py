@@ -47,7 +47,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """All stated values, by quantity.
+    """All layout values that a file states, by quantity.
 
     Attributes:
         begin: Offset of the first frame [byte].

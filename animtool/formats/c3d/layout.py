@@ -95,7 +95,7 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The layout to read, or the closest ones if none fits.
+    """The layout to read, or the closest layouts if none fits the file.
 
     Attributes:
         layout: The layout to read; None if none fits.

@@ -290,7 +290,7 @@ class _ClipBuilder:
         )
 
     def _sample_times(self) -> IntArray:
-        """Return the times of all frames and of keys between them [ticks]."""
+        """Return the times of all frames and of keys between frames [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
         take = self.sampler.take

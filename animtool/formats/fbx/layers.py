@@ -64,7 +64,7 @@ class LayerValues:
     """Curves and defaults of a property on one layer."""
 
     layer: Layer
-    is_first: bool  # whether it is the first layer of its take
+    is_first: bool  # whether the layer is the first of the take
     defaults: list[float]  # values of components without a curve
     curves: list[FbxCurve | None]
 

@@ -62,7 +62,7 @@ class FbxFile:
     Attributes:
         path: Path of the file.
         version: Version such as 7400.
-        is_text: Whether it is ASCII.
+        is_text: Whether the file is ASCII.
         root: The root element.
         objects: Objects by id, in file order.
         settings: Global properties.
@@ -123,7 +123,7 @@ def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
 def read_vector(
     owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return a vector property with as many numbers as its default."""
+    """Return a vector property, cut to the length of the default; else the default."""
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default

@@ -255,7 +255,7 @@ class _StackReader:
         return curves
 
     def _read_ticks(self, stack: Object, name: str) -> int:
-        """Return a time of a stack; 0 if it is missing."""
+        """Return a time property of a stack [ticks]; 0 if it is missing."""
         values = stack.values(name)
         if not values or not isinstance(values[0], int):
             return 0

@@ -136,8 +136,8 @@ class Accessors:
     def has_data(self, index: int) -> bool:
         """Return whether the file has bytes for any element of an accessor.
 
-        Accessors without a bufferView have none, nor do accessors in buffers that an
-        or another program fills have no bytes.
+        Accessors without a bufferView have only sparse values. Buffers that an
+        extension or another program fills have no bytes.
         """
         accessor = self.get(index)
         if accessor.view < 0:

@@ -53,7 +53,7 @@ def read_channel_target(
     meshes: Sequence[MeshEntry],
     ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
-    """Return the target of a channel; None if it is not read."""
+    """Return the target of a channel; None if the channel is ignored."""
     target = channel.required("target")
     path = target.text("path")
     if path is None:

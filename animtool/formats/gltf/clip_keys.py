@@ -42,7 +42,7 @@ class SamplerKeys:
     values: FloatArray  # ``(K, W)``
     interpolation: str = "LINEAR"
     ins: FloatArray | None = None  # slopes into the keys ``(K, W)`` [1/s]
-    outs: FloatArray | None = None  # slopes out of them
+    outs: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
 
     def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
         """Return rows of the output accessor; ``scalars`` gives one number each."""

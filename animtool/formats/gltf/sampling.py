@@ -35,7 +35,7 @@ class AnimatedRow:
 
     row: int
     track: GltfTrack
-    factor: float = 1.0  # factor of its values for the rig
+    factor: float = 1.0  # factor from the track's values to the rig's
 
 
 @dataclass(slots=True, eq=False)
@@ -156,7 +156,7 @@ def _group_tracks(row_tracks: list[AnimatedRow]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """Tracks of an animation, its frames, and its last key [s]."""
+    """Tracks and frames of an animation, and the time of the last key [s]."""
 
     sampler: GltfSampler
     frames: GltfFrames

@@ -251,7 +251,7 @@ def _key_tolerance(
 
 
 def _joint_reaches(take: Take) -> FloatArray:
-    """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
+    """Return the length of the longest joint chain below each joint ``(J,)`` [m]."""
     rig = take.rig
     reaches = np.zeros(len(rig.joints))
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
@@ -344,7 +344,7 @@ def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
 def _combine_weights(
     tracks: list[SamplerKeys | None], samples: FloatArray
 ) -> SamplerKeys | None:
-    """Return several weights as one track; None if glTF cannot store them as one.
+    """Combine the tracks of all weights into one; None if glTF cannot store the result.
 
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
     of the others.

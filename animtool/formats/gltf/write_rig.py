@@ -149,7 +149,7 @@ def _write_surface(
 
 
 def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
-    """Return a mesh in the frame of its node."""
+    """Return a mesh transformed to the frame of the node it is attached to."""
     linear = local[:3, :3]
     normals = surface.normals
     return replace(

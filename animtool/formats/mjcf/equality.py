@@ -1,4 +1,4 @@
-"""Converts joint equalities: linear ones to mimics, others to drivers."""
+"""Converts joint equalities: linear ones to mimic joints, nonlinear ones to drivers."""
 
 from __future__ import annotations
 

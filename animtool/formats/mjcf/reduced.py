@@ -138,7 +138,7 @@ class _Reduction:
         self.bodies.append(body)
 
     def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
-        """Add an element with its kept children, or record that it is left out."""
+        """Add an element with its supported children, or record that it is left out."""
         tag = element.tag
         kept_children = [
             child
@@ -164,7 +164,7 @@ class _Reduction:
 def _is_kept(
     parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
 ) -> bool:
-    """Return whether a child of a section is kept; record it if not."""
+    """Return whether a child of a section is supported; record omitted children."""
     tag = child.tag
     match section:
         case "worldbody":
@@ -179,7 +179,7 @@ def _is_kept(
 
 
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
-    """Return whether a child of a body is kept; record it if not."""
+    """Return whether a child of a body is supported; record omitted children."""
     tag, label = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
@@ -195,7 +195,7 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
 
 
 def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
-    """Return the kept attributes of an element as XML."""
+    """Return the supported attributes of an element as XML."""
     removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESH_TYPES:
         removed_names = (*removed_names, "type")

@@ -245,7 +245,7 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
 
 
 def _has_frame_of_link(link: Link, joint: RobotJoint) -> bool:
-    """Return whether a link's last joint has its name and frame."""
+    """Return whether a link's last joint has the name and frame of the link."""
     return joint.name in {"", link.name} and not np.any(link.offset)
 
 

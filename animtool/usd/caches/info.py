@@ -54,7 +54,7 @@ class PointPrim:
     # What the points form, `faces` or `curves`, or the `meshes` of a PointInstancer;
     # empty for separate points.
     pieces: str
-    piece_count: tuple[int, int]  # fewest and most of these
+    piece_count: tuple[int, int]  # fewest and most pieces of a sample
     samples: int  # samples of points and transforms; 0 if static
     first: float | None  # time code of the first sample; None if static
     last: float | None  # time code of the last sample; None if static

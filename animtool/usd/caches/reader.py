@@ -256,8 +256,8 @@ class StaticMesh:
     """Points and faces of a mesh at one time, world space."""
 
     points: FloatArray  # ``(N, 3)`` [m]
-    counts: IntArray  # corners of each face ``(M,)``
-    indices: IntArray  # corners, face by face
+    counts: IntArray  # number of corners of each face ``(M,)``
+    indices: IntArray  # point index of each corner, face by face
 
 
 def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
@@ -268,8 +268,8 @@ def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
 class MeshSource:
     """A mesh of an open stage, sampled by time.
 
-    ``span`` is the first and last time code at which its points or transform change;
-    None if it is static.
+    ``span`` is the first and last time code at which points or transform change;
+    None if the mesh is static.
     """
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:

@@ -57,8 +57,8 @@ class ShownMesh:
     """A mesh in local space [m], with the stage's axes."""
 
     points: FloatArray  # ``(N, 3)``
-    counts: IntArray  # corners of each face ``(M,)``
-    indices: IntArray  # corners, face by face
+    counts: IntArray  # number of corners of each face ``(M,)``
+    indices: IntArray  # point index of each corner, face by face
     color: tuple[float, float, float] | None  # None if not authored
     double_sided: bool
     # Linear, per point ``(N, 3)``; None without point colors.

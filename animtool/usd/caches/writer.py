@@ -128,7 +128,7 @@ def split_attribute(path: str, name: str) -> tuple[str, str]:
 class CharactersReport:
     """Counts of written characters, samples and errors."""
 
-    own: int = 0  # characters with an animation that no other uses
+    own: int = 0  # characters with a separate animation
     shared: int = 0  # characters that share an animation
     samples: int = 0  # samples of animations of single characters
     frames: int = 0  # frames of animations of single characters
@@ -183,7 +183,7 @@ class CachedMesh:
     error_vertex: int = 0  # point of the largest error
     names: Sequence[str] = ()  # names of points that are bodies
     notices: list[Fault] = field(default_factory=list)
-    characters: CharactersReport | None = None  # if it has characters
+    characters: CharactersReport | None = None  # counts of crowd characters, if any
 
     def count(self, block: Block) -> None:
         """Add the counts of a block of frames, and update the largest error."""

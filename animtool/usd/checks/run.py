@@ -149,7 +149,7 @@ class Inspection:
 def inspect_layer(path: Path | str) -> Inspection:
     """Return the takes of a USD layer, and all findings in its composed stage.
 
-    If it cannot be opened, that is the only finding. USD's own warnings about the layer
+    If the layer cannot be opened, that is the only finding. USD's own warnings about it
     are not printed, since the findings cover them.
     """
     path = Path(path)

@@ -31,7 +31,7 @@ class _SkinnedPrim:
 
 
 class SkinnedBounds:
-    """Bounds of the skinned points below a SkelRoot at any time, in its space."""
+    """Bounds of the skinned points below a SkelRoot over time, in SkelRoot space."""
 
     def __init__(self, root: Any) -> None:
         self._root = root
@@ -92,7 +92,7 @@ def find_overhang(
     Args:
         root: The SkelRoot.
         extents: One per time, or one for all ``(F or 1, 2, 3)``.
-        times: Their time codes; NaN alone is the default.
+        times: Time codes of the extents; NaN alone is the default.
     """
     bounds = SkinnedBounds(root)
     max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.point_count, 1))

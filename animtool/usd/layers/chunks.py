@@ -285,7 +285,7 @@ class ChunkedWriter:
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
     def add(self, block: Block) -> None:
-        """Write frames to the files they belong to."""
+        """Write a block of frames to the chunk files of its time codes."""
         codes, begin = block.codes, 0
         while begin < len(codes):
             number, row = divmod(self._next_samples[block.prim], self._chunk_size)

@@ -143,15 +143,15 @@ def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
 class _CharacterTrack:
     """Motion of n characters of one rig over F frames."""
 
-    codes: FloatArray  # (F,)
-    rotations: Float32Array  # (F, n, M, 4)
+    codes: FloatArray  # time codes (F,)
+    rotations: Float32Array  # of the animated joints (F, n, M, 4)
     scales: FloatArray  # (n,)
     cast: Cast
     points: FloatArray  # (F, n, 3) [m]
     headings: FloatArray  # (F, n) [rad]
     roots: FloatArray  # (F, n, 3) [m]
-    near_ground: BoolArray  # (F, n, 2)
-    clocks: FloatArray  # (F, n) [s]
+    near_ground: BoolArray  # whether each foot is on or near the ground (F, n, 2)
+    clocks: FloatArray  # times in the standing animation (F, n) [s]
     visible: BoolArray  # (F, n)
 
     @cached_property

@@ -286,7 +286,7 @@ def _add_frame_axis(
 class SimulatedJob:
     """Settings of writing simulated prims."""
 
-    model: str  # path of the prim above all others
+    model: str  # path of the parent prim
     names: Sequence[str]  # legal, unique names of the prims
     metadata: StageMetadata  # metadata of the layer
     meters_per_unit: float  # length unit below the model [m]

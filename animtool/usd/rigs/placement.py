@@ -102,7 +102,7 @@ def has_animated_rotation_or_scale(skeleton: Any) -> bool:
 def skeleton_placement(
     skeleton: Any, rig: Rig, codes: Sequence[float] | None = None
 ) -> SkeletonPlacement:
-    """Return the placement of a Skeleton at time codes; None is its first.
+    """Return the placement of a Skeleton at time codes; None is the first time.
 
     ``rig`` has local values; the placement uses its unit and up axis.
     """
@@ -269,7 +269,7 @@ def _snap_placement(placement: Placement) -> Placement:
 
 
 def _find_unsupported_reason(matrices: FloatArray) -> str:
-    """Return why joints cannot represent a transform; empty if they can."""
+    """Return why joints cannot represent a transform; empty if joints can."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     is_mirrored = np.linalg.det(linear) <= 0.0

@@ -43,8 +43,8 @@ class RestPose:
 def find_rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     """Return the rest pose of a Skeleton; None if there is none.
 
-    It is the authored one, else the bind pose, else the first sample of a bound
-    animation of all joints.
+    The rest pose is the authored one, else the bind pose, else the first sample of a
+    bound animation of all joints.
     """
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):

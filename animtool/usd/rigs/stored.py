@@ -316,7 +316,7 @@ def _remove_from_control(control: Control, removed: set[str]) -> Control:
 
 
 def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
-    """Return a driver, or None if it reads a removed joint."""
+    """Return a driver, or None if the driver reads a removed joint."""
     driver_names = () if driver is None else driver.names
     return (
         None
@@ -332,7 +332,7 @@ SCALE_TOLERANCE = 1e-4
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file; its notices are in the rig."""
+    """Return the rig of a USD file; the rig contains the warnings about the file."""
     rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
@@ -344,7 +344,7 @@ def read_rig_with_data(
 
     ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
-    It has bind pose, meshes, shapes and strands, and the customData that USD cannot
+    The rig has bind pose, meshes, shapes, strands, and the customData that USD cannot
     express.
     """
     with usd_errors(path), without_usd_warnings():

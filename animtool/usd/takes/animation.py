@@ -59,8 +59,8 @@ class AnimationMotion:
     """Motion of an animation, before the stage placement of its Skeleton."""
 
     clock: Clock
-    motion: Motion  # of all joints of the Skeleton
-    shapes: list[str]  # names of its shapes
+    motion: Motion  # motion of all joints of the Skeleton
+    shapes: list[str]  # names of the animated shapes
     drift: float  # largest distance of samples from their frames [time code]
     notices: list[Fault]
 

@@ -123,7 +123,7 @@ def _time_label(time: Any) -> str:
 def normalize_rotations(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning if they were not."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning if any were not."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
     deviations = np.abs(lengths - 1.0)
     notices = []
@@ -235,7 +235,7 @@ def refine_to_frames(grid: SampleGrid, stage: Any, where: PrimLocation) -> Sampl
 
 
 def _snap_to_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
-    """Return a grid with the step of a standard frame rate close to its rate.
+    """Snap the step of a grid to that of a standard frame rate, if one is close.
 
     For example, a layer that states 23.976 instead of 24000/1001 has frames 1.001001
     time codes apart in a stage of 24.
@@ -360,7 +360,7 @@ def _integer_grid(times: list[float], where: PrimLocation) -> SampleGrid:
 
 
 def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
-    """Return a grid trimmed to the authored first frame if it starts just before it.
+    """Trim a grid that starts just before the authored first frame to that frame.
 
     Samples up to a frame earlier are motion blur samples of the first frame.
     """

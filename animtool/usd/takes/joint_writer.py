@@ -112,7 +112,7 @@ def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array 
 def _extract_root_motion(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Remove the motion of the first root joint in place; return it for the SkelRoot.
+    """Move the motion of the first root joint to the SkelRoot; edit joints in place.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy X · M' =
     M, with M' of the first root at rest.
