@@ -46,8 +46,8 @@ class Layout:
         frames: Number of frames.
         trailing_bytes: Bytes after the last frame, except zeros up to a full block.
         cost: Total cost of contradicted claims.
-        needs_evidence: Whether it is used only if its numbers look like positions.
-        is_solved: Whether one of its counts is not stated by any field.
+        needs_evidence: Whether to use it only if the numbers look like positions.
+        is_solved: Whether one of the counts is not stated by any field.
     """
 
     begin: int
@@ -98,7 +98,7 @@ class LayoutResult:
     """The layout to read, or the closest layouts if none fits the file.
 
     Attributes:
-        layout: The layout to read; None if none fits.
+        layout: The layout to read; None if no layout fits.
         truncated: The layout with the fewest contradictions among those that need more
             bytes than the file has.
         rivals: Layouts that the evidence cannot decide between.

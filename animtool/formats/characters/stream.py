@@ -56,10 +56,10 @@ def choose_take(
     Args:
         messages: Wording and codes of the format.
         path: The file.
-        names: Names of its takes.
+        names: Names of the takes in the file.
         take: Name of the requested take; None is the default.
         candidates: Indices of takes that can be read without a name.
-        default_index: Index of the default; the first candidate if it is none of them.
+        default_index: Index of the default; if not a candidate, the first candidate is.
     """
     if take is not None:
         if take in names:

@@ -33,12 +33,12 @@ class Object:
 
     Attributes:
         id: Number, or kind and name in files before 7000.
-        kind: Name of its element, such as ``Model``.
+        kind: Name of the element, such as ``Model``.
         name: Name without the kind, namespace kept.
         subtype: Subtype such as ``LimbNode``.
-        element: Its element.
+        element: Element of the object.
         properties: Values by name, without defaults.
-        defaults: Default values of its kind.
+        defaults: Default values of this kind of object.
     """
 
     id: ObjectId

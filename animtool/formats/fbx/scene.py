@@ -29,7 +29,7 @@ class FbxScene:
     """The contents of a file.
 
     Attributes:
-        file: Its objects.
+        file: Objects of the file.
         settings: Unit, axes and rate.
         models: Nodes, parents first.
         meshes: Meshes by index of the node that shows them.

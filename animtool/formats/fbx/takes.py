@@ -72,10 +72,10 @@ class AnimTake:
 
     Attributes:
         name: Name in the file.
-        where: Location of its element.
-        start_ticks: Start of its span [tick].
-        end_ticks: End of its span [tick].
-        layers: Names of its layers, from bottom to top.
+        where: Location of the take's element in the file.
+        start_ticks: Start of the take's span [tick].
+        end_ticks: End of the take's span [tick].
+        layers: Names of the take's layers, from bottom to top.
         tracks: Tracks by object id and property name.
         has_animated_visibility: Whether visibility is animated.
     """

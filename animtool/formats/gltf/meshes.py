@@ -455,7 +455,7 @@ def _check_duplicate_joints(
 def build_triangles(
     primitive: Primitive, vertex_count: int, accessors: Accessors
 ) -> IntArray:
-    """Return the triangles of a primitive ``(N, 3)``; none for points and lines."""
+    """Return the triangles of a primitive ``(N, 3)``; empty for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
     vertex_indices = np.arange(vertex_count)

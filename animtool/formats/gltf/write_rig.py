@@ -118,7 +118,7 @@ def _write_surface(
     rig_indices: RigIndices,
     lost_contents: dict[str, list[str]],
 ) -> int:
-    """Write a mesh; return its node."""
+    """Write a mesh, and return the index of its node."""
     carrier, local = _carrier_joint(builder, rig, surface, bind)
     if surface.skin is None or carrier >= 0:
         surface = _to_node_frame(surface, local)

@@ -78,7 +78,7 @@ class XmlNotes:
         where: str,
         limit: float = MAX_VALUE,
     ) -> tuple[float, ...]:
-        """Return the numbers of an attribute, or its default.
+        """Return the numbers of an attribute, or the default.
 
         Numbers beyond ``limit`` or not finite are recorded as faults.
         """

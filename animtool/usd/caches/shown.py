@@ -226,7 +226,7 @@ class StageContents:
         meters: Length unit of the stage [m].
         up: Up axis of the stage.
         fps: Time codes per second.
-        up_rotation: Rotation from its up axis to Y; None for no rotation.
+        up_rotation: Rotation from the stage's up axis to Y; None for no rotation.
     """
 
     def __init__(self, path: Path, stage: Any, root_path: str) -> None:

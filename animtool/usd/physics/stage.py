@@ -36,7 +36,7 @@ class PhysicsStage:
         start_code: Time code of 0 s.
         meters_per_unit: Unit of lengths [m].
         kilograms_per_unit: Unit of masses [kg].
-        up_rotation: Rotation from its up axis to Y ``(4,)``.
+        up_rotation: Rotation from the stage's up axis to Y ``(4,)``.
         cache: Transform cache at ``start_code``.
         notices: Unsupported contents (SIM136).
     """

@@ -41,7 +41,7 @@ class RestPose:
 
 
 def find_rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
-    """Return the rest pose of a Skeleton; None if there is none.
+    """Return the rest pose of a Skeleton; None if no pose can replace a missing one.
 
     The rest pose is the authored one, else the bind pose, else the first sample of a
     bound animation of all joints.

@@ -281,7 +281,7 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _drifting_grid(times: list[float]) -> SampleGrid | None:
-    """Return a regular grid close to every sample; None if there is none."""
+    """Return a regular grid close to every sample; None if no such grid exists."""
     codes = np.array(times)
     gaps = np.diff(codes)
     # Attributes that drift differently have samples of one frame at almost equal times.
