@@ -110,7 +110,7 @@ class TextRows:
     has_decimal_commas: bool = False
 
     def without_last(self) -> TextRows:
-        """Return all rows but the last."""
+        """Return all rows except the last one."""
         return replace(
             self, texts=self.texts[:-1], line_numbers=self.line_numbers[:-1],
             value_counts=self.value_counts[:-1], cell_counts=self.cell_counts[:-1],

@@ -53,7 +53,7 @@ class MarkerFile:
     notices: list[Fault] = field(default_factory=list)
 
     def error(self, code: str, message: str, hint: str | None = None) -> FormatError:
-        """Return an error about the file."""
+        """Return a `FormatError` about the file."""
         return FormatError(Fault(code, message, self.path, (), hint))
 
     def warn(
@@ -64,7 +64,7 @@ class MarkerFile:
         self.notices.append(Fault(code, message, self.path, lines, hint, warning))
 
     def note(self, code: str, message: str, hint: str | None = None) -> None:
-        """Add a note."""
+        """Add a note about the file."""
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
     def rate(self, stated_rate: float | None, fps: FractionLike | None) -> Fraction:

@@ -43,7 +43,7 @@ _TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node of the scene.
+    """A node of the scene, with its transform properties.
 
     Attributes:
         object: Object of the node in the file.
@@ -115,7 +115,7 @@ class Model:
 
 
 def read_models(file: FbxFile) -> list[Model]:
-    """Return the nodes, parents first."""
+    """Return the nodes of a file, parents before children."""
     objects = [
         node_object
         for node_object in file.of_kind("Model")

@@ -108,7 +108,7 @@ class FbxFile:
         ]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
-        """Return all objects of a kind."""
+        """Return all objects of a kind, in file order."""
         return [
             candidate
             for candidate in self.objects.values()

@@ -26,7 +26,7 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of a file.
+    """The contents of an FBX file.
 
     Attributes:
         file: Objects of the file.

@@ -89,7 +89,7 @@ class AnimTake:
     has_animated_visibility: bool = False
 
     def curves(self) -> list[FbxCurve]:
-        """Return all curves."""
+        """Return all animation curves of the take."""
         return [
             curve
             for track in self.tracks.values()
@@ -99,7 +99,7 @@ class AnimTake:
         ]
 
     def key_times(self) -> IntArray:
-        """Return all distinct key times [ticks]."""
+        """Return all distinct key times of the take [ticks]."""
         distinct_times = {curve.times.tobytes(): curve.times for curve in self.curves()}
         return np.unique(
             np.concatenate([np.zeros(0, np.int64), *distinct_times.values()])

@@ -79,7 +79,7 @@ def _set_auto_slopes(
     chords: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Set the slopes of automatic keys.
+    """Set the slopes of keys with automatic tangents, in place.
 
     The file states a bias towards a neighbour instead of a slope for these keys.
     """

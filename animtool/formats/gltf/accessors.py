@@ -79,7 +79,7 @@ class Accessor:
 
     @property
     def width(self) -> int:
-        """Count of numbers per element."""
+        """Number of components per element."""
         return ELEMENT_WIDTHS[self.element_type]
 
     @property

@@ -19,7 +19,7 @@ POINTER_EXTENSION = "KHR_animation_pointer"
 
 
 class TargetPath(StrEnum):
-    """Property that a channel animates."""
+    """Property of a node or mesh that a channel animates."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"

@@ -157,7 +157,7 @@ def _hermite(
 
 
 def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
-    """Return rotations normalised; other values unchanged."""
+    """Return rotations as unit quaternions, and values of other paths unchanged."""
     rows = np.asarray(values, np.float64)
     if path is not TargetPath.ROTATION:
         return rows

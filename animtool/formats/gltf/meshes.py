@@ -61,7 +61,7 @@ class Primitive:
 
 @dataclass(frozen=True, slots=True)
 class MeshEntry:
-    """A mesh."""
+    """A mesh with its primitives and morph targets."""
 
     name: str | None
     primitives: tuple[Primitive, ...]
@@ -73,7 +73,7 @@ class MeshEntry:
 
     @property
     def targets(self) -> int:
-        """Count of morph targets."""
+        """Number of morph targets."""
         return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
 

@@ -103,7 +103,7 @@ def find_frame_range(
 
 
 def key_times(animation: Animation) -> FloatArray:
-    """Return all distinct key times [s]."""
+    """Return all distinct key times of an animation [s]."""
     times_by_id: dict[int, FloatArray] = {
         id(t.times): t.times for t in animation.tracks
     }

@@ -51,7 +51,7 @@ class _AnimationBuilder:
         return self.inputs[id(times)][1]
 
     def add(self, node: int, path: str, keys: SamplerKeys) -> None:
-        """Add the keys of a property."""
+        """Add the keys of one animated property of a node."""
         self.tracks.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
@@ -67,7 +67,7 @@ class _AnimationBuilder:
         return False
 
     def write(self) -> None:
-        """Write all samplers and channels."""
+        """Write the samplers and channels of all added keys."""
         for node, path, keys in self.tracks:
             self._write(node, path, keys)
 

@@ -132,7 +132,7 @@ class _Reduction:
     with_unknown_mass: set[str] = field(default_factory=set)
 
     def add(self, element: XmlElement, text: str, body: str = "") -> None:
-        """Add a line."""
+        """Add a line of XML with its source element and body."""
         self.lines.append(text)
         self.elements.append(element)
         self.bodies.append(body)
@@ -241,7 +241,7 @@ def element_name_label(element: XmlElement) -> str | None:
 
 
 def _name_bodies(root: XmlElement) -> None:
-    """Give unnamed bodies unique names."""
+    """Give unique names to bodies without a name."""
     bodies = [
         element
         for section in root.all("worldbody")

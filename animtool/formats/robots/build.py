@@ -182,7 +182,7 @@ def _rig_joint(
 
 @dataclass(frozen=True, slots=True)
 class _JointNames:
-    """Joint names of the rig."""
+    """Names of the rig's joints for the links, joints and sites of a robot."""
 
     links: list[str]  # name of each link
     joints: list[list[str]]  # names of the joints of each link

@@ -117,7 +117,7 @@ class XmlNotes:
         return self.numbers(element, name, 1, (default,), where)[0]
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Record labels of unread contents."""
+        """Record labels of contents that are not read."""
         self.left_out.update(dict.fromkeys(names))
 
 

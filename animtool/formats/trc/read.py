@@ -39,7 +39,7 @@ _NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """The values of the header lines.
+    """The values of the header lines of a TRC file.
 
     Attributes:
         rate: DataRate [1/s]; None without a number.

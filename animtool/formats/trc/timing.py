@@ -209,7 +209,7 @@ def _warn_irregular(
     rate: Fraction,
     lines: IntArray,
 ) -> None:
-    """Warn about resampled irregular times (TRC106)."""
+    """Warn that rows at irregular times are resampled (TRC106)."""
     intervals = np.diff(times)
     row = int(np.abs(intervals - steps.step).argmax()) + 1
     message = (

@@ -46,7 +46,7 @@ _ELEMENT_COUNTS = {
 
 @dataclass(frozen=True, slots=True)
 class PointPrim:
-    """Summary of one prim with points."""
+    """Summary of the animated points of one prim."""
 
     path: str  # path of the prim
     type: str  # type of the prim; empty for an over
@@ -224,7 +224,7 @@ def _extent_union(
 
 
 def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
-    """Report missing chunk files."""
+    """Report the files of value clips that do not exist."""
     return [
         Fault(
             "USD276",

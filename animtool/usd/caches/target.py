@@ -50,7 +50,7 @@ class CacheTarget:
 
     @property
     def prims(self) -> tuple[TargetMesh, ...]:
-        """The meshes, then the strands."""
+        """The meshes of the target, then the strands."""
         return self.meshes + self.strands
 
     @property

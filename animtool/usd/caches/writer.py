@@ -229,7 +229,7 @@ class PointWriter:
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
-        """Write a block of frames."""
+        """Write a block of frames of the prim."""
         with Sdf.ChangeBlock():
             for name, rows in block.values.items():
                 if name not in self._channels:

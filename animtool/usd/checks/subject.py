@@ -20,7 +20,7 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class SampledArray:
-    """All values of an array attribute."""
+    """All values of an array attribute, with their time codes."""
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for the default
     arrays: list[Any]  # one per time; None if blocked
@@ -43,7 +43,7 @@ class SampledArray:
 
     @property
     def is_animated(self) -> bool:
-        """Whether it has time samples."""
+        """Whether the attribute has time samples."""
         return not np.isnan(self.times).any()
 
 

@@ -134,7 +134,7 @@ class ClipFiles:
         return f"./{self.chunk(0).name}"
 
     def existing_chunks(self) -> list[Path]:
-        """Return the existing chunks, in order."""
+        """Return the chunk files that exist, in time order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
         pattern = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
         paths = folder.iterdir() if folder.is_dir() else ()
@@ -335,7 +335,7 @@ class ChunkedWriter:
         author_metadata(self._manifest, metadata)
 
     def finish(self) -> list[Path]:
-        """Write the manifest; return all files.
+        """Write the manifest; return all written files.
 
         Stale files of an earlier, longer bake are removed only after the new files are
         in place, so that a layer always has its own chunks.

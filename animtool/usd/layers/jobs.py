@@ -88,7 +88,7 @@ class RootPath:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBlock:
-    """Frames as written, in stage units."""
+    """Joint transforms of a block of frames as written, in stage units."""
 
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
@@ -109,7 +109,7 @@ class WrittenBlock:
 
 @dataclass(slots=True)
 class Rounding:
-    """Rounding errors over all blocks."""
+    """Largest rounding errors of all written blocks."""
 
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
@@ -150,7 +150,7 @@ class UsdJob:
 
 @dataclass(frozen=True, slots=True)
 class UsdTake:
-    """One animation of a job."""
+    """One animation that a job writes."""
 
     blocks: Iterable[WrittenBlock]  # frames, as stored in the layer
     start: Fraction  # time code of the first sample
@@ -196,7 +196,7 @@ class WrittenTake:
 
 @dataclass(slots=True)
 class UsdResult:
-    """Result of `write_usd`."""
+    """Result of `write_usd`: the layer's range and a report per take."""
 
     span: FrameSpan  # range and rate of the written layer
     outputs: list[Path] = field(default_factory=list)

@@ -291,7 +291,7 @@ def write_samples(
 
 
 def author_relationship(spec: Any, name: str, *targets: str) -> None:
-    """Create a relationship to prims."""
+    """Create a relationship that targets prims."""
     relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
     relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 

@@ -284,7 +284,7 @@ def _add_frame_axis(
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """Settings of writing simulated prims."""
+    """Settings for writing simulated prims."""
 
     model: str  # path of the parent prim
     names: Sequence[str]  # legal, unique names of the prims
@@ -304,7 +304,7 @@ class SimulatedJob:
         return [f"{self.model}/{name}" for name in self.names]
 
     def prim_writers(self) -> list[SimulatedPrim]:
-        """Return new writers of the prims."""
+        """Return a new writer for each prim."""
         unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
         return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
