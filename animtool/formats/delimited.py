@@ -110,14 +110,14 @@ class TextRows:
     has_decimal_commas: bool = False
 
     def without_last(self) -> TextRows:
-        """Return all rows but the last."""
+        """Return all rows except the last one."""
         return replace(
             self, texts=self.texts[:-1], line_numbers=self.line_numbers[:-1],
             value_counts=self.value_counts[:-1], cell_counts=self.cell_counts[:-1],
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the maximum number of decimals in a column; 15 for exponents."""
+        """Return the maximum number of decimals in a column; 15 with an exponent."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]

@@ -55,8 +55,8 @@ def read_markers(
     Args:
         path: The file; ``take.npz#unlabelled_mm`` also selects the array.
         array: The array of positions; None is the one that starts with ``markers``.
-        unit: Unit of its lengths; None is that in the array's name.
-        up: Its up axis; None is that in the text ``up``, or Y.
+        unit: Unit of the lengths; None is that in the array's name.
+        up: The up axis; None is that in the text ``up``, or Y.
         fps: The frame rate, if the file has a wrong one or none.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
     """

@@ -31,7 +31,7 @@ def is_marker_file(path: Path) -> bool:
 
 
 def file_of(path: Path) -> Path:
-    """Return the file of a path that may end in ``#array``."""
+    """Return a path without the ``#array`` it may end in."""
     return Path(split_reference(str(path), "")[0])
 
 
@@ -47,8 +47,8 @@ def open_markers(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is the stated unit.
-        up: Its up axis; None is the stated axis, or Y.
+        unit: Unit of the lengths; None is the stated unit.
+        up: The up axis; None is the stated axis, or Y.
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names.
     """

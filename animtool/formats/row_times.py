@@ -33,7 +33,7 @@ MAX_INTERPOLATED_GAP = 1.5
 
 @dataclass(frozen=True, slots=True)
 class TimeSteps:
-    """Times as frames of constant length.
+    """Row times fitted to frames of constant length.
 
     Attributes:
         step: Length of a frame [s].
@@ -112,7 +112,7 @@ def find_steps(
     stated_rate: float | None,
     rounding: float,
 ) -> TimeSteps:
-    """Return times as frames: by counted frames, a stated rate, or their step."""
+    """Fit times to frames by counted frames, a stated rate, or their typical step."""
     row_frames = np.arange(len(times))
     candidates = (
         [row_frames] if counted_frames is None else [counted_frames, row_frames]

@@ -53,7 +53,7 @@ class MarkerFile:
     notices: list[Fault] = field(default_factory=list)
 
     def error(self, code: str, message: str, hint: str | None = None) -> FormatError:
-        """Return an error about the file."""
+        """Return a `FormatError` about the file."""
         return FormatError(Fault(code, message, self.path, (), hint))
 
     def warn(
@@ -64,7 +64,7 @@ class MarkerFile:
         self.notices.append(Fault(code, message, self.path, lines, hint, warning))
 
     def note(self, code: str, message: str, hint: str | None = None) -> None:
-        """Add a note."""
+        """Add a note about the file."""
         self.notices.append(Fault(code, message, self.path, (), hint, Severity.NOTE))
 
     def rate(self, stated_rate: float | None, fps: FractionLike | None) -> Fraction:
@@ -147,9 +147,9 @@ class MarkerFile:
     def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
-        Invalid are points with an infinity or a number beyond float32, points with one
-        large number in all coordinates, such as 9999999 (MKR102), and points exactly at
-        the origin: what systems write for missing points.
+        A point is invalid if it has a number beyond float32, the same large number in
+        all coordinates, such as 9999999 (MKR102), or lies exactly at the origin
+        (MKR105). Capture systems write these values for missing points.
 
         ``positions`` ``(F, M, 3)``, in file units, are changed in place.
         """
@@ -179,7 +179,7 @@ class MarkerFile:
 
 
 def _parse_unit(text: str) -> LengthUnit | None:
-    """Return the unit of a text; some writers truncate it."""
+    """Parse a unit name, which writers may truncate; None if unknown."""
     if text in _UNITS or len(text) < 4:
         return _UNITS.get(text)
     matching_units = {unit for name, unit in _UNITS.items() if name.startswith(text)}

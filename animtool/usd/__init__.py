@@ -57,12 +57,12 @@ class _UninterruptedLoader:
         return getattr(self._loader, name)
 
     def create_module(self, spec: ModuleSpec) -> ModuleType | None:
-        """Return the new module, created by its own loader."""
+        """Return the new module, created by the original loader."""
         module: ModuleType | None = self._loader.create_module(spec)
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Run a module; it keeps its own loader."""
+        """Run a module while signals are deferred, with its original loader."""
         spec = module.__spec__
         assert spec is not None
         spec.loader = module.__loader__ = self._loader

@@ -77,7 +77,7 @@ class HeaderLines:
             self.fail("BVH001", message, line=False)
 
     def next(self) -> str | None:
-        """Return the next line without its line break; None after the last."""
+        """Return the next line without the line break; None after the last line."""
         while True:
             match = _LINE_END.search(self._data, self._offset)
             is_chunk_end = match is not None and match.end() == len(self._data)

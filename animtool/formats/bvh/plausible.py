@@ -91,19 +91,19 @@ class ChannelRanges:
 
     @property
     def rotations(self) -> tuple[float, int]:
-        """Largest rotation, and number of rotations that change [file's angle]."""
+        """Largest absolute rotation [file's angle], and number of changing channels."""
         low, high = self.low[:-3], self.high[:-3]
         largest = np.maximum(np.abs(low), np.abs(high)).max(initial=0.0)
         return float(largest), int((high - low > MIN_ROTATION).sum())
 
     @property
     def travel(self) -> float:
-        """Extent of the path of the first joint [m]."""
+        """Diagonal of the bounding box of the first joint's path [m]."""
         return float(np.linalg.norm(self.high[-3:] - self.low[-3:]))
 
 
 def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
-    """Return a warning about a body that travels with rotations of a few degrees."""
+    """Return a warning if the rotations of a moving body look like radians (BVH112)."""
     rest_extent = rest_size(rig)
     if len(rig.joints) < MIN_JOINTS or not np.isfinite(ranges.travel):
         return []

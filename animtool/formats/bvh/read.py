@@ -64,9 +64,9 @@ def read_bvh(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is centimetres, with a note if the skeleton's
+        unit: Unit of the lengths; None is centimetres, with a note if the skeleton's
             size fits another unit better.
-        up: Its up axis; None is Y. The file does not state it.
+        up: The up axis; None is Y. The file does not state it.
         fps: The actual frame rate, if ``Frame Time`` is wrong.
         positions: ``offsets`` keeps the OFFSETs of joints below a root and ignores
             their position channels. None or ``channels`` lets channels replace them;

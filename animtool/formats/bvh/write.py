@@ -211,7 +211,7 @@ def _vector_text(values: FloatArray) -> str:
 
 
 def frame_time(rate: Fraction) -> str:
-    """Return the shortest frame time [s], 6 decimals or more, equal to the rate.
+    """Return the shortest frame time [s] of at least 6 decimals that gives the rate.
 
     >>> frame_time(Fraction(30)), frame_time(Fraction(24000, 1001))
     ('0.033333', '0.041708')

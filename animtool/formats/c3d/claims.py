@@ -33,7 +33,7 @@ class Claim:
     can_wrap: bool = False
 
     def cost(self, value: int) -> float:
-        """Return the cost of a value that may contradict this claim."""
+        """Return the cost of a layout value under this claim; 0 if they agree."""
         if value == self.value or (self.is_saturated and value > self.value):
             return 0.0
         if (
@@ -47,7 +47,7 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """All stated values, by quantity.
+    """All layout values that a file states, by quantity.
 
     Attributes:
         begin: Offset of the first frame [byte].
@@ -143,7 +143,7 @@ def _point_claims(sections: Sections) -> Iterable[Claim]:
 
 
 def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ...]]:
-    """Return claims about analogue values per frame, and unclaimed candidates."""
+    """Return claims about analogue values per frame, and further candidate values."""
     header_count, samples = sections.header.analog, sections.header.samples
     claims = [Claim("header word 3", header_count, 1.0)]
     used_channels = unsigned_word(sections, "ANALOG", "USED")

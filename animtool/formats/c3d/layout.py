@@ -46,8 +46,8 @@ class Layout:
         frames: Number of frames.
         trailing_bytes: Bytes after the last frame, except zeros up to a full block.
         cost: Total cost of contradicted claims.
-        needs_evidence: Whether it is used only if its numbers look like positions.
-        is_solved: Whether one of its counts is not stated by any field.
+        needs_evidence: Whether to use it only if the numbers look like positions.
+        is_solved: Whether one of the counts is not stated by any field.
     """
 
     begin: int
@@ -95,10 +95,10 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The layout to read, or the closest ones if none fits.
+    """The layout to read, or the closest layouts if none fits the file.
 
     Attributes:
-        layout: The layout to read; None if none fits.
+        layout: The layout to read; None if no layout fits.
         truncated: The layout with the fewest contradictions among those that need more
             bytes than the file has.
         rivals: Layouts that the evidence cannot decide between.
@@ -174,7 +174,7 @@ def choose_layout(
 
 
 def _count_padding(data: bytes) -> int:
-    """Return the number of trailing zero bytes, if the last block is full."""
+    """Return the number of zero bytes that pad the last block; 0 if it is partial."""
     if len(data) % BLOCK_BYTES:
         return 0
     last_block = data[-BLOCK_BYTES:]
@@ -216,7 +216,7 @@ def _sort_key(layout: Layout) -> tuple[float, ...]:
 def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
     """Yield layouts of all combinations of stated counts, or with one count solved.
 
-    ``size`` is that of the file, ``padding`` that of the zeros at its end [byte].
+    ``size`` is the file size, ``padding`` the number of zeros at the end [byte].
     """
     widths = _costed_values(claims.width, (2, 4))
     for (begin, begin_cost), (width, width_cost) in itertools.product(
@@ -241,7 +241,7 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
 def _count_combinations(
     claims: Claims, capacity: int, min_numbers: int
 ) -> Iterable[tuple[int, int, int, float, bool]]:
-    """Yield points, analogue values, frames, cost, and whether one is solved.
+    """Yield point, analogue and frame counts, their cost, and whether one is solved.
 
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
@@ -319,14 +319,14 @@ def _claims_cost(claims: Sequence[Claim], value: int) -> float:
 
 
 def _claims_agree(claims: Sequence[Claim]) -> bool:
-    """Return whether all claims that are not hints state one value."""
+    """Return whether all claims except hints state the same value."""
     return (
         len({claim.value for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT}) == 1
     )
 
 
 def _can_solve(claims: Sequence[Claim]) -> bool:
-    """Return whether a value may be solved from the file size: claims leave it open."""
+    """Return whether claims leave a value open, so that the file size may decide it."""
     decisive = [claim for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT]
     return len(decisive) < 2 or not _claims_agree(claims)
 
@@ -351,7 +351,7 @@ def _solve_frame_counts(claims: Claims, count: int) -> list[tuple[int, float, bo
 
 
 def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:
-    """Add the cost of nonzero bytes before the first frame to a layout."""
+    """Return a layout with the cost of nonzero bytes before the first frame added."""
     gap_bytes = layout.begin - parameters_end
     if gap_bytes <= 0 or data.count(b"\0", parameters_end, layout.begin) == gap_bytes:
         return layout
@@ -438,12 +438,12 @@ def _choose_by_evidence(
 
 
 def _is_noise(layout: Layout, evidence: Evidence) -> bool:
-    """Return whether numbers look like noise; a single static point always does."""
+    """Return whether numbers look like noise; roughness needs more than one point."""
     return evidence.outlier_fraction > MAX_OUTLIER_FRACTION or (
         layout.points > 1 and evidence.roughness > NOISE_ROUGHNESS
     )
 
 
 def _interpretation_key(layout: Layout) -> tuple[int, ...]:
-    """Return the values that determine how numbers become coordinates."""
+    """Return the layout values that determine which number is which coordinate."""
     return layout.begin, layout.width, layout.points, layout.numbers_per_frame

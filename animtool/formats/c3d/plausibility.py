@@ -25,7 +25,7 @@ MAX_WORD = 32768.0
 
 
 def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evidence:
-    """Return the evidence that a layout's numbers are positions over frames."""
+    """Measure how much a layout's numbers look like positions, in sampled frames."""
     if layout.points == 0:
         return Evidence(0.0, math.nan)
     run_length = min(RUN_FRAMES, layout.frames)
@@ -44,7 +44,7 @@ def measure_evidence(layout: Layout, data: bytes, processor: Processor) -> Evide
 
 
 def _measure_runs(runs: FloatArray, width: int) -> Evidence:
-    """Return the evidence of runs of consecutive frames ``(R, L, M, 4)``."""
+    """Return outlier fraction and roughness of runs of frames ``(R, L, M, 4)``."""
     positions, words = runs[..., :3], runs[..., 3]
     with np.errstate(invalid="ignore", over="ignore"):
         magnitudes = np.abs(positions)

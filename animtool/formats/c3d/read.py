@@ -158,8 +158,8 @@ def read_c3d(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is the stated unit, or millimetres.
-        up: Its up axis; None is the stated axis, or Y. If the file states -Y, -Z or an
+        unit: Unit of the lengths; None is the stated unit, or millimetres.
+        up: The up axis; None is the stated axis, or Y. If the file states -Y, -Z or an
             X axis, positions are converted so that Y or Z is up.
         fps: The frame rate, if the file states a wrong one or none.
         subject: Subject whose prefix, as in ``Anna:LFHD``, is removed from names; None
@@ -400,7 +400,7 @@ def _marker_names(
 
 
 def _camera_counts(words: IntArray, visible: BoolArray) -> IntArray | None:
-    """Return the number of cameras (of seven) per position, if stated."""
+    """Return how many of seven cameras saw each position; None if not stated."""
     mask = np.where(visible, (words >> 8) & 0x7F, 0)
     if not mask.any():
         return None

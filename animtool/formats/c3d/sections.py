@@ -80,7 +80,7 @@ class Processor(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Header:
-    """The header block of a file."""
+    """Values of the header block of a file."""
 
     points: int
     analog: int  # analogue values per frame, all samples

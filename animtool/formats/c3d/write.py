@@ -109,7 +109,7 @@ def _frame_range(clock: Clock) -> tuple[int, int]:
 
 
 def _residual_scale(markers: Markers) -> float:
-    """Return the scale [mm], the unit of residuals; negative for float files."""
+    """Return POINT:SCALE, the unit of residuals [mm]; its minus sign means floats."""
     residuals = markers.residuals
     if residuals is not None and np.nanmax(residuals, initial=0.0) > 0:
         return -float(np.nanmax(residuals)) * 1000.0 / RESIDUAL_STEPS

@@ -85,7 +85,7 @@ class SkinBinder:
         where: str,
         mesh_world: FloatArray | None = None,
     ) -> tuple[FloatArray, list[int]]:
-        """Return ``geom_bind`` of a skin, and joints whose binds agree."""
+        """Return the ``geom_bind`` of a skin, and rig joints that have its binds."""
         magnitudes = np.abs(matrices[:, :3, :3]).max(axis=(1, 2), initial=1e-300)
         is_singular = (
             np.abs(np.linalg.det(matrices[:, :3, :3] / magnitudes[:, None, None]))
@@ -131,7 +131,7 @@ class SkinBinder:
         return geometry, bound_joints
 
     def _rigid_geometry(self, bind_matrices: FloatArray) -> FloatArray:
-        """Return the transform that makes a skin's binds rigid, else the identity."""
+        """Return the mesh transform that makes all binds rigid, else the identity."""
         linear = bind_matrices[:, :3, :3]
         squared_linear = linear @ linear.swapaxes(1, 2)
         magnitude = float(np.abs(squared_linear).max())

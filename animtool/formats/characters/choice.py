@@ -22,7 +22,7 @@ class CharacterNodes:
     """The nodes of one character of a file."""
 
     path: str  # such as ``/hero``; ``/`` is the complete file
-    nodes: tuple[int, ...]  # its nodes, parents first
+    nodes: tuple[int, ...]  # nodes of the character, parents first
 
 
 def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
@@ -89,7 +89,7 @@ def choose_character(
     unknown_code: str,
     several_code: str,
 ) -> tuple[CharacterNodes, list[Fault]]:
-    """Return the character to read, and a note about the others.
+    """Return the character to read, and a note about the characters not read.
 
     Args:
         file: The file.

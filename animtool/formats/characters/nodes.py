@@ -17,16 +17,16 @@ class Node:
     """A node of the file.
 
     Attributes:
-        name: Name in the file; None without one.
+        name: Name in the file; None without a name.
         parent: Index of the parent node; -1 for a root.
         children: Indices of the child nodes.
         translation: Relative to the parent [m].
         rotation: Relative to the parent (x, y, z, w).
         scale: Relative to the parent [1].
-        mesh: Index of its mesh; -1 without one.
-        skin: Index of its skin; -1 without one.
-        weights: Weights of its mesh's morph targets; None uses those of the mesh.
-        visible: Whether it is visible if all its ancestors are.
+        mesh: Index of the node's mesh; -1 without a mesh.
+        skin: Index of the node's skin; -1 without a skin.
+        weights: Weights of the morph targets; None uses the weights of the mesh.
+        visible: Whether the node is visible if all its ancestors are visible.
         has_matrix: Whether the file stores its transform as a matrix.
         is_inserted: Whether animtool inserted it above the roots of a rig, outside
             the rig.
@@ -82,7 +82,7 @@ class NodeTree(Protocol):
 
 
 def find_root_nodes(nodes: tuple[Node, ...]) -> list[int]:
-    """Return the root node of each node; a root is its own."""
+    """Return the root node of each node; a root node is its own root."""
     roots = list(range(len(nodes)))
     for node in sort_parents_first(nodes):
         parent = nodes[node].parent

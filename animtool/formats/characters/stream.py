@@ -1,4 +1,4 @@
-"""Builds the stream of a character's take: chooses it, samples it, adds its keys."""
+"""Builds the stream of a character's take: choice of the take, samples and keys."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ def choose_take(
     Args:
         messages: Wording and codes of the format.
         path: The file.
-        names: Names of its takes.
+        names: Names of the takes in the file.
         take: Name of the requested take; None is the default.
         candidates: Indices of takes that can be read without a name.
-        default_index: Index of the default; the first candidate if it is none of them.
+        default_index: Index of the default; if not a candidate, the first candidate is.
     """
     if take is not None:
         if take in names:
@@ -132,7 +132,7 @@ def finish_stream(
     build_clip: Callable[[str], tuple[Clip, list[Fault]]],
     native_keys: object = None,
 ) -> TakeStream:
-    """Add the keys of its take and details about the file to a stream.
+    """Add the keys of the take, and details about the file, to a stream.
 
     Args:
         stream: The stream.

@@ -164,7 +164,7 @@ class _RecordReader:
         return values
 
     def _read_value_batch(self, offset: int, count: int, end: int) -> Any:
-        """Read many numbers of one type as an array; None for other values."""
+        """Read a long run of numbers of one type as an array; None for other values."""
         type_code = (
             chr(self.content[offset])
             if count >= MIN_BATCH_VALUES and offset < end

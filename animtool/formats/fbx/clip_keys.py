@@ -137,7 +137,7 @@ class _ClipBuilder:
         return f"joint/{self.fbx_rig.rig.names[j]}.{_TARGET_SUFFIXES[component]}"
 
     def _exact_channels(self, component: int, j: int) -> list[ClipChannel]:
-        """Return channels with the file's keys; empty if a clip cannot store them."""
+        """Return channels with the file's keys; empty if clips cannot store those."""
         model = self.models[self.fbx_rig.joint_rows[j].model]
         track = self._find_track(model, (TRANSLATION, ROTATION, SCALING)[component])
         keys = None if track is None else join_keys(track, model.base_values[component])
@@ -290,7 +290,7 @@ class _ClipBuilder:
         )
 
     def _sample_times(self) -> IntArray:
-        """Return the times of all frames and of keys between them [ticks]."""
+        """Return the times of all frames and of keys between frames [ticks]."""
         codes = np.arange(self.frames.count, dtype=np.float64) + self.frames.first
         ticks = self.frames.ticks(codes)
         take = self.sampler.take

@@ -32,21 +32,21 @@ class Element:
     children: list[Element] = field(default_factory=list)
 
     def find(self, name: str) -> Element | None:
-        """Return the first child element of a name."""
+        """Return the first child element with a given name; None if there is none."""
         return next((child for child in self.children if child.name == name), None)
 
     def find_all(self, name: str) -> Iterator[Element]:
-        """Yield the child elements of a name."""
+        """Yield the child elements with a given name."""
         return (child for child in self.children if child.name == name)
 
     def text(self, index: int) -> str:
-        """Return a value that is text; else an empty string."""
+        """Return the value at an index if it is text, else an empty string."""
         value = self.values[index] if index < len(self.values) else ""
         return value if isinstance(value, str) else ""
 
 
 def read_number(element: Element, index: int, notes: FileNotices) -> float:
-    """Return a finite number of an element."""
+    """Return the finite number at an index of an element's values."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()

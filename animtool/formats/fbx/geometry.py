@@ -307,7 +307,7 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
 
 
 def has_unweighted_points(mesh: FbxGeometry) -> bool:
-    """Return whether some point of a skinned mesh has no weights."""
+    """Return whether any point of a skinned mesh has no weights."""
     weight_sums = np.zeros(len(mesh.points))
     for cluster in mesh.clusters:
         np.add.at(weight_sums, cluster.indices, cluster.weights)
@@ -371,7 +371,7 @@ def _read_shape_channel(
 
 
 def _has_weights_per_point(file: FbxFile) -> bool:
-    """Return whether full weights are per point, as Blender writes vertex groups."""
+    """Return whether Blender wrote the file, whose full weights are per point."""
     header = file.root.find("FBXHeaderExtension")
     creators = [
         creator

@@ -55,7 +55,7 @@ class JoinedKeys:
 
 
 def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
-    """Join the curves of all components of a property; None if that is not exact.
+    """Join the curves of a property's components; None if the result is inexact.
 
     A key of one component splits the segments of the others without changing values.
 
@@ -229,7 +229,7 @@ def _nan_weights(k: IntArray) -> FloatArray:
 def _evaluate_slope(
     curve: FbxCurve, key_index: IntArray, fraction: FloatArray, durations: FloatArray
 ) -> FloatArray:
-    """Return slopes inside segments whose handle weights are a third [1/s]."""
+    """Return the derivative of cubic segments with handle weights of a third [1/s]."""
     out_slopes, in_slopes = curve.out_slopes[key_index], curve.in_slopes[key_index]
     chord = (curve.values[key_index + 1] - curve.values[key_index]) / durations
     middle_slope = 3.0 * chord - out_slopes - in_slopes

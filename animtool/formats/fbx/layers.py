@@ -50,7 +50,7 @@ class Layer:
     accumulates_scales: bool = False
 
     def weights(self, ticks: IntArray) -> FloatArray:
-        """Return the layer weight at times ``(F,)`` [1]."""
+        """Return the weight of the layer at times ``(F,)`` [1]."""
         if self.weight_curve is None:
             return np.full(
                 len(ticks), 1.0 if self.weight > FULL_WEIGHT else self.weight
@@ -64,7 +64,7 @@ class LayerValues:
     """Curves and defaults of a property on one layer."""
 
     layer: Layer
-    is_first: bool  # whether it is the first layer of its take
+    is_first: bool  # whether the layer is the first of the take
     defaults: list[float]  # values of components without a curve
     curves: list[FbxCurve | None]
 
@@ -77,7 +77,7 @@ class LayerValues:
         return values
 
     def constant_value(self) -> FloatArray | None:
-        """Return its values if they never change, else None."""
+        """Return the property's values if they never change, else None."""
         if any(curve is not None and not curve.is_static() for curve in self.curves):
             return None
         return np.asarray(self.evaluate(np.zeros(1, np.int64))[0])
@@ -98,7 +98,7 @@ class PropertyTrack:
     layers: list[LayerValues] = field(default_factory=list)
 
     def constant_value(self, base: FloatArray) -> FloatArray | None:
-        """Return its values if they never change, else None."""
+        """Return the property's values if they never change, else None."""
         for layer_values in self.layers:
             is_blended = (
                 layer_values.layer.mode != OVERRIDE and not layer_values.is_first

@@ -43,18 +43,18 @@ _TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node of the scene.
+    """A node of the scene, with its transform properties.
 
     Attributes:
-        object: Its object in the file.
+        object: Object of the node in the file.
         parent: Index of the parent node; -1 for a root.
         base_values: Translation, rotation [deg] and scale without animation ``(3, 3)``.
         rotation_order: Rotation order, as in `euler.to_quaternion`.
         pre_rotation: Pre-rotation ``(4,)``.
         inverse_post_rotation: Inverse of the post-rotation ``(4,)``.
         pivots: Offset and pivot of rotation, then of scaling ``(4, 3)``.
-        scale_inheritance: How it inherits the scale of its parent.
-        geometric_transform: Transform of its own mesh only ``(4, 4)``.
+        scale_inheritance: How the node inherits the scale of its parent.
+        geometric_transform: Transform of the node's own mesh only ``(4, 4)``.
         has_outer_rotations: Whether rotation order, pre- and post-rotation apply.
         outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
         scale_source: Node whose scale, including inherited scale, it applies along its
@@ -115,7 +115,7 @@ class Model:
 
 
 def read_models(file: FbxFile) -> list[Model]:
-    """Return the nodes, parents first."""
+    """Return the nodes of a file, parents before children."""
     objects = [
         node_object
         for node_object in file.of_kind("Model")

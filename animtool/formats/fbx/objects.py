@@ -33,12 +33,12 @@ class Object:
 
     Attributes:
         id: Number, or kind and name in files before 7000.
-        kind: Name of its element, such as ``Model``.
+        kind: Name of the element, such as ``Model``.
         name: Name without the kind, namespace kept.
         subtype: Subtype such as ``LimbNode``.
-        element: Its element.
+        element: Element of the object.
         properties: Values by name, without defaults.
-        defaults: Default values of its kind.
+        defaults: Default values of this kind of object.
     """
 
     id: ObjectId
@@ -62,7 +62,7 @@ class FbxFile:
     Attributes:
         path: Path of the file.
         version: Version such as 7400.
-        is_text: Whether it is ASCII.
+        is_text: Whether the file is ASCII.
         root: The root element.
         objects: Objects by id, in file order.
         settings: Global properties.
@@ -108,7 +108,7 @@ class FbxFile:
         ]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
-        """Return all objects of a kind."""
+        """Return all objects of a kind, in file order."""
         return [
             candidate
             for candidate in self.objects.values()
@@ -123,7 +123,7 @@ def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
 def read_vector(
     owner: Object, name: str, default: tuple[float, ...], notes: FileNotices
 ) -> tuple[float, ...]:
-    """Return a vector property with as many numbers as its default."""
+    """Return a vector property, cut to the length of the default; else the default."""
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default

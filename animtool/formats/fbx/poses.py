@@ -36,7 +36,7 @@ _REST_TICKS = np.zeros(1, np.int64)
 
 
 class RowKind(Enum):
-    """Component of a node's transform that a joint has."""
+    """Part of a node's transform that a joint has."""
 
     FULL = auto()
     OUTER = auto()  # translation, and the inverse scale of the parent
@@ -45,7 +45,7 @@ class RowKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class JointRow:
-    """Node of a joint, and the component of its transform."""
+    """Node of a joint, and the part of the node's transform that the joint has."""
 
     model: int
     kind: RowKind
@@ -149,7 +149,7 @@ class AnimatedComponents:
         self.animated = [find_animated_components(model, take) for model in models]
 
     def has_animated_scale(self, i: int) -> bool:
-        """Return whether a node's local scale is animated."""
+        """Return whether a node's scale, including inherited scale, is animated."""
         return any(self.animated[node][2] for node in scale_ancestors(self.models, i))
 
     def animated_components(self, row: JointRow) -> tuple[bool, bool, bool]:

@@ -47,15 +47,15 @@ def read_fbx(
     prim_path: str | None = None,
     take: str | None = None,
 ) -> TakeStream:
-    """Open a take of an FBX and its character, including meshes.
+    """Open a take of an FBX file and its character, including meshes.
 
     Time 0 is frame 0. The stream is sampled at the file's rate; at times between
     frames, the file's curves are evaluated.
 
     Args:
         path: A .fbx file, binary or ASCII.
-        unit: Unit of its lengths; None is the stated unit.
-        up: Its up axis; None is the stated axis.
+        unit: Unit of the lengths; None is the stated unit.
+        up: The up axis; None is the stated axis.
         fps: Frames per second; None is the stated rate.
         prim_path: The character, if the file has several.
         take: Name of the take; None is the take that was current when the file was

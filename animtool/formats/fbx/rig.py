@@ -177,7 +177,7 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
 
 
 def _is_skinned_mesh_only(scene: FbxScene, node: int) -> bool:
-    """Return whether a node only has a skinned mesh, and is no joint of a skin."""
+    """Return whether a node has a skinned mesh but no children, and is not a joint."""
     entry = scene.nodes[node]
     if entry.skin < 0 or entry.children:
         return False

@@ -1,4 +1,4 @@
-"""Samples FBX takes as rig motion at any times."""
+"""Samples FBX takes as rig motion at arbitrary times."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class FbxFrames:
     count: int
 
     def ticks(self, codes: FloatArray) -> IntArray:
-        """Return times of frame numbers [ticks]."""
+        """Return the times of frame numbers [ticks]."""
         # One product of two floats keeps frames as exact as their ticks.
         per_frame = float(Fraction(TICKS_PER_SECOND) / self.fps)
         return np.rint(np.clip(codes * per_frame, -MAX_TICKS, MAX_TICKS)).astype(
@@ -55,10 +55,10 @@ class FbxFrames:
 
 
 class FbxSampler:
-    """Samples a take's motion on a rig at any times."""
+    """Samples a take's motion on a rig at arbitrary times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
-        """Sample a rig by a take; None keeps the saved pose."""
+        """Prepare to sample a take on a rig; None samples the saved pose."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
         animation = AnimatedComponents(scene.models, take)
         flags = np.array(
@@ -212,7 +212,7 @@ def find_frame_range(
 def off_frame_keys_notice(
     scene: FbxScene, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames
 ) -> list[Fault]:
-    """Return a notice about joint errors at keys between frames."""
+    """Return a notice with the interpolation error of joints at keys between frames."""
     take = sampler.take
     keys = np.zeros(0, np.int64) if take is None else take.key_times()
     if take is None or not len(keys):

@@ -26,10 +26,10 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of a file.
+    """The contents of an FBX file.
 
     Attributes:
-        file: Its objects.
+        file: Objects of the file.
         settings: Unit, axes and rate.
         models: Nodes, parents first.
         meshes: Meshes by index of the node that shows them.

@@ -49,7 +49,7 @@ class FbxSettings:
     """Length unit, axes and time mode of a file.
 
     Attributes:
-        meters: Size of its unit [m].
+        meters: Size of the file's length unit [m].
         up: Up axis after the roots are rotated by `basis`.
         basis: Rotation of the roots ``(3, 3)``.
         fps: Frames per second.

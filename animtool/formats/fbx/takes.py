@@ -72,10 +72,10 @@ class AnimTake:
 
     Attributes:
         name: Name in the file.
-        where: Location of its element.
-        start_ticks: Start of its span [tick].
-        end_ticks: End of its span [tick].
-        layers: Names of its layers, from bottom to top.
+        where: Location of the take's element in the file.
+        start_ticks: Start of the take's span [tick].
+        end_ticks: End of the take's span [tick].
+        layers: Names of the take's layers, from bottom to top.
         tracks: Tracks by object id and property name.
         has_animated_visibility: Whether visibility is animated.
     """
@@ -89,7 +89,7 @@ class AnimTake:
     has_animated_visibility: bool = False
 
     def curves(self) -> list[FbxCurve]:
-        """Return all curves."""
+        """Return all animation curves of the take."""
         return [
             curve
             for track in self.tracks.values()
@@ -99,7 +99,7 @@ class AnimTake:
         ]
 
     def key_times(self) -> IntArray:
-        """Return all distinct key times [ticks]."""
+        """Return all distinct key times of the take [ticks]."""
         distinct_times = {curve.times.tobytes(): curve.times for curve in self.curves()}
         return np.unique(
             np.concatenate([np.zeros(0, np.int64), *distinct_times.values()])
@@ -255,7 +255,7 @@ class _StackReader:
         return curves
 
     def _read_ticks(self, stack: Object, name: str) -> int:
-        """Return a time of a stack; 0 if it is missing."""
+        """Return a time property of a stack [ticks]; 0 if it is missing."""
         values = stack.values(name)
         if not values or not isinstance(values[0], int):
             return 0

@@ -79,7 +79,7 @@ def _set_auto_slopes(
     chords: FloatArray,
     slopes: tuple[BoolArray, FloatArray, FloatArray],
 ) -> None:
-    """Set the slopes of automatic keys.
+    """Set the slopes of keys with automatic tangents, in place.
 
     The file states a bias towards a neighbour instead of a slope for these keys.
     """
@@ -126,7 +126,7 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return slopes of automatic keys between two others."""
+    """Return the slopes of automatic keys with neighbours on both sides [1/s]."""
     key_flags, chord_before, chord_after = flags[k], chords[k - 1], chords[k]
     time_before, time_after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
     duration = np.where(time_before + time_after > 0, time_before + time_after, np.inf)

@@ -142,7 +142,7 @@ class _TextParser:
         self.stack[-1].children.append(self.current)
 
     def _add_number_list(self, element: Element, text: bytes, offset: int) -> None:
-        """Parse comma-separated numbers, long lists as an array, and add them."""
+        """Parse comma-separated numbers, long lists as arrays, and add the values."""
         texts = [number_text.strip() for number_text in text.split(b",")]
         try:
             if max(map(len, texts)) <= MAX_NUMBER_BYTES:

@@ -79,16 +79,16 @@ class Accessor:
 
     @property
     def width(self) -> int:
-        """Count of numbers per element."""
+        """Number of components per element."""
         return ELEMENT_WIDTHS[self.element_type]
 
     @property
     def where(self) -> str:
-        """JSON pointer."""
+        """JSON pointer of the accessor."""
         return self.item.pointer
 
     def has_type(self, kind: str, *components: int) -> bool:
-        """Return whether it has an element type and one of several component types."""
+        """Return whether the element type and any of the component types match."""
         return self.element_type == kind and self.component_type in components
 
 
@@ -124,7 +124,7 @@ class Accessors:
             )
 
     def get(self, index: int) -> Accessor:
-        """Return an accessor that is not ignored."""
+        """Return the accessor at an index, which must not be an ignored one."""
         accessor = self.entries[index]
         assert accessor is not None
         return accessor
@@ -134,10 +134,10 @@ class Accessors:
         return name in self.container.root.values.get("extensionsUsed", ())
 
     def has_data(self, index: int) -> bool:
-        """Return whether an accessor has bytes for any of its elements.
+        """Return whether the file has bytes for any element of an accessor.
 
-        Accessors without a bufferView have none, nor do accessors in buffers that an
-        extension or another program fills.
+        Accessors without a bufferView have only sparse values. Buffers that an
+        extension or another program fills have no bytes.
         """
         accessor = self.get(index)
         if accessor.view < 0:

@@ -19,7 +19,7 @@ POINTER_EXTENSION = "KHR_animation_pointer"
 
 
 class TargetPath(StrEnum):
-    """Property that a channel animates."""
+    """Property of a node or mesh that a channel animates."""
 
     TRANSLATION = "translation"
     ROTATION = "rotation"
@@ -53,7 +53,7 @@ def read_channel_target(
     meshes: Sequence[MeshEntry],
     ignored_targets: dict[str, None],
 ) -> ChannelTarget | None:
-    """Return the target of a channel; None if it is not read."""
+    """Return the target of a channel; None if the channel is ignored."""
     target = channel.required("target")
     path = target.text("path")
     if path is None:

@@ -89,7 +89,7 @@ class GltfTrack:
         return self.sample_segments(segment, times)
 
     def sample_segments(self, segment: IntArray, times: FloatArray) -> FloatArray:
-        """Return values at times, each in a given segment ``(F, W)``."""
+        """Return values ``(F, W)`` at times, each interpolated in a given segment."""
         return interpolate_tracks([self], segment, times)[:, 0]
 
 
@@ -157,7 +157,7 @@ def _hermite(
 
 
 def _normalize_rotations(values: FloatArray, path: TargetPath) -> FloatArray:
-    """Return rotations normalised; other values unchanged."""
+    """Return rotations as unit quaternions, and values of other paths unchanged."""
     rows = np.asarray(values, np.float64)
     if path is not TargetPath.ROTATION:
         return rows
@@ -390,7 +390,7 @@ def _read_values(
 def _sort_keys(
     times: FloatArray, rows: Any, item: JsonItem, *, has_times: bool
 ) -> tuple[FloatArray, Any]:
-    """Return keys sorted by time, with only the first of several at one time.
+    """Return keys sorted by time; of keys at the same time, only the first is kept.
 
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """

@@ -42,10 +42,10 @@ class SamplerKeys:
     values: FloatArray  # ``(K, W)``
     interpolation: str = "LINEAR"
     ins: FloatArray | None = None  # slopes into the keys ``(K, W)`` [1/s]
-    outs: FloatArray | None = None  # slopes out of them
+    outs: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
 
     def accessor_rows(self, *, scalars: bool = False) -> FloatArray:
-        """Return accessor rows; weights are one scalar per row."""
+        """Return rows of the output accessor; ``scalars`` gives one number each."""
         values = self.values
         if self.ins is not None and self.outs is not None:
             values = np.stack([self.ins, self.values, self.outs], axis=1)

@@ -62,7 +62,7 @@ _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """The contents of a file.
+    """The contents of a glTF file.
 
     Attributes:
         path: Path of the file.
@@ -263,7 +263,7 @@ def _check_weights(
 
 
 def _check_skins(gltf: Gltf) -> None:
-    """Check that skins and meshes match."""
+    """Check that mesh data, skin weights and skins fit together."""
     checked_pairs: set[tuple[int, int]] = set()
     for node in gltf.nodes:
         if node.mesh < 0 or (node.mesh, node.skin) in checked_pairs:

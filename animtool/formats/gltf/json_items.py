@@ -57,7 +57,7 @@ class JsonItem:
         self.notes.fail("GLT005", self.pointer or "/", message)
 
     def number(self, key: str) -> int | None:
-        """Return an integer, also if written 1.0; None if missing."""
+        """Return an integer property, also if written as 1.0; None if missing."""
         if key not in self.values:
             return None
         value = self.values[key]
@@ -111,7 +111,7 @@ class JsonItem:
         return [int(value) for value in entries]
 
     def floats(self, key: str, size: int | None) -> list[float] | None:
-        """Return a list of numbers, checked for its length; None if missing."""
+        """Return a list of numbers of a required length; None if missing."""
         if key not in self.values:
             return None
         entries = self.read_list(key)
@@ -126,7 +126,7 @@ class JsonItem:
         return [float(value) for value in entries]
 
     def text(self, key: str) -> str | None:
-        """Return a string; None if missing."""
+        """Return a string property; None if missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
             self.notes.warn("GLT106", self.pointer_to(key), "a name of null is ignored")
@@ -135,14 +135,14 @@ class JsonItem:
         return value
 
     def flag(self, key: str) -> bool:
-        """Return a boolean; False if missing."""
+        """Return a boolean property; False if missing."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
             self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
         return value
 
     def read_list(self, key: str) -> list[Any]:
-        """Return a list; empty if missing. Warn about an empty one."""
+        """Return a list property; empty if missing. Warn about an empty list."""
         if key not in self.values:
             return []
         value = self.values[key]

@@ -74,7 +74,7 @@ def build_clip(
 
 
 def _default_rows(path: TargetPath, gltf_rig: GltfRig) -> FloatArray:
-    """Return the values of a rig's channels that need no keys."""
+    """Return the default values of a rig's channels, which need no keys."""
     rig = gltf_rig.rig
     if path is TargetPath.TRANSLATION:
         return rig.rest_translations
@@ -132,7 +132,7 @@ def _static_channel(
 def _track_channel(
     target: str, row_track: AnimatedRow, path: TargetPath, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return the keys of a track, and the number of keys added to them."""
+    """Return a track as a clip channel, and the number of added keys."""
     track = row_track.track
     times = key_times_in_frames(track.times, frames)
     values = track.values.astype(np.float64) * row_track.factor
@@ -165,7 +165,7 @@ def key_times_in_frames(seconds: FloatArray, frames: GltfFrames) -> FloatArray:
 def _slerp_keys(
     target: str, track: GltfTrack, frames: GltfFrames
 ) -> tuple[ClipChannel, int]:
-    """Return slerp keys that approximate a cubic rotation, and the added count."""
+    """Approximate a cubic rotation by slerp keys; return also the number added."""
     times = [track.times]
     starts, ends = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):

@@ -61,7 +61,7 @@ class Primitive:
 
 @dataclass(frozen=True, slots=True)
 class MeshEntry:
-    """A mesh."""
+    """A mesh with its primitives and morph targets."""
 
     name: str | None
     primitives: tuple[Primitive, ...]
@@ -73,7 +73,7 @@ class MeshEntry:
 
     @property
     def targets(self) -> int:
-        """Count of morph targets."""
+        """Number of morph targets."""
         return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
 
@@ -159,7 +159,7 @@ def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int
 def _skin_set_indices(
     attributes: JsonItem, accessor_indices: Mapping[str, int]
 ) -> list[int]:
-    """Return the indices of the sets of joints and weights."""
+    """Return the set indices of the JOINTS_n and WEIGHTS_n attributes."""
     joints, weights = (
         sorted(
             int(name.removeprefix(prefix))
@@ -455,7 +455,7 @@ def _check_duplicate_joints(
 def build_triangles(
     primitive: Primitive, vertex_count: int, accessors: Accessors
 ) -> IntArray:
-    """Return the triangles of a primitive ``(N, 3)``; none for points and lines."""
+    """Return the triangles of a primitive ``(N, 3)``; empty for points and lines."""
     if primitive.mode not in {TRIANGLES, STRIP, FAN}:
         return np.zeros((0, 3), np.int64)
     vertex_indices = np.arange(vertex_count)

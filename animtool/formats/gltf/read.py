@@ -48,12 +48,12 @@ def read_gltf(
 ) -> TakeStream:
     """Open an animation of a glTF on the character it animates, meshes included.
 
-    Time 0 is frame 0. Outside its keys a track keeps its first or last value.
+    Time 0 is frame 0. Outside the keys a track keeps the first or last value.
 
     Args:
         path: A .gltf, .glb or .vrm file.
-        unit: Unit of its lengths; None is metres, as glTF specifies.
-        up: Its up axis; None is Y, as glTF specifies.
+        unit: Unit of the lengths; None is metres, as glTF specifies.
+        up: The up axis; None is Y, as glTF specifies.
         fps: Frames per second; None is the first common rate with all keys on frames.
         prim_path: The character, if the file has several.
         take: Name of the animation; None is the first.
@@ -95,7 +95,7 @@ def read_gltf(
 def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     """Return the rig of a glTF with meshes and shapes.
 
-    Its notices report what a rig cannot store.
+    The notices of the rig report what a rig cannot store.
 
     Args:
         path: A .gltf, .glb or .vrm file.

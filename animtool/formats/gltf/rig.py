@@ -151,7 +151,7 @@ def shape_keys(
 
 
 def _is_skinned_mesh_only(gltf: Gltf, node: int) -> bool:
-    """Return whether a node has no purpose but to carry a skinned mesh."""
+    """Return whether a node has a skinned mesh but no children, and is not a joint."""
     gltf_node = gltf.nodes[node]
     if gltf_node.skin < 0 or gltf_node.children or gltf_node.mesh < 0:
         return False

@@ -1,4 +1,4 @@
-"""Samples glTF animations as rig motion at any times."""
+"""Samples glTF animations as rig motion at arbitrary times."""
 
 from __future__ import annotations
 
@@ -35,12 +35,12 @@ class AnimatedRow:
 
     row: int
     track: GltfTrack
-    factor: float = 1.0  # factor of its values for the rig
+    factor: float = 1.0  # factor from the track's values to the rig's
 
 
 @dataclass(slots=True, eq=False)
 class GltfSampler:
-    """Sampler of an animation's rig motion at any times."""
+    """Sampler of an animation's rig motion at arbitrary times."""
 
     # Static values of each channel ``(rows, width)``.
     rest_values: dict[TargetPath, FloatArray]
@@ -156,7 +156,7 @@ def _group_tracks(row_tracks: list[AnimatedRow]) -> list[list[int]]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NativeKeys:
-    """Tracks of an animation, its frames, and its last key [s]."""
+    """Tracks and frames of an animation, and the time of the last key [s]."""
 
     sampler: GltfSampler
     frames: GltfFrames
@@ -169,7 +169,7 @@ _ON_KEYS = np.zeros(0)
 def find_segments(
     keys: FloatArray, times: FloatArray
 ) -> tuple[IntArray | slice, FloatArray]:
-    """Return the key before each time, and the times snapped to close keys.
+    """Return the index of the key before each time, and times snapped to nearby keys.
 
     If all times are keys or outside the keys, the times are `_ON_KEYS` and the indices
     are those of the keys.

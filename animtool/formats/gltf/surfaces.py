@@ -22,17 +22,17 @@ ShapeKey = tuple[int, int]  # node and morph target
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _SharedVertices:
-    """Vertices shared by primitives, with their offset in the mesh."""
+    """A vertex set shared by primitives, with the index of its first vertex."""
 
     primitive: Primitive
-    first_vertex: int  # index of their first vertex in the mesh
+    first_vertex: int  # index of the first shared vertex in the mesh
     count: int
 
 
 def build_meshes(
     gltf: Gltf, character: CharacterNodes, binder: SkinBinder
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], tuple[ShapeKey, ...], list[Fault]]:
-    """Return a character's meshes and shapes, the shapes' keys, and notices."""
+    """Return meshes, shapes, the node and morph target of each shape, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     meshes: list[Mesh] = []
@@ -98,7 +98,7 @@ def find_shape_names(
 
 
 def _shared_vertices(gltf: Gltf, node: int) -> list[_SharedVertices]:
-    """Return the vertex sets of a mesh; primitives may share one."""
+    """Return the distinct vertex sets of a mesh's primitives."""
     vertex_sets: dict[object, _SharedVertices] = {}
     first = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:

@@ -103,7 +103,7 @@ def find_frame_range(
 
 
 def key_times(animation: Animation) -> FloatArray:
-    """Return all distinct key times [s]."""
+    """Return all distinct key times of an animation [s]."""
     times_by_id: dict[int, FloatArray] = {
         id(t.times): t.times for t in animation.tracks
     }
@@ -115,7 +115,7 @@ def _frame_tolerance(time: float, rate: Fraction) -> float:
 
 
 def _frame_distances(times: FloatArray, rate: Fraction) -> FloatArray:
-    """Return the distance of keys from frames beyond float rounding [frame]."""
+    """Return how far keys are from the nearest frame, less float rounding [frame]."""
     frames = times * float(rate)
     return np.asarray(
         np.abs(frames - np.round(frames)) - TIME_PRECISION * np.abs(frames)

@@ -91,7 +91,7 @@ def is_known_attribute(attribute: str) -> bool:
 
 
 def _dicts(value: Any) -> Iterator[dict[str, Any]]:
-    """Yield the entries of a list; an empty dict for other values."""
+    """Yield the objects of a JSON list, and {} for entries that are not objects."""
     for entry in value if isinstance(value, list) else ():
         yield entry if isinstance(entry, dict) else {}
 

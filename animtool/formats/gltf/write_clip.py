@@ -51,11 +51,11 @@ class _AnimationBuilder:
         return self.inputs[id(times)][1]
 
     def add(self, node: int, path: str, keys: SamplerKeys) -> None:
-        """Add the keys of a property."""
+        """Add the keys of one animated property of a node."""
         self.tracks.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
-        """Return whether keys last until a time [s]; static ones get a second key."""
+        """Return whether keys last until a time [s]; extend a static track to it."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
         for k, (node, path, keys) in enumerate(self.tracks):
@@ -67,7 +67,7 @@ class _AnimationBuilder:
         return False
 
     def write(self) -> None:
-        """Write all samplers and channels."""
+        """Write the samplers and channels of all added keys."""
         for node, path, keys in self.tracks:
             self._write(node, path, keys)
 
@@ -251,7 +251,7 @@ def _key_tolerance(
 
 
 def _joint_reaches(take: Take) -> FloatArray:
-    """Return the distance from each joint to its farthest descendant ``(J,)`` [m]."""
+    """Return the length of the longest joint chain below each joint ``(J,)`` [m]."""
     rig = take.rig
     reaches = np.zeros(len(rig.joints))
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
@@ -323,7 +323,7 @@ def _static_keys(like: SamplerKeys, value: float) -> SamplerKeys:
 
 
 def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
-    """Return linear or stepped weight keys at the union of their times."""
+    """Merge linear or stepped weights at the union of key times; None for others."""
     interpolation = tracks[0].interpolation
     if interpolation == "CUBICSPLINE" or any(
         keys.interpolation != interpolation for keys in tracks
@@ -344,7 +344,7 @@ def _merge_weights(tracks: list[SamplerKeys]) -> SamplerKeys | None:
 def _combine_weights(
     tracks: list[SamplerKeys | None], samples: FloatArray
 ) -> SamplerKeys | None:
-    """Return several weights as one track; None if glTF cannot store them as one.
+    """Combine the tracks of all weights into one; None if glTF cannot store the result.
 
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
     of the others.

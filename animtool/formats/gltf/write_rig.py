@@ -118,7 +118,7 @@ def _write_surface(
     rig_indices: RigIndices,
     lost_contents: dict[str, list[str]],
 ) -> int:
-    """Write a mesh; return its node."""
+    """Write a mesh, and return the index of its node."""
     carrier, local = _carrier_joint(builder, rig, surface, bind)
     if surface.skin is None or carrier >= 0:
         surface = _to_node_frame(surface, local)
@@ -149,7 +149,7 @@ def _write_surface(
 
 
 def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
-    """Return a mesh in the frame of its node."""
+    """Return a mesh transformed to the frame of the node it is attached to."""
     linear = local[:3, :3]
     normals = surface.normals
     return replace(
@@ -186,7 +186,7 @@ def _attach_mesh(
     bind: FloatArray,
     rig_indices: RigIndices,
 ) -> int:
-    """Attach a mesh to the joint that carries it, or to a new node."""
+    """Attach a mesh to its carrier joint or to a new node; return the node index."""
     if carrier >= 0:
         node_index = carrier
         builder.json["nodes"][node_index]["mesh"] = mesh
@@ -206,7 +206,7 @@ def _attach_mesh(
 def _carrier_joint(
     builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
 ) -> tuple[int, FloatArray]:
-    """Return the joint that a mesh moves rigidly with (-1: none), and its bind.
+    """Return the joint that moves a mesh rigidly (-1: none), and the mesh's bind.
 
     The bind is the transform from the points to the joint, or to the world without a
     joint. A node has one mesh: a second mesh at the same joint is skinned.

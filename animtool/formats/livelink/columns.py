@@ -169,7 +169,7 @@ class _RecordingTable:
         )
 
     def read(self, rows: list[tuple[int, str]]) -> Recording:
-        """Parse the rows below the header."""
+        """Parse the rows below the header into weights and angles."""
         column_count = len(self.names)
         notices: list[Fault] = []
         cells = [(number, self._cells(line)) for number, line in rows]

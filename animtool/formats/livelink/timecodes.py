@@ -62,7 +62,7 @@ class TimecodeFrames:
 
     @property
     def dropped(self) -> IntArray:
-        """Frames without a row."""
+        """Indices of the frames without a row."""
         is_dropped = np.ones(self.count, np.bool_)
         is_dropped[self.frames] = False
         return np.flatnonzero(is_dropped)
@@ -200,7 +200,7 @@ def _fit_timecode_rate(
 def _label_numbers(
     labels: Sequence[str], rate: Fraction, lines: IntArray, path: str
 ) -> tuple[IntArray, FloatArray]:
-    """Return labels counted from midnight, and fractions of a frame."""
+    """Return the frame number since midnight and the frame fraction of each label."""
     counts, fractions, faults = [], [], []
     for label, line in zip(labels, lines.tolist(), strict=True):
         text = label if label[1] != ":" else f"0{label}"

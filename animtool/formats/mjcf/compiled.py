@@ -228,7 +228,7 @@ def _build_joint(
 
 
 def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triangles]]:
-    """Return a body's simple geoms: colliding ones, and visible ones."""
+    """Return a body's colliding primitive shapes, and the surfaces of visible ones."""
     colliding_geoms, visible = [], []
     first_geom = int(model.body_geomadr[body])
     for geom in range(first_geom, first_geom + int(model.body_geomnum[body])):
@@ -266,7 +266,7 @@ def _body_weight(model: Any, body: int, mass: float) -> LinkMass:
 def _record_differences(
     model: Any, reduced: ReducedModel, equalities: JointEqualities, notes: XmlNotes
 ) -> None:
-    """Record what a rig represents differently, and joints without actuators."""
+    """Record differences between rig and model, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
     def add(code: str, joints: list[int], message: str, hint: str) -> None:

@@ -1,4 +1,4 @@
-"""Converts joint equalities: linear ones to mimics, others to drivers."""
+"""Converts joint equalities: linear ones to mimic joints, nonlinear ones to drivers."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _SLIDE = 2
 
 @dataclass(slots=True, eq=False)
 class JointEqualities:
-    """Leader joint and polynomial of each constrained joint, by joint index."""
+    """Mimics and drivers of the joints that equalities constrain, by joint index."""
 
     mimics: dict[int, Mimic] = field(default_factory=dict)
     drivers: dict[int, Driver] = field(default_factory=dict)
@@ -55,7 +55,7 @@ class JointEqualities:
     def _add(
         self, model: Any, follower: int, rows: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add a follower; a linear leader is replaced by its own leader."""
+        """Add a joint as mimic or driver; resolve chains of linear leaders."""
         leader, polynomial = rows[follower]
         offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])

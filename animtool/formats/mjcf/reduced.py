@@ -122,7 +122,7 @@ def reduce_model(
 
 @dataclass(frozen=True, slots=True)
 class _Reduction:
-    """Lines of a reduced model, with the source of each."""
+    """Lines of a reduced model, each with its source element."""
 
     meshes: _MeshDefaults
     notes: XmlNotes
@@ -132,13 +132,13 @@ class _Reduction:
     with_unknown_mass: set[str] = field(default_factory=set)
 
     def add(self, element: XmlElement, text: str, body: str = "") -> None:
-        """Add a line."""
+        """Add a line of XML with its source element and body."""
         self.lines.append(text)
         self.elements.append(element)
         self.bodies.append(body)
 
     def write(self, element: XmlElement, section: str, classes: str, body: str) -> None:
-        """Add an element with its kept children, or record that it is left out."""
+        """Add an element with its supported children, or record that it is left out."""
         tag = element.tag
         kept_children = [
             child
@@ -164,7 +164,7 @@ class _Reduction:
 def _is_kept(
     parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
 ) -> bool:
-    """Return whether a child of a section is kept; record it if not."""
+    """Return whether a child of a section is supported; record omitted children."""
     tag = child.tag
     match section:
         case "worldbody":
@@ -179,7 +179,7 @@ def _is_kept(
 
 
 def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> bool:
-    """Return whether a child of a body is kept; record it if not."""
+    """Return whether a child of a body is supported; record omitted children."""
     tag, label = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
@@ -195,7 +195,7 @@ def _is_kept_in_body(parent: XmlElement, child: XmlElement, notes: XmlNotes) -> 
 
 
 def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
-    """Return the kept attributes of an element as XML."""
+    """Return the supported attributes of an element as XML."""
     removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESH_TYPES:
         removed_names = (*removed_names, "type")
@@ -241,7 +241,7 @@ def element_name_label(element: XmlElement) -> str | None:
 
 
 def _name_bodies(root: XmlElement) -> None:
-    """Give unnamed bodies unique names."""
+    """Give unique names to bodies without a name."""
     bodies = [
         element
         for section in root.all("worldbody")
@@ -287,7 +287,7 @@ class _MeshDefaults:
 
 
 def _inherited_is_mesh(geom: XmlElement, inherited: bool) -> bool:
-    """Return whether a geom is a mesh; unstated, the inherited value."""
+    """Return whether a geom is a mesh; without a type, the inherited value."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
     return inherited and "type" not in geom.attributes

@@ -100,7 +100,7 @@ def _short_name(rig: Rig, coordinate: Coordinate) -> str:
 
 
 def parse_coordinate_name(column: str) -> str | None:
-    """Return the coordinate name of a states column; None if it has none.
+    """Return the coordinate name of a column; None for states that are not values.
 
     >>> parse_coordinate_name("/jointset/knee_r/knee_angle_r/value")
     'knee_angle_r'

@@ -57,8 +57,8 @@ def read_points(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is the stated unit, or metres.
-        up: Its up axis; None is Y.
+        unit: Unit of the lengths; None is the stated unit, or metres.
+        up: The up axis; None is Y.
         fps: Rows per second, if the times are wrong.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
     """

@@ -168,7 +168,7 @@ def _degrees_notice(path: str, names: list[str], angles: FloatArray) -> list[Fau
 def _match_columns(
     table: MotionTable, rig: Rig
 ) -> tuple[list[int], list[Coordinate], list[str]]:
-    """Return columns known to the rig, their coordinates, and unknown names."""
+    """Return indices of known columns, their coordinates, and unknown names."""
     coordinate_by_name = coordinates_by_name(rig)
     table_columns, columns, unmatched = [], [], []
     for c, name in enumerate(table.names):

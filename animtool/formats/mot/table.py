@@ -150,7 +150,7 @@ class MotHeader:
 
     @property
     def has_points(self) -> bool:
-        """Whether a cell is a vector of three."""
+        """Whether each cell is a vector of three numbers."""
         return self.kind.lower() in {"vec3", "vec<3>"}
 
 
@@ -268,7 +268,7 @@ def check_duplicates(
 
 
 def _check_data_type(path: Path, header: MotHeader, lines: list[bytes]) -> None:
-    """Raise for cells with several numbers (MOF009): vectors, quaternions."""
+    """Raise for cells with more than one number, such as quaternions (MOF009)."""
     data_type, names, begin = header.kind, header.names, header.begin
     separator = header.separator
     row = next(

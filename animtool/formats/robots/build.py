@@ -182,7 +182,7 @@ def _rig_joint(
 
 @dataclass(frozen=True, slots=True)
 class _JointNames:
-    """Joint names of the rig."""
+    """Names of the rig's joints for the links, joints and sites of a robot."""
 
     links: list[str]  # name of each link
     joints: list[list[str]]  # names of the joints of each link
@@ -245,7 +245,7 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
 
 
 def _has_frame_of_link(link: Link, joint: RobotJoint) -> bool:
-    """Return whether a link's last joint has its name and frame."""
+    """Return whether a link's last joint has the name and frame of the link."""
     return joint.name in {"", link.name} and not np.any(link.offset)
 
 

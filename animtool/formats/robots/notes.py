@@ -78,7 +78,7 @@ class XmlNotes:
         where: str,
         limit: float = MAX_VALUE,
     ) -> tuple[float, ...]:
-        """Return the numbers of an attribute, or its default.
+        """Return the numbers of an attribute, or the default.
 
         Numbers beyond ``limit`` or not finite are recorded as faults.
         """
@@ -117,7 +117,7 @@ class XmlNotes:
         return self.numbers(element, name, 1, (default,), where)[0]
 
     def leave_out(self, names: Iterable[str]) -> None:
-        """Record labels of unread contents."""
+        """Record labels of contents that are not read."""
         self.left_out.update(dict.fromkeys(names))
 
 

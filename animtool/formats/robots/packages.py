@@ -79,7 +79,7 @@ class PackageFolders:
         return None
 
     def _candidate_folders(self, package: str) -> list[Path]:
-        """Return candidate folders of a package."""
+        """Return the folders that may contain a package."""
         folders = []
         if package in self.packages:
             folders.append(self.packages[package])

@@ -27,9 +27,9 @@ class RobotJoint:
         translation: Position in the frame of the previous joint [m].
         rotation: Rotation in the frame of the previous joint.
         axis: Unit axis of a pin or prismatic joint.
-        limits: Limits of its coordinate; None is unlimited.
-        mimic: The joint of the file that it follows linearly.
-        driver: Driver of its coordinate; names are those of the file.
+        limits: Limits of the coordinate; None is unlimited.
+        mimic: Joint of the file that this joint follows linearly.
+        driver: Driver of the coordinate; joint names are those of the file.
     """
 
     name: str
@@ -50,7 +50,7 @@ class SimpleShape:
         kind: ``box``, ``sphere``, ``cylinder`` or ``capsule``; the last two along z.
         size: Three sides of a box; radius; or radius and length, for a capsule without
             its ends [m].
-        position: Position of its centre [m].
+        position: Position of the shape's centre [m].
         rotation: Rotation in the frame of the link.
     """
 

@@ -47,7 +47,7 @@ def build_capsule(solid: SimpleShape, link_offset: Vector) -> tuple[Capsule, flo
 
 
 def _cylinder_capsule(radius: float, height: float) -> tuple[float, float, float]:
-    """Return radius, length and error of a cylinder's capsule."""
+    """Return radius and length of a capsule for a cylinder, and the surface error."""
     if height >= 2 * radius:
         return radius, height - 2 * radius, (math.sqrt(2) - 1) * radius
     ball = (0.75 * radius * radius * height) ** (1 / 3)
@@ -57,7 +57,7 @@ def _cylinder_capsule(radius: float, height: float) -> tuple[float, float, float
 def _box_capsule(
     shortest: float, middle: float, longest: float
 ) -> tuple[float, float, float]:
-    """Return radius, length and error of a box's capsule."""
+    """Return radius and length of a capsule for a box, and the surface error."""
     radius = math.sqrt(shortest * middle / math.pi)
     length = max(longest - 2 * radius, 0.0)
     corner = math.hypot(shortest / 2, middle / 2, (longest - length) / 2)
@@ -65,7 +65,7 @@ def _box_capsule(
 
 
 def build_mass(joint: str, weight: LinkMass, link_offset: Vector) -> Mass:
-    """Return a rig joint's mass; ``link_offset`` is from joint to link."""
+    """Return a joint's mass and principal inertia; its link is at ``link_offset``."""
     principal, axes = np.linalg.eigh(weight.inertia)
     if np.linalg.det(axes) < 0:
         axes[:, 0] = -axes[:, 0]

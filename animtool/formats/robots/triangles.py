@@ -14,7 +14,7 @@ CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 
 
 def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
-    """Return several surfaces as one."""
+    """Merge triangle surfaces into one."""
     counts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
     faces = [
         surface.faces + start for surface, start in zip(surfaces, counts, strict=False)
@@ -74,7 +74,7 @@ def _cylinder_faces(radius: float, length: float) -> Triangles:
 
 
 def _side_faces(lower: int, upper: int) -> IntArray:
-    """Return faces between two rings, counterclockwise from outside."""
+    """Return the triangles between two rings, counterclockwise seen from outside."""
     k = np.arange(CIRCLE_CORNERS)
     next_corner = (k + 1) % CIRCLE_CORNERS
     lower_triangles = np.stack(
@@ -85,7 +85,7 @@ def _side_faces(lower: int, upper: int) -> IntArray:
 
 
 def _sphere_or_capsule(radius: float, length: float) -> Triangles:
-    """Return a sphere, or a capsule along z."""
+    """Return the triangles of a sphere, or of a capsule along z."""
     heights = np.linspace(-math.pi / 2, math.pi / 2, ARC_CORNERS + 1)
     rows = [(h, -0.5 if h <= 0 else 0.5) for h in heights]
     if length:

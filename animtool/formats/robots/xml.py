@@ -125,7 +125,7 @@ class _TreeBuilder:
         return self._root
 
     def _malformed(self, error: expat.ExpatError) -> NoReturn:
-        """Raise expat's error with the element it is in."""
+        """Raise expat's error, with the element that contains the error."""
         reason = expat.ErrorString(error.code) or "malformed"
         hint = "export or copy the file again"
         errors = expat.errors

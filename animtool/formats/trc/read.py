@@ -39,7 +39,7 @@ _NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """The values of the header lines.
+    """The values of the header lines of a TRC file.
 
     Attributes:
         rate: DataRate [1/s]; None without a number.
@@ -126,7 +126,7 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
 def _read_marker_names(
     file: MarkerFile, line: bytes, separator: bytes, number: int
 ) -> list[str]:
-    """Return marker names, each above three columns or one."""
+    """Return the marker names of a header line; each names one or three columns."""
     if separator == b" " and (line_separator := find_separator(line)) != b" ":
         separator = line_separator
     if separator == b" ":
@@ -218,8 +218,8 @@ def read_trc(
 
     Args:
         path: The file.
-        unit: Unit of its lengths; None is the stated unit, or millimetres.
-        up: Its up axis; None is Y, as in OpenSim.
+        unit: Unit of the lengths; None is the stated unit, or millimetres.
+        up: The up axis; None is Y, as in OpenSim.
         fps: The frame rate, if the file has a wrong one or none: rows are then at the
             frames of Frame#, and Time is ignored.
         subject: Subject whose prefix is removed from names, as in `read_c3d`.
@@ -318,7 +318,7 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
 def _drop_truncated_row(
     file: MarkerFile, rows: TextRows, unterminated_line: int, width: int
 ) -> TextRows:
-    """Return rows without a truncated last one; warn about it (TRC109).
+    """Drop the last row, with a warning, if it is truncated (TRC109).
 
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """

@@ -77,7 +77,7 @@ def find_row_frames(
 
 
 def _counted_frames(numbers: FloatArray) -> IntArray | None:
-    """Return frames from 0 by Frame#; None if it does not count by one."""
+    """Return frames from 0 by Frame#; None unless it has ascending integers."""
     first_number = numbers[0]
     usable = np.isfinite(numbers) & (np.abs(numbers) < MAX_START_FRAME)
     if not usable.all() or not np.array_equal(np.floor(numbers), numbers):
@@ -130,7 +130,7 @@ def _check_times(
 def _rate_of_times(
     file: MarkerFile, steps: TimeSteps, stated_rate: float | None, rounding: float
 ) -> Fraction:
-    """Return the rate of the times; the header's if it fits."""
+    """Return the header's frame rate if it fits the times, else the times' own."""
     if stated_rate is not None and is_rate_of(stated_rate, steps, rounding):
         return file.rate(stated_rate, None)
     count = int(steps.frames[-1]) if steps.regular else 1
@@ -209,7 +209,7 @@ def _warn_irregular(
     rate: Fraction,
     lines: IntArray,
 ) -> None:
-    """Warn about resampled irregular times (TRC106)."""
+    """Warn that rows at irregular times are resampled (TRC106)."""
     intervals = np.diff(times)
     row = int(np.abs(intervals - steps.step).argmax()) + 1
     message = (

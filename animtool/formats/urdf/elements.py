@@ -51,7 +51,7 @@ class UrdfJoint:
 
     @property
     def where(self) -> str:
-        """Label in messages."""
+        """Label of the joint in messages."""
         return element_label("joint", self.name)
 
 
@@ -116,7 +116,7 @@ def require_text(
 def read_pose(
     element: XmlElement, where: str, notes: XmlNotes
 ) -> tuple[Vector, Quaternion]:
-    """Return the origin of an element."""
+    """Return position and rotation of an element's origin."""
     origin = find_single_child(element, "origin", where, notes)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)

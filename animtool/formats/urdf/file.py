@@ -81,7 +81,7 @@ MAX_DEGREES = 720.0
 
 
 def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
-    """Record a warning about angles that are likely degrees, with the first of them."""
+    """Warn about joint angles that are likely degrees, and name the first of them."""
     texts: list[tuple[XmlElement, str, str]] = []
     for joint in root.all("joint"):
         if joint.attributes.get("type") == "revolute":

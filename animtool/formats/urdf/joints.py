@@ -92,7 +92,7 @@ def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
 
 
 def unit_direction(values: FloatArray) -> Vector:
-    """Return a direction, normalised to full precision."""
+    """Return a unit vector, normalised to full precision."""
     direction = values / np.abs(values).max()
     return float_vector(direction / math.sqrt(float(direction @ direction)))
 

@@ -107,7 +107,7 @@ def _build_rig_joints(joint: UrdfJoint, mimic: Mimic | None) -> list[RobotJoint]
 
 
 def _planar_joints(joint: UrdfJoint) -> list[RobotJoint]:
-    """Return two slides and a pin; x and y are rotated with the axis from z."""
+    """Return a planar joint as prismatic joints along x and y and a pin on its axis."""
     rotation = so3.shortest_rotation(np.array([0.0, 0.0, 1.0]), np.array(joint.axis))
     x, y = (float_vector(so3.rotate(rotation, np.eye(3)[k])) for k in (0, 1))
     slide = JointType.PRISMATIC

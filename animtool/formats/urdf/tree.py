@@ -96,7 +96,7 @@ def _quoted_names(names: Iterable[str]) -> list[str]:
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
-    """Return each mimic joint with its final leader.
+    """Return the mimics by joint name; chains are resolved to the first leader.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """

@@ -46,7 +46,7 @@ _ELEMENT_COUNTS = {
 
 @dataclass(frozen=True, slots=True)
 class PointPrim:
-    """Summary of one prim with points."""
+    """Summary of the animated points of one prim."""
 
     path: str  # path of the prim
     type: str  # type of the prim; empty for an over
@@ -54,7 +54,7 @@ class PointPrim:
     # What the points form, `faces` or `curves`, or the `meshes` of a PointInstancer;
     # empty for separate points.
     pieces: str
-    piece_count: tuple[int, int]  # fewest and most of these
+    piece_count: tuple[int, int]  # fewest and most pieces of a sample
     samples: int  # samples of points and transforms; 0 if static
     first: float | None  # time code of the first sample; None if static
     last: float | None  # time code of the last sample; None if static
@@ -224,7 +224,7 @@ def _extent_union(
 
 
 def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
-    """Report missing chunk files."""
+    """Report the files of value clips that do not exist."""
     return [
         Fault(
             "USD276",
@@ -239,7 +239,7 @@ def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
 
 
 def _chunk_sets(prim: Any) -> Iterator[ChunkSet]:
-    """Yield the value clips of a prim."""
+    """Yield a summary of each value clip set of a prim."""
     if not prim.HasAuthoredMetadata("clips"):
         return
     clips = Usd.ClipsAPI(prim)

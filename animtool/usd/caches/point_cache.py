@@ -74,7 +74,7 @@ class CacheJob:
 def mesh_paths(
     surfaces: Sequence[Surface], strands: Sequence[Strands], paths: RigPaths
 ) -> tuple[str, ...]:
-    """Return prim paths of meshes, then strands, as in a stage with a skeleton."""
+    """Return prim paths of meshes, then strands, equal to those of a skeleton stage."""
     return (*mesh_names(surfaces, paths)[0], *strand_paths(strands, paths))
 
 
@@ -242,7 +242,7 @@ def write_chunks(
 def _chunk_writers(
     job: CacheJob, path: Path, reports: Sequence[CachedMesh], *, with_defaults: bool
 ) -> Iterator[list[PointWriter]]:
-    """Yield the writers of one chunk file; save it on exit."""
+    """Yield one point writer per mesh for a chunk file, which is saved on exit."""
     layer = new_layer(path)
     for mesh in job.meshes:
         prim_spec(layer, mesh, over=True)
@@ -257,7 +257,7 @@ def _chunk_writers(
 
 
 class _ChunkedMesh:
-    """A mesh of the layer that combines the chunks, and its report."""
+    """A mesh of the layer that combines the chunks, and the report on the mesh."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
@@ -265,7 +265,7 @@ class _ChunkedMesh:
         self._static: dict[str, Float32Array] | None = None
 
     def count(self, block: Block) -> None:
-        """Record which attributes occur, and whether points change."""
+        """Count a block; record its attributes and whether points change."""
         values = block.values
         if not self.report.sampled:
             self._static = {name: rows[0].copy() for name, rows in values.items()}
@@ -278,7 +278,7 @@ class _ChunkedMesh:
     def author(self, spec: Any, *, with_defaults: bool) -> None:
         """Declare the attributes of the chunks; author constant ones as defaults.
 
-        ``with_defaults`` authors first values of animated ones too, if no rig has them.
+        With ``with_defaults``, velocities of static points are declared but blocked.
         """
         for name in self.report.sampled:
             if self._static is None:

@@ -93,12 +93,12 @@ def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def time_codes_of(times: Sequence[float]) -> list[Any]:
-    """Return times as `Usd.TimeCode` values; only the default code for none."""
+    """Return times as `Usd.TimeCode` values; the default time code without times."""
     return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
 
 
 def array_lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
-    """Return the array length at each time; None without a value."""
+    """Return the length of an array attribute at each time; None if it has no value."""
     values = (attribute.Get(code) for code in codes)
     return [None if value is None else len(array_of(value)) for value in values]
 
@@ -111,7 +111,7 @@ def all_prims(stage: Any) -> Iterator[Any]:
 
 
 def has_character(stage: Any) -> bool:
-    """Return whether a stage has a Skeleton or an animation of one."""
+    """Return whether a stage has a Skeleton or a SkelAnimation."""
     animations = (prim.IsA(UsdSkel.Animation) for prim in all_prims(stage))
     return bool(find_skeletons(stage)) or any(animations)
 
@@ -185,16 +185,16 @@ class PointSource:
         return str(self._readers[name].prim.GetTypeName())
 
     def codes(self, name: str) -> list[float]:
-        """Return the time codes of a prim's samples; empty if it is static."""
+        """Return the time codes of a prim's samples; empty if the prim is static."""
         return [float(code) for code in self._readers[name].codes]
 
     def sample(self, name: str, code: float | None) -> PointSample:
         """Return the sample of a prim at a time code; None is the default time.
 
-        Instances without orientations or scales have identity ones.
+        Instances without orientations or scales get the identity.
 
         Raises:
-            FormatError: Its arrays do not match (USD269), or contain non-finite numbers
+            FormatError: The arrays do not match (USD269), or contain non-finite numbers
                 (USD265) or invalid rotations (USD288).
         """
         reader = self._readers[name]
@@ -207,7 +207,7 @@ class PointSource:
         count = len(points)
 
         def array_rows(*names: str, width: int = 0) -> Any:
-            """Return rows of an attribute, integers without a width; None if absent."""
+            """Return an attribute's rows, or integers if no width; None if absent."""
             attr = next(
                 (prim.GetAttribute(n) for n in names if reader.has_value(n)), None
             )
@@ -244,7 +244,7 @@ class PointSource:
 
 
 def open_points(path: Path) -> PointSource | None:
-    """Return the point source of a stage without a character; else None."""
+    """Return the points of a stage that has prims with points but no character."""
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         source = None if has_character(stage) else PointSource(path, stage)
@@ -256,8 +256,8 @@ class StaticMesh:
     """Points and faces of a mesh at one time, world space."""
 
     points: FloatArray  # ``(N, 3)`` [m]
-    counts: IntArray  # corners of each face ``(M,)``
-    indices: IntArray  # corners, face by face
+    counts: IntArray  # number of corners of each face ``(M,)``
+    indices: IntArray  # point index of each corner, face by face
 
 
 def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
@@ -268,8 +268,8 @@ def read_static_mesh(path: Path, prim: str, up: UpAxis) -> StaticMesh:
 class MeshSource:
     """A mesh of an open stage, sampled by time.
 
-    ``span`` is the first and last time code at which its points or transform change;
-    None if it is static.
+    ``span`` is the first and last time code at which points or transform change;
+    None if the mesh is static.
     """
 
     def __init__(self, stage: Any, prim: Any, up: UpAxis) -> None:
@@ -285,7 +285,7 @@ class MeshSource:
         """Return the mesh at a time code; None is the earliest sample.
 
         Raises:
-            OptionError: The value is invalid (SIM051).
+            OptionError: The points, faces or transform are invalid (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
         points, (counts, indices) = (

@@ -57,8 +57,8 @@ class ShownMesh:
     """A mesh in local space [m], with the stage's axes."""
 
     points: FloatArray  # ``(N, 3)``
-    counts: IntArray  # corners of each face ``(M,)``
-    indices: IntArray  # corners, face by face
+    counts: IntArray  # number of corners of each face ``(M,)``
+    indices: IntArray  # point index of each corner, face by face
     color: tuple[float, float, float] | None  # None if not authored
     double_sided: bool
     # Linear, per point ``(N, 3)``; None without point colors.
@@ -79,13 +79,13 @@ class ShownPrim:
 
     @cached_property
     def is_deforming(self) -> bool:
-        """Whether its local points or their number change."""
+        """Whether the prim's points in local space may change over time."""
         attr = self._reader.attr
         return bool(attr and attr.ValueMightBeTimeVarying())
 
     @cached_property
     def is_moving(self) -> bool:
-        """Whether its world transform changes over time."""
+        """Whether the prim's world transform changes over time."""
         for prim in self_and_ancestors(self.prim):
             xformable = UsdGeom.Xformable(prim)
             if xformable and xformable.TransformMightBeTimeVarying():
@@ -96,19 +96,19 @@ class ShownPrim:
 
     @cached_property
     def has_changing_faces(self) -> bool:
-        """Whether its topology changes over time."""
+        """Whether the prim's topology may change over time."""
         names = ("faceVertexIndices", "faceVertexCounts", "curveVertexCounts")
         attributes = (self.prim.GetAttribute(name) for name in names)
         return any(a and a.ValueMightBeTimeVarying() for a in attributes)
 
     def world(self, code: float) -> FloatArray:
-        """Return its world transform, column vectors, Y up ``(4, 4)`` [m]."""
+        """Return the prim's world transform for column vectors, Y up ``(4, 4)`` [m]."""
         matrix = self._reader.world_from_prim(Usd.TimeCode(code)).T.copy()
         matrix[:3, 3] *= self._stage.meters
         return self._stage.matrix_to_y_up(matrix)
 
     def points(self, code: float) -> FloatArray:
-        """Return its points in the world, Y up ``(N, 3)`` [m]."""
+        """Return the prim's points in world space, Y up ``(N, 3)`` [m]."""
         time = Usd.TimeCode(code)
         world_points = transform_points(
             self._reader.points_at(time), self._reader.world_from_prim(time)
@@ -116,7 +116,7 @@ class ShownPrim:
         return self._stage.to_y_up(world_points * self._stage.meters)
 
     def local_mesh(self) -> ShownMesh | None:
-        """Return its local mesh at the earliest time; None if invalid."""
+        """Return the mesh in local space at the earliest time; None if invalid."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
             points = self._reader.points_at(time)
@@ -140,25 +140,25 @@ class ShownPrim:
         return np.array(counts.Get(Usd.TimeCode.EarliestTime()) or (), np.int64)
 
     def widths(self, code: float) -> FloatArray:
-        """Return its authored widths ``(N,)`` or ``(1,)`` [m]; none if absent."""
+        """Return the authored widths ``(N,)`` or ``(1,)`` [m]; empty if absent."""
         attr = self.prim.GetAttribute("widths")
         if not attr or not attr.HasAuthoredValue():
             return np.zeros(0)
         return number_rows(attr, 1, Usd.TimeCode(code)) * self._stage.meters
 
     def ids(self, code: float) -> IntArray | None:
-        """Return point ids ``(N,)``; None if absent."""
+        """Return the ids of the points ``(N,)``; None if the prim has no ids."""
         attr = self.prim.GetAttribute("ids")
         value = attr.Get(Usd.TimeCode(code)) if attr else None
         return None if value is None else np.array(value, np.int64)
 
     def colors(self, code: float) -> FloatArray:
-        """Return linear colors, per point or one ``(N or 1, 3)``; none if absent."""
+        """Return linear colors per point, or one ``(N or 1, 3)``; empty if absent."""
         return _display_colors(self.prim, code)
 
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
-        """Its constant color; None if none is authored."""
+        """Mean linear color of the prim at the start; None without display color."""
         time = self._stage.stage.GetStartTimeCode()
         rows = self.colors(time)
         if not len(rows):
@@ -167,7 +167,7 @@ class ShownPrim:
         return red, green, blue
 
     def instances(self, code: float) -> PointSample:
-        """Return its instances in world space, Y up."""
+        """Return the prim's instances in world space, Y up."""
         source = self._stage.source
         sample = source.sample(self.name, code)
         up_rotation = self._stage.up_rotation
@@ -184,7 +184,7 @@ class ShownPrim:
         )
 
     def prototypes(self) -> list[list[tuple[ShownMesh, FloatArray]]]:
-        """Return its prototype meshes, each with its transform ``(4, 4)`` [m]."""
+        """Return the meshes of each prototype, with their transforms ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
         for path in prototype_paths(self.prim):
@@ -204,12 +204,12 @@ class ShownPrim:
         return prototypes
 
     def visibility(self, codes: FloatArray) -> BoolArray:
-        """Return whether it is visible at each time code ``(F,)``."""
+        """Return whether the prim is visible at each time code ``(F,)``."""
         return _is_visible(self.prim, codes)
 
 
 def _display_colors(prim: Any, code: float) -> FloatArray:
-    """Return the inherited linear display color of a prim; none if absent."""
+    """Return the linear display colors of a prim, also inherited; empty if absent."""
     primvar = UsdGeom.PrimvarsAPI(prim).FindPrimvarWithInheritance("displayColor")
     value = primvar.ComputeFlattened(Usd.TimeCode(code)) if primvar else None
     if value is None:
@@ -226,7 +226,7 @@ class StageContents:
         meters: Length unit of the stage [m].
         up: Up axis of the stage.
         fps: Time codes per second.
-        up_rotation: Rotation from its up axis to Y; None for no rotation.
+        up_rotation: Rotation from the stage's up axis to Y; None for no rotation.
     """
 
     def __init__(self, path: Path, stage: Any, root_path: str) -> None:
@@ -328,7 +328,7 @@ class StageContents:
         return {str(p.GetName()) for p in all_prims(self.stage) if is_bone_mesh(p)}
 
     def surfaces_to_y_up(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
-        """Return meshes rotated to Y up; skinned ones follow their joints."""
+        """Return meshes rotated to Y up, except skinned ones, which joints move."""
         if self.up_rotation is None:
             return tuple(surfaces)
         matrix = np.eye(4)
@@ -359,7 +359,7 @@ class StageContents:
         return colors_by_name
 
     def cameras(self) -> list[str]:
-        """Return the paths of its cameras."""
+        """Return the prim paths of the stage's cameras."""
         return [
             str(prim.GetPath())
             for prim in all_prims(self.stage)
@@ -418,7 +418,7 @@ def _prim_kind(prim: Any) -> str:
 
 
 def _relative_transform(prim: Any, root: Any, meters: float) -> FloatArray:
-    """Return the transform of a prim relative to its prototype root."""
+    """Return a prim's transform relative to the parent of its prototype root [m]."""
     world = UsdGeom.Imageable(prim).ComputeLocalToWorldTransform(0)
     # The prototype's own transform applies, but not those above it.
     parent_transform = UsdGeom.Imageable(root).ComputeParentToWorldTransform(0)

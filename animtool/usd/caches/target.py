@@ -50,7 +50,7 @@ class CacheTarget:
 
     @property
     def prims(self) -> tuple[TargetMesh, ...]:
-        """The meshes, then the strands."""
+        """The meshes of the target, then the strands."""
         return self.meshes + self.strands
 
     @property
@@ -246,7 +246,7 @@ def _unusable_normals(mesh: Any, *, has_vertex_normals: bool) -> tuple[str, ...]
 def _count_notice(
     code: str, names: Sequence[str], text: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning with counts and names; empty without names."""
+    """Return a warning that counts and lists prim names; no warning without names."""
     if not names:
         return []
     message = f"{len(names)} {text}: {listed(names, MAX_LISTED_PRIMS)}"

@@ -128,7 +128,7 @@ def split_attribute(path: str, name: str) -> tuple[str, str]:
 class CharactersReport:
     """Counts of written characters, samples and errors."""
 
-    own: int = 0  # characters with an animation that no other uses
+    own: int = 0  # characters with a separate animation
     shared: int = 0  # characters that share an animation
     samples: int = 0  # samples of animations of single characters
     frames: int = 0  # frames of animations of single characters
@@ -155,7 +155,7 @@ class Block:
         return sum(rows.nbytes for rows in self.values.values())
 
     def select_frames(self, frames: slice) -> Block:
-        """Return a subset of the frames, with the error of all frames."""
+        """Return a block of a subset of the frames, with the error of all frames."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
 
@@ -183,10 +183,10 @@ class CachedMesh:
     error_vertex: int = 0  # point of the largest error
     names: Sequence[str] = ()  # names of points that are bodies
     notices: list[Fault] = field(default_factory=list)
-    characters: CharactersReport | None = None  # if it has characters
+    characters: CharactersReport | None = None  # counts of crowd characters, if any
 
     def count(self, block: Block) -> None:
-        """Add a block of frames; keeps the larger error."""
+        """Add the counts of a block of frames, and update the largest error."""
         self.vertices = max(self.vertices, block.vertices)
         self.samples += len(block.codes)
         self.bytes += block.bytes
@@ -229,7 +229,7 @@ class PointWriter:
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
-        """Write a block of frames."""
+        """Write a block of frames of the prim."""
         with Sdf.ChangeBlock():
             for name, rows in block.values.items():
                 if name not in self._channels:
@@ -298,7 +298,7 @@ class PointWriter:
 
 
 def empty_attribute(spec: Any, name: str) -> SampleWriter:
-    """Replace an attribute of the rest mesh by one without a value."""
+    """Replace a rest mesh's attribute by an empty one; return its sample writer."""
     remove_attribute(spec, name)
     kind = ATTRIBUTES[name]
     attr = attribute_spec(spec, name, kind.type_name, interpolation=kind.interpolation)
@@ -323,7 +323,7 @@ class FramePrim(Protocol):
 
     @property
     def child_names(self) -> list[str]:
-        """Names of the child prims of a frame with names."""
+        """Legal, unique names of the child prims, from the names of the first frame."""
 
     def to_float32(
         self, name: str, values: npt.NDArray[Any], code: float

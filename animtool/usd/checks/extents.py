@@ -118,7 +118,7 @@ def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
 def _instance_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
     """Return the attributes that determine the extent of instances.
 
-    None for nested instancers: USD does not terminate if these contain themselves.
+    Returns None for nested instancers: USD does not terminate if one contains itself.
     """
     prototypes = [
         subject.stage.GetPrimAtPath(path)
@@ -216,7 +216,7 @@ class _SkinnedRoot:
 
     @cached_property
     def bounds(self) -> SkinnedBounds | None:
-        """Bounds of its points; None for other prims."""
+        """Bounds of the skinned points; None if the prim is not a SkelRoot."""
         return SkinnedBounds(self._prim) if self._prim.IsA(UsdSkel.Root) else None
 
     def is_valid_extent(
@@ -241,7 +241,7 @@ def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
 
 
 def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
-    """Describe how far skinned points leave the extents of a SkelRoot, and when."""
+    """Describe how far skinned points exceed the extents of a SkelRoot, and when."""
     worst = find_overhang(root, extents, times.tolist())
     # Overhangs within rounding do not count, as in `bounds_difference`.
     magnitude = float(np.abs(extents).max(initial=0.0))
@@ -256,7 +256,7 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
 def bounds_difference(
     extents: FloatArray, bounds: FloatArray, *, must_equal: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the distance of extents from bounds: beyond the tolerance, and in total.
+    """Return how far bounds exceed extents: beyond the tolerance and in total ``(F,)``.
 
     The first is at most 0 within the tolerance. Both inputs are ``(F, 2, 3)``. With
     ``must_equal``, extents that are too large differ as well.

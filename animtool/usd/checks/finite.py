@@ -138,7 +138,7 @@ def _layer_name(layer: Any) -> str:
 
 
 def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
-    """Yield the first findings of a prim; the last one counts the rest."""
+    """Yield up to `MAX_FINDINGS` findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         suffix = (
@@ -178,7 +178,7 @@ def _layer_problems(
 
 
 def _data_problem(value: Any, name: str) -> str:
-    """Describe the problem of a metadata value; empty if valid."""
+    """Describe the non-finite number of a metadata value; empty if there is none."""
     if isinstance(value, Mapping):
         problems = (_data_problem(item, f"{name}:{key}") for key, item in value.items())
         return next(filter(None, problems), "")
@@ -199,7 +199,7 @@ def _data_problem(value: Any, name: str) -> str:
 
 
 def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
-    """Describe the problem of an attribute's values; empty if valid."""
+    """Describe non-finite values and times of an attribute; empty if all are finite."""
     default = floats_of(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):

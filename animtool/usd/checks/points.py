@@ -34,7 +34,7 @@ def check_points(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _point_samples(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
-    """Return the counts and bounds of all point samples, without their arrays."""
+    """Return point counts and bounds ``(F, 2, 3)`` of all samples, not the points."""
     times = subject.times(attr)
     codes = time_codes_of(times)
     query = Usd.AttributeQuery(attr)

@@ -149,7 +149,7 @@ class Inspection:
 def inspect_layer(path: Path | str) -> Inspection:
     """Return the takes of a USD layer, and all findings in its composed stage.
 
-    If it cannot be opened, that is the only finding. USD's own warnings about the layer
+    If the layer cannot be opened, that is the only finding. USD's own warnings about it
     are not printed, since the findings cover them.
     """
     path = Path(path)
@@ -193,7 +193,7 @@ def _faults(subject: StageSubject) -> list[Fault]:
 
 
 def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
-    """Return the animations; empty if an attribute has a wrong type."""
+    """Return a stage's animations as takes; empty if an attribute has a wrong type."""
     try:
         return animation_takes(subject, path)
     except (FormatError, AttributeError, IndexError, TypeError, ValueError):
@@ -205,7 +205,7 @@ def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
 def _run_check(check: Check, subject: StageSubject) -> Iterator[Fault]:
     """Yield the findings of a check, including errors that USD raises.
 
-    If a value has a wrong type, a check ends there.
+    The check stops at a value of the wrong type; the findings report that type.
     """
     try:
         with usd_errors(Path(subject.stage.GetRootLayer().identifier)):

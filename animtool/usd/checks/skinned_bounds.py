@@ -31,7 +31,7 @@ class _SkinnedPrim:
 
 
 class SkinnedBounds:
-    """Bounds of the skinned points below a SkelRoot at any time, in its space."""
+    """Bounds of the skinned points below a SkelRoot over time, in SkelRoot space."""
 
     def __init__(self, root: Any) -> None:
         self._root = root
@@ -85,14 +85,14 @@ class SkinnedBounds:
 def find_overhang(
     root: Any, extents: FloatArray, times: Sequence[float]
 ) -> tuple[float, float, bool] | None:
-    """Return the largest distance of skinned points outside extents, and where.
+    """Return the largest distance of skinned points outside extents, and its time code.
 
-    For many points only some samples are posed, and the last value is False.
+    With many points, only a subset of the samples is posed; the last value is False.
 
     Args:
         root: The SkelRoot.
         extents: One per time, or one for all ``(F or 1, 2, 3)``.
-        times: Their time codes; NaN alone is the default.
+        times: Time codes of the extents; NaN alone is the default.
     """
     bounds = SkinnedBounds(root)
     max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.point_count, 1))

@@ -20,14 +20,14 @@ AnyArray = npt.NDArray[Any]
 
 @dataclass(frozen=True, slots=True)
 class SampledArray:
-    """All values of an array attribute."""
+    """All values of an array attribute, with their time codes."""
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for the default
     arrays: list[Any]  # one per time; None if blocked
     counts: IntArray  # array lengths ``(F,)``; -1 without a value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
-        """Return the samples of one length.
+        """Return the samples whose arrays have a given length.
 
         Returns their indices ``(N,)`` and values ``(N, count, width)``.
         """
@@ -43,7 +43,7 @@ class SampledArray:
 
     @property
     def is_animated(self) -> bool:
-        """Whether it has time samples."""
+        """Whether the attribute has time samples."""
         return not np.isnan(self.times).any()
 
 

@@ -145,7 +145,7 @@ def _bound_skeletons(skeletons: list[Any]) -> dict[Any, Any]:
 
 
 def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
-    """Return the Skeleton with most joints of an animation, at least half of them."""
+    """Return the Skeleton with the most joints of an animation, if more than half."""
     joints = set(token_array(animation.GetJointsAttr()))
     nearest = None
     most_joints = len(joints) // 2
@@ -246,7 +246,7 @@ def _animation_rig(
 def _attribute_rows(
     subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
-    """Return an attribute at time codes ``(F, count, width)``; None if invalid."""
+    """Return attribute values at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
     array = subject.sampled_array(attr)

@@ -59,7 +59,7 @@ def _check_clip_set(
 
 
 def _open_layer(prim: Any, asset: Any) -> Any:
-    """Return the layer of an asset, relative to the layer that authors the clips."""
+    """Open a layer by asset path, relative to the layer that authors the clips."""
     for spec in prim.GetPrimStack():
         if spec.HasInfo("clips"):
             path = asset.resolvedPath or Sdf.ComputeAssetPathRelativeToLayer(
@@ -131,7 +131,7 @@ def _check_template(
 
 
 def _sampled_properties(layer: Any, target: str) -> set[str]:
-    """Return the sampled properties of a prim and its descendants, relative to it."""
+    """Return relative paths of the sampled properties of a prim and its descendants."""
     names = set()
 
     def visit(path: Any) -> None:

@@ -183,7 +183,7 @@ def _frame_span(stage: Any) -> tuple[float, float]:
 
 
 def snap_to_frames(target: FixTarget, fault: Fault) -> Edit:
-    """Snap samples that are slightly off a frame to that frame; also the range.
+    """Snap samples and range ends that are slightly off a frame to that frame.
 
     Samples between frames, such as those of motion blur, stay.
     """

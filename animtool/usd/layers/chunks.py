@@ -40,7 +40,7 @@ MAX_BUFFERED_BYTES = 32_000_000
 
 
 class GrowingLayer:
-    """A layer that receives samples."""
+    """A layer that receives samples, flushed to disk above a memory limit."""
 
     def __init__(self, layer: Any, path: Path | None = None) -> None:
         """Start without buffered samples.
@@ -55,7 +55,7 @@ class GrowingLayer:
         self.size = 0  # size of the written file [byte]
 
     def count_bytes(self, size: int) -> None:
-        """Count buffered bytes; flush to disk above the limit."""
+        """Add to the count of buffered bytes; flush to disk above the limit."""
         self._buffered_bytes += size
         if self._path is not None and self._buffered_bytes > MAX_BUFFERED_BYTES:
             self.save()
@@ -134,7 +134,7 @@ class ClipFiles:
         return f"./{self.chunk(0).name}"
 
     def existing_chunks(self) -> list[Path]:
-        """Return the existing chunks, in order."""
+        """Return the chunk files that exist, in time order."""
         stem, folder = re.escape(self.output.stem), self.output.parent
         pattern = re.compile(rf"{stem}\.{self.name}\.\d{{4,}}\.usdc")
         paths = folder.iterdir() if folder.is_dir() else ()
@@ -188,14 +188,14 @@ class FrameWriter(Protocol[FramesIn_contra]):
     """Writer of the frames of one prim."""
 
     def add(self, block: FramesIn_contra) -> None:
-        """Write frames."""
+        """Write a block of frames of one prim."""
 
 
 class FrameReport(Protocol[FramesIn_contra]):
     """Report on the frames of one prim."""
 
     def count(self, block: FramesIn_contra) -> None:
-        """Add written frames."""
+        """Add a block of written frames to the report."""
 
 
 def write_frames(
@@ -224,7 +224,7 @@ class OneLayer(Generic[FramesT]):
         self.first, self.last = np.inf, -np.inf  # first and last time code
 
     def add(self, block: FramesT) -> None:
-        """Write frames."""
+        """Write a block of frames of one prim."""
         self._writers[block.prim].add(block)
         self.first = min(self.first, block.codes[0])
         self.last = max(self.last, block.codes[-1])
@@ -285,7 +285,7 @@ class ChunkedWriter:
         return [self.files.chunk(number) for number in range(len(self.starts))]
 
     def add(self, block: Block) -> None:
-        """Write frames to the files they belong to."""
+        """Write a block of frames to the chunk files of its time codes."""
         codes, begin = block.codes, 0
         while begin < len(codes):
             number, row = divmod(self._next_samples[block.prim], self._chunk_size)
@@ -335,7 +335,7 @@ class ChunkedWriter:
         author_metadata(self._manifest, metadata)
 
     def finish(self) -> list[Path]:
-        """Write the manifest; return all files.
+        """Write the manifest; return all written files.
 
         Stale files of an earlier, longer bake are removed only after the new files are
         in place, so that a layer always has its own chunks.

@@ -28,13 +28,13 @@ def unresolved_arcs(stage: Any) -> Iterator[tuple[str, str]]:
 
 
 def unresolved_hint(stage: Any) -> str | None:
-    """Return what the first composition error of a stage is; None without one."""
+    """Describe the first composition error of a stage; None if there is none."""
     arc = next(unresolved_arcs(stage), None)
     return None if arc is None else f"{arc[0]}: {arc[1]}"
 
 
 def _relative(path: str, stage: Any) -> str:
-    """Return a path relative to the folder of a stage's root layer, if it is below."""
+    """Return a path relative to the root layer's folder, if it lies in that folder."""
     folder = PurePath(stage.GetRootLayer().realPath).parent
     file = PurePath(path)
     return str(file.relative_to(folder)) if file.is_relative_to(folder) else path

@@ -80,7 +80,7 @@ def duplicate_tokens(names: Sequence[str]) -> list[str]:
 
 
 def joint_parents(joints: Sequence[str]) -> IntArray:
-    """Return the parent of each joint as UsdSkel resolves it, -1 for a root.
+    """Return each joint's parent index as UsdSkel resolves it, -1 for a root.
 
     >>> joint_parents(["a", "a/b/c"]).tolist()
     [-1, 0]

@@ -141,7 +141,7 @@ def check_data(value: object, name: str) -> None:
 
 
 def floats_of(value: Any) -> npt.NDArray[Any] | None:
-    """Return the floats of a value; None if it has none."""
+    """Return the floating-point numbers of a value as an array, or None."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]
     elif hasattr(value, "GetValue"):

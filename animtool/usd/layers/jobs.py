@@ -88,7 +88,7 @@ class RootPath:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBlock:
-    """Frames as written, in stage units."""
+    """Joint transforms of a block of frames as written, in stage units."""
 
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
@@ -109,7 +109,7 @@ class WrittenBlock:
 
 @dataclass(slots=True)
 class Rounding:
-    """Rounding errors over all blocks."""
+    """Largest rounding errors of all written blocks."""
 
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
@@ -119,7 +119,7 @@ class Rounding:
     )
 
     def count(self, block: WrittenBlock) -> None:
-        """Update the largest errors with those of a block."""
+        """Update the largest rounding errors with those of a block."""
         self.has_rounded_scales |= block.has_rounded_scales
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
@@ -150,7 +150,7 @@ class UsdJob:
 
 @dataclass(frozen=True, slots=True)
 class UsdTake:
-    """One animation of a job."""
+    """One animation that a job writes."""
 
     blocks: Iterable[WrittenBlock]  # frames, as stored in the layer
     start: Fraction  # time code of the first sample
@@ -196,7 +196,7 @@ class WrittenTake:
 
 @dataclass(slots=True)
 class UsdResult:
-    """Result of `write_usd`."""
+    """Result of `write_usd`: the layer's range and a report per take."""
 
     span: FrameSpan  # range and rate of the written layer
     outputs: list[Path] = field(default_factory=list)
@@ -208,12 +208,12 @@ class UsdResult:
 
     @property
     def first(self) -> Fraction:
-        """Time code of the first frame of any take."""
+        """Time code of the first frame of all takes."""
         return self.span.first
 
     @property
     def last(self) -> Fraction:
-        """Time code of the last frame of any take."""
+        """Time code of the last frame of all takes."""
         return self.span.last
 
     @property
@@ -223,17 +223,17 @@ class UsdResult:
 
     @property
     def sampled(self) -> list[str]:
-        """Attributes of a SkelAnimation that change in some take."""
+        """SkelAnimation attributes that change over time in at least one take."""
         return list(dict.fromkeys(name for take in self.takes for name in take.sampled))
 
     @property
     def joints(self) -> int:
-        """Largest number of joints of a SkelAnimation."""
+        """Largest joint count of all SkelAnimations."""
         return max(take.joints for take in self.takes)
 
     @property
     def rounding(self) -> Rounding:
-        """Largest rounding errors of any take."""
+        """Rounding errors of the take with the largest joint error."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 
     @property

@@ -179,7 +179,7 @@ def find_layer(path: Path) -> Any:
 
 
 def layer_state(path: Path, *, recorded: bool = False) -> FileState:
-    """Return the identity of a file that USD may open.
+    """Check the size of a file that USD may open, and return its file state.
 
     ``recorded`` says whether a user or a document names it as an input.
     """
@@ -291,7 +291,7 @@ def write_samples(
 
 
 def author_relationship(spec: Any, name: str, *targets: str) -> None:
-    """Create a relationship to prims."""
+    """Create a relationship that targets prims."""
     relation = Sdf.RelationshipSpec(spec, name, False, Sdf.VariabilityUniform)
     relation.targetPathList.explicitItems = [Sdf.Path(target) for target in targets]
 
@@ -469,7 +469,7 @@ class SampleWriter:
     def author_default(self) -> None:
         """Author the first value as the default of a sampled attribute.
 
-        Readers that ask for no time get it.
+        Readers that query the attribute without a time code get this value.
         """
         if self.has_samples and self._first_value is not None:
             self._attribute.default = self._make(self._first_value)

@@ -63,7 +63,7 @@ def _quoting_hint(context: str) -> str | None:
 
 
 def _specifier_fault(line: str) -> tuple[str, str] | None:
-    """Return message and hint for a prim with an unknown specifier; None for others.
+    """Return message and hint for a prim line with an unknown specifier, else None.
 
     >>> _specifier_fault('clas Skeleton "Skel" (')
     ("'clas' does not begin a prim", "did you mean 'class'? a prim begins with def, \

@@ -202,7 +202,7 @@ def _valid_range(
     limits: tuple[float, float] | None,
     max_range: float = 2 * math.pi,
 ) -> tuple[float, float] | None:
-    """Return valid limits; None and a notice if they are invalid."""
+    """Return limits if they are valid; otherwise add a notice and return None."""
     if limits is None:
         return None
     lower, upper = limits

@@ -327,7 +327,7 @@ def _kinematic_poses(
 
 
 def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
-    """Return the authored mass properties; missing ones follow from the shapes."""
+    """Return the authored mass properties; the shapes determine those not authored."""
     api = UsdPhysics.MassAPI(prim)
     values: dict[str, Any] = {}
     if not prim.HasAPI(UsdPhysics.MassAPI):

@@ -36,7 +36,7 @@ class PhysicsStage:
         start_code: Time code of 0 s.
         meters_per_unit: Unit of lengths [m].
         kilograms_per_unit: Unit of masses [kg].
-        up_rotation: Rotation from its up axis to Y ``(4,)``.
+        up_rotation: Rotation from the stage's up axis to Y ``(4,)``.
         cache: Transform cache at ``start_code``.
         notices: Unsupported contents (SIM136).
     """
@@ -67,7 +67,7 @@ class PhysicsStage:
         self.cache = UsdGeom.XformCache(Usd.TimeCode(self.start_code))
 
     def add_notice(self, prim: Any, message: str) -> None:
-        """Add a notice about something unsupported on a prim (SIM136)."""
+        """Add a notice about an unsupported feature of a prim (SIM136)."""
         text = f"{excerpt(str(prim.GetPath()))} {message}"
         if text not in self._reported_messages:
             fault = Fault("SIM136", text, str(self.path), severity=Severity.WARNING)
@@ -102,7 +102,7 @@ class PhysicsStage:
         return None if row is None else float(row[0])
 
     def number_or_infinity(self, attribute: Any) -> float | None:
-        """Return a number, infinite if about the largest float32; None if absent."""
+        """Return a number, or infinity if near the largest float32; None if absent."""
         value = attribute.Get() if attribute else None
         if isinstance(value, float) and abs(value) >= MAX_FORCE:
             return math.copysign(math.inf, value)

@@ -90,7 +90,7 @@ class CharactersWriter:
         ]
 
     def add(self, code: float, frame: CharactersFrame) -> None:
-        """Add a frame."""
+        """Collect the values of all characters at one frame."""
         self.codes.append(code)
         for name in ("points", "headings", "roots", "near_ground", "clocks", "visible"):
             self._rows_by_name.setdefault(name, []).append(getattr(frame, name))
@@ -141,17 +141,17 @@ def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
 
 @dataclass(frozen=True)
 class _CharacterTrack:
-    """n characters of one rig over F frames."""
+    """Motion of n characters of one rig over F frames."""
 
-    codes: FloatArray  # (F,)
-    rotations: Float32Array  # (F, n, M, 4)
+    codes: FloatArray  # time codes (F,)
+    rotations: Float32Array  # of the animated joints (F, n, M, 4)
     scales: FloatArray  # (n,)
     cast: Cast
     points: FloatArray  # (F, n, 3) [m]
     headings: FloatArray  # (F, n) [rad]
     roots: FloatArray  # (F, n, 3) [m]
-    near_ground: BoolArray  # (F, n, 2)
-    clocks: FloatArray  # (F, n) [s]
+    near_ground: BoolArray  # whether each foot is on or near the ground (F, n, 2)
+    clocks: FloatArray  # times in the standing animation (F, n) [s]
     visible: BoolArray  # (F, n)
 
     @cached_property
@@ -298,7 +298,7 @@ class _CharacterGroup:
     ) -> None:
         """Write the root transform of a character, and its rig reference.
 
-        ``foot_correction`` moves its hips; None if its animation has the hips' motion.
+        ``foot_correction`` offsets the hips; None if the animation moves the hips.
         """
         track, unit = self.track, self.owner.unit
         spec = prim_spec(self.layer, path, "Xform")
@@ -441,7 +441,7 @@ class _CharacterGroup:
 
 
 def _standing_values(cast: Cast, table: FloatArray, clocks: FloatArray) -> FloatArray:
-    """Return standing rotations or positions at clock times ``(K,)`` [s]."""
+    """Interpolate standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(table)
     table_position = clocks / (cast.period or 1.0) * count
     index = np.floor(table_position).astype(np.int64)

@@ -195,7 +195,7 @@ def parent_from_take(
 
 
 def _premultiply(transforms: Transforms, matrices: FloatArray) -> Transforms:
-    """Return matrices times transforms; components unless the result has shear."""
+    """Premultiply transforms by matrices; keep components if these have no shear."""
     from animtool.usd.rigs.prims import decompose
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))

@@ -242,7 +242,7 @@ def _stage_span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
 
 @dataclass(slots=True)
 class _PrimSampler:
-    """Samples a prim at time codes."""
+    """Samples a prim's transforms and attribute values at time codes."""
 
     stage: Any  # keeps the stage and its prims alive
     prim: Any
@@ -262,7 +262,7 @@ class _PrimSampler:
     constant_scales: FloatArray | None = None
 
     def find_constants(self) -> None:
-        """Collect the keys, and detect constant values."""
+        """Collect sample times, and detect constant transforms, values and scales."""
         varying_objects = list(self._varying_sources())
         sample_times = {
             time for source in varying_objects for time in source.GetTimeSamples()
@@ -386,7 +386,7 @@ class _PrimSampler:
 
 
 def _remove_rounding(scales: FloatArray) -> FloatArray:
-    """Return scales snapped to nine decimals if they differ only by rounding."""
+    """Round scales to nine decimals where that is within floating-point rounding."""
     rounded_scales = np.round(scales, 9)
     return np.where(
         np.abs(rounded_scales - scales) <= SCALE_ROUNDING * np.abs(scales),
@@ -396,7 +396,7 @@ def _remove_rounding(scales: FloatArray) -> FloatArray:
 
 
 def _repeat_transforms(transforms: Transforms, count: int) -> Transforms:
-    """Return one transform and its values repeated for all times."""
+    """Repeat the transform and values of a single time ``count`` times."""
 
     def repeat_rows(values: Any) -> Any:
         return np.repeat(values, count, axis=0)
@@ -413,7 +413,7 @@ def _repeat_transforms(transforms: Transforms, count: int) -> Transforms:
 def _decompose(
     matrices: FloatArray,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-    """Return translations, rotations, scales, and the relative shear dropped."""
+    """Return translations, rotations, scales, and the largest relative shear lost."""
     positions, rotations, scales = decompose(matrices.swapaxes(1, 2))
     rotations = so3.normalize(rotations)
     recomposed = so3.to_matrix(rotations) * scales[:, None, :]

@@ -103,7 +103,7 @@ class _CurvesForm(FrameForm[CurvesFrame]):
         points: Float32Array,
         code: float,  # noqa: ARG002
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return the padded bounds."""
+        """Return the bounds of the points, padded by half the curve width."""
         return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
@@ -161,7 +161,7 @@ class SimulatedPrim:
 
     @cached_property
     def child_names(self) -> list[str]:
-        """Names of the child prims of a frame with names."""
+        """Legal, unique names of the child prims, from the names of the first frame."""
         return instance_names(self._first_frame.names).names
 
     def author_prim(self, layer: Any, frame: Frame) -> None:
@@ -198,7 +198,7 @@ class SimulatedPrim:
         form.author_constants(self, spec, frame)
 
     def build_block(self, prim_index: int, code: float, frame: Frame) -> Block:
-        """Return a frame as a block to write, for the prim of an index."""
+        """Convert a frame to a block of a prim; collect crowds for `finish`."""
         codes = np.array([code])
         if isinstance(frame, CharactersFrame):
             assert self._characters is not None
@@ -236,7 +236,7 @@ class SimulatedPrim:
         )
 
     def finish(self, layer: Any) -> None:
-        """Author what depends on all frames: the characters."""
+        """Write the crowd characters, which depend on all frames."""
         if self._characters is not None:
             self._characters.finish(layer)
             report = self._characters.report
@@ -284,9 +284,9 @@ def _add_frame_axis(
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """Settings of writing simulated prims."""
+    """Settings for writing simulated prims."""
 
-    model: str  # path of the prim above all others
+    model: str  # path of the parent prim
     names: Sequence[str]  # legal, unique names of the prims
     metadata: StageMetadata  # metadata of the layer
     meters_per_unit: float  # length unit below the model [m]
@@ -304,7 +304,7 @@ class SimulatedJob:
         return [f"{self.model}/{name}" for name in self.names]
 
     def prim_writers(self) -> list[SimulatedPrim]:
-        """Return new writers of the prims."""
+        """Return a new writer for each prim."""
         unit, rotation = self.meters_per_unit, self.rotation
         fps = float(self.metadata.span.fps)
         return [SimulatedPrim(path, unit, rotation, fps) for path in self.paths]
@@ -446,7 +446,7 @@ def _refuse_characters(frames: Sequence[Frame]) -> None:
 
 
 def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
-    """Declare the sampled attributes, with their types in another layer."""
+    """Declare the sampled attributes with the types they have in a source layer."""
     for report in reports:
         prim_spec(layer, report.path, over=True)
         for name in report.sampled:

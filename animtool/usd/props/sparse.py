@@ -58,7 +58,7 @@ class RotationChain:
         begins: IntArray,
         span: int,
     ) -> tuple[BoolArray, FloatArray]:
-        """Return which spans interpolate within tolerance, and their joint offsets."""
+        """Return which spans slerp fits within tolerance, and their joint offsets."""
         tolerances = (
             fraction * self.rig_extent
             for fraction in (JOINT_TOLERANCE, FOOT_TOLERANCE, HIP_TOLERANCE)
@@ -114,7 +114,7 @@ def select_samples(
 
 
 def _shortest_path(spans_by_length: dict[int, BoolArray]) -> BoolArray:
-    """Return the fewest frames that connect first and last by valid spans."""
+    """Return a mask of the fewest frames that link first and last by valid spans."""
     count = len(spans_by_length[1])
     next_steps, sample_counts = [1] * count, [0] * count
     valid_spans = {
@@ -155,9 +155,10 @@ def slerp(first: FloatArray, last: FloatArray, fraction: FloatArray) -> FloatArr
 def find_rotating_joints(
     rotations: Float32Array, subtree_radii: FloatArray, rig_extent: float
 ) -> BoolArray:
-    """Return which joints rotate ``(M,)`` in poses ``(F, M, 4)``.
+    """Return which joints rotate perceptibly ``(M,)`` in poses ``(F, M, 4)``.
 
-    X
+    A rotation counts if it moves the farthest descendant of the joint by more than
+    `STATIC_DISTANCE` times ``rig_extent``.
     """
     cosine = np.abs((rotations * rotations[:1]).sum(axis=-1)).min(axis=0)
     angles = 2 * np.arccos(np.clip(cosine, 0.0, 1.0))

@@ -281,7 +281,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         points: Float32Array,
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
-        """Return prototype index, orientation and scale of each, and the bounds."""
+        """Return ids, orientations, spins, scales, prototype indices and extent."""
         box_corners = np.stack([_bounds_corners(mesh.points) for mesh in frame.meshes])
         corners = box_corners[frame.mesh_indices] * (
             frame.scales[:, None] / writer.unit

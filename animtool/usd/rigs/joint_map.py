@@ -106,8 +106,8 @@ def map_joints(
 ) -> RigJointMap:
     """Match a take's joints to a rig by path, else by legal or original name.
 
-    ``converted_take`` converts the take to the rig's space; None if it is in it
-    already.
+    ``converted_take`` converts the take to the rig's space; None if it is in that
+    space already.
     """
     skeleton, where = target.skeleton, str(target.path)
     source_joints = _match_joints(take, target, strip_namespaces)
@@ -145,7 +145,7 @@ def map_joints(
 
 
 def _match_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> IntArray:
-    """Return the take's joint for each joint of the target ``(J,)``, -1 for none."""
+    """Return the index of the take's joint by target joint ``(J,)``, -1 for none."""
     names = joint_names(take.joints, strip_namespaces)
     legal_names = [legal_name(joint.source_name or joint.name) for joint in take.joints]
     joints_by_key: dict[str, list[int]] = {}
@@ -224,7 +224,7 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
 
 
 def _usd_shape_names(shapes: Sequence[Shape]) -> dict[str, str]:
-    """Return the USD names of shapes that reading renamed to be unique."""
+    """Map the names of shapes that the reader made unique to their names in USD."""
     return {
         shape.name: shape.combine[0]
         for shape in shapes
@@ -237,7 +237,7 @@ def match_shapes(
     shapes: Sequence[str],
     usd_names: Mapping[str, str] | None = None,
 ) -> tuple[tuple[str, ...], list[Fault]]:
-    """Return the rig's names of shapes, and notices of ambiguous ones.
+    """Return the rig's name of each shape, and notices about inexact or no matches.
 
     ARKit shapes match in any spelling (USD118); shapes that no mesh has are reported
     (USD114). A rig without meshes is not checked, since its shapes are unknown.

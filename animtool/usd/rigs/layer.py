@@ -157,7 +157,7 @@ def author_ball_limit(
 ) -> list[str]:
     """Author the limits of a ball joint; return the schemas to apply.
 
-    With a limited twist it is an untyped joint with a limit per axis, as spherical
+    A limited twist requires an untyped joint with a limit per axis, as spherical
     joints have no twist limits.
     """
     swing_degrees = None if limits.swing is None else np.degrees(limits.swing).tolist()
@@ -232,7 +232,7 @@ FALLBACK_RATE = Fraction(24)
 def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     """Write a rig layer; return its size in bytes and notices about names.
 
-    It has the model, SkelRoot, Skeleton, meshes and blend shapes, without an animation.
+    The layer has model, SkelRoot, Skeleton, meshes and blend shapes but no animation.
     Properties that USD cannot express are stored as customData.
     """
     layer, notices = _rig_layer(rig, path)

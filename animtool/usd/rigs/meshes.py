@@ -360,7 +360,7 @@ _OCTAHEDRON_FACES = np.array(
 
 
 def bone_segments(rig: Rig) -> tuple[FloatArray, IntArray]:
-    """Return bones at rest: ends ``(B, 2, 3)`` [m], world, and the joint of each.
+    """Return the world ends ``(B, 2, 3)`` [m] and the joint of each bone at rest.
 
     A bone connects a joint to each of its children and each of its tips; bones of zero
     length are left out.

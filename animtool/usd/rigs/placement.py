@@ -51,18 +51,18 @@ class SkeletonPlacement:
 
     @property
     def heading_placement(self) -> Placement:
-        """Position and heading of its rest pose."""
+        """Position and heading of the rest pose."""
         return self._split_rest()[0]
 
     @property
     def rest_placement(self) -> Placement:
-        """Scale, upright rotation, position and heading of its rest pose."""
+        """Scale, upright rotation, position and heading of the rest pose."""
         placement_rest, sizes_rest = self._split_rest()
         return placement_rest.after(sizes_rest)
 
     @property
     def upright_scale(self) -> Placement:
-        """Scale and upright rotation of its rest pose."""
+        """Scale and upright rotation of the rest pose."""
         return self._split_rest()[1]
 
     @property
@@ -102,7 +102,7 @@ def has_animated_rotation_or_scale(skeleton: Any) -> bool:
 def skeleton_placement(
     skeleton: Any, rig: Rig, codes: Sequence[float] | None = None
 ) -> SkeletonPlacement:
-    """Return the placement of a Skeleton at time codes; None is its first.
+    """Return the placement of a Skeleton at time codes; None is the first time.
 
     ``rig`` has local values; the placement uses its unit and up axis.
     """
@@ -269,7 +269,7 @@ def _snap_placement(placement: Placement) -> Placement:
 
 
 def _find_unsupported_reason(matrices: FloatArray) -> str:
-    """Return why joints cannot represent a transform; empty if they can."""
+    """Return why joints cannot represent a transform; empty if joints can."""
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     is_mirrored = np.linalg.det(linear) <= 0.0
@@ -357,7 +357,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
 
 
 def local_placement(skeleton: Any, rig: Rig) -> SkeletonPlacement:
-    """Return the rest placement of a rig; none if joints cannot represent it."""
+    """Return a rig's rest placement; the identity if joints cannot represent it."""
     placement = skeleton_placement(skeleton, rig)
     if placement.unsupported_reason:
         return replace(NO_PLACEMENT, unsupported_reason=placement.unsupported_reason)

@@ -379,7 +379,7 @@ def composition_notices(stage: Any, where: str) -> list[Fault]:
 def skipped_skeletons_notice(
     skeletons: list[Any], where: str, hint: str | None = None
 ) -> list[Fault]:
-    """Report the Skeletons that are skipped if there are several."""
+    """Report the Skeletons that are skipped if a stage has more than one."""
     if len(skeletons) < 2:
         return []
     first_path, *other_paths = [str(skeleton.GetPath()) for skeleton in skeletons]

@@ -41,10 +41,10 @@ class RestPose:
 
 
 def find_rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
-    """Return the rest pose of a Skeleton; None if there is none.
+    """Return the rest pose of a Skeleton; None if no pose can replace a missing one.
 
-    It is the authored one, else the bind pose, else the first sample of a bound
-    animation of all joints.
+    The rest pose is the authored one, else the bind pose, else the first sample of a
+    bound animation of all joints.
     """
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     if len(rest):
@@ -199,7 +199,7 @@ def _bound_animation(skeleton: Any) -> Any:
 
 
 def _unanimated_joints(animation: Any, joints: Sequence[str]) -> list[str]:
-    """Return the joints that an animation with other joints lacks."""
+    """Return the Skeleton's joints that an animation with transforms does not list."""
     if animation is None:
         return []
     animated_joints = set(token_array(animation.GetJointsAttr()))

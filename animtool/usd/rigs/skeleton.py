@@ -217,7 +217,7 @@ def skeleton_hash(tokens: Any, rest: Any, bind: Any) -> str:
 
 
 def _row_matrices(positions: FloatArray, linear: FloatArray) -> Any:
-    """Return row-vector matrices, as in USD."""
+    """Return the transforms as row-vector matrices, as in USD."""
     matrices = np.zeros((len(positions), 4, 4))
     matrices[:, :3, :3] = linear.swapaxes(-1, -2)
     matrices[:, 3, :3] = positions

@@ -38,7 +38,7 @@ def is_rig_mesh(prim: Any) -> bool:
 
 
 def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
-    """Return queries of the prims of a schema that a Skeleton deforms."""
+    """Return skinning queries of the prims of a schema that a Skeleton deforms."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
@@ -94,7 +94,7 @@ def unapplied_binding_path(skeleton: Any) -> str:
 
 
 def missing_animation_reason(skeleton: Any) -> str:
-    """Return why the animation bound to a skeleton is missing; empty if it is not."""
+    """Return why the animation bound to a skeleton is missing; otherwise ""."""
     for prim in self_and_ancestors(skeleton):
         relationship = prim.GetRelationship("skel:animationSource")
         targets = relationship.GetTargets() if relationship else ()
@@ -190,7 +190,7 @@ MAX_LISTED_PRIMS = 40
 def character_paths(stage: Any) -> list[str]:
     """Return the paths of the root prims of a stage's characters.
 
-    For each Skeleton this is its component, or its SkelRoot without one.
+    For each Skeleton this is the enclosing component, or the SkelRoot without one.
     """
     paths = [_character_root(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
     return list(dict.fromkeys(paths))

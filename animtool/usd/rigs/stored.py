@@ -48,7 +48,7 @@ from animtool.usd.rigs.skinned import unique_name
 def merge_attachments(
     rig: Rig, strands: Mapping[str, Attachment], pins: Mapping[str, Any]
 ) -> tuple[tuple[Attachment, ...], list[str]]:
-    """Return a rig's attachments with their arrays from USD, and names of dropped ones.
+    """Return a rig's attachments with arrays from USD, and names of dropped entries.
 
     Strands that the rig does not know come last. Entries are dropped if their mesh,
     curves or pinned vertices no longer exist.
@@ -151,7 +151,7 @@ def merge_rig(
 
 
 def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
-    """Return a warning if the stage's unit is not that the rig was written in."""
+    """Return a warning if the stage's unit differs from that the rig was written in."""
     stored_size, size = rest_size(stored_rig), rest_size(usd_rig)
     if not min(stored_size, size) > 0 or abs(size / stored_size - 1) < UNIT_TOLERANCE:
         return None
@@ -316,7 +316,7 @@ def _remove_from_control(control: Control, removed: set[str]) -> Control:
 
 
 def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
-    """Return a driver, or None if it reads a removed joint."""
+    """Return a driver, or None if the driver reads a removed joint."""
     driver_names = () if driver is None else driver.names
     return (
         None
@@ -332,7 +332,7 @@ SCALE_TOLERANCE = 1e-4
 
 
 def read_rig(path: Path) -> Rig:
-    """Return the rig of a USD file; its notices are in the rig."""
+    """Return the rig of a USD file; the rig contains the warnings about the file."""
     rig, notices = read_rig_with_data(path)
     return replace(rig, notices=tuple(notices))
 
@@ -344,7 +344,7 @@ def read_rig_with_data(
 
     ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
-    It has bind pose, meshes, shapes and strands, and the customData that USD cannot
+    The rig has bind pose, meshes, shapes, strands, and the customData that USD cannot
     express.
     """
     with usd_errors(path), without_usd_warnings():
@@ -424,7 +424,7 @@ def _bind_poses(
 
 
 def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list[Fault]:
-    """Report joints with a rest or bind scale, which rigs cannot store."""
+    """Report joints with a scale in the rest or bind pose, which rigs cannot store."""
     deviations = np.abs(np.stack([rig.rest_scales, bind_scales]) - 1.0).max(axis=(0, 2))
     names = [rig.rig.names[j] for j in np.flatnonzero(deviations > SCALE_TOLERANCE)]
     if not names:

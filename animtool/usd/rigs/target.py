@@ -70,7 +70,7 @@ class RigTarget:
 
     @property
     def names(self) -> UsdNames:
-        """Names of its joints, and their original names if different."""
+        """Names of the rig's joints, and the original names that differ from USD's."""
         rig, tokens = self.skeleton.rig, self.skeleton.tokens
         originals = {
             leaf: joint.source_name

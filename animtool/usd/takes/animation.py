@@ -59,8 +59,8 @@ class AnimationMotion:
     """Motion of an animation, before the stage placement of its Skeleton."""
 
     clock: Clock
-    motion: Motion  # of all joints of the Skeleton
-    shapes: list[str]  # names of its shapes
+    motion: Motion  # motion of all joints of the Skeleton
+    shapes: list[str]  # names of the animated shapes
     drift: float  # largest distance of samples from their frames [time code]
     notices: list[Fault]
 
@@ -154,7 +154,7 @@ def _match_columns(
 
 
 def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
-    """Return a warning about frames that are read as seconds (TAKE009)."""
+    """Return a warning if time codes look like frames but count seconds (TAKE009)."""
     shown_rate = float(stage.GetFramesPerSecond())
     if not stage.HasAuthoredMetadata("framesPerSecond") or clock.count < MIN_FRAMES:
         return []

@@ -89,7 +89,7 @@ def read_samples(
 def nearest_samples(
     times: list[float], codes: list[float], drift: float
 ) -> list[float]:
-    """Return the time of the nearest sample within tolerance, else the frame's.
+    """Return the nearest sample time within ``drift`` of each frame, else the frame's.
 
     >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
     [1.0, 2.02, 3.0]
@@ -123,7 +123,7 @@ def _time_label(time: Any) -> str:
 def normalize_rotations(
     rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return rotations ``(F, J, 4)`` at unit length, and a warning if they were not."""
+    """Return rotations ``(F, J, 4)`` at unit length, and a warning if any were not."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
     deviations = np.abs(lengths - 1.0)
     notices = []
@@ -235,7 +235,7 @@ def refine_to_frames(grid: SampleGrid, stage: Any, where: PrimLocation) -> Sampl
 
 
 def _snap_to_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
-    """Return a grid with the step of a standard frame rate close to its rate.
+    """Snap the step of a grid to that of a standard frame rate, if one is close.
 
     For example, a layer that states 23.976 instead of 24000/1001 has frames 1.001001
     time codes apart in a stage of 24.
@@ -281,7 +281,7 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _drifting_grid(times: list[float]) -> SampleGrid | None:
-    """Return a regular grid close to every sample; None if there is none."""
+    """Return a regular grid close to every sample; None if no such grid exists."""
     codes = np.array(times)
     gaps = np.diff(codes)
     # Attributes that drift differently have samples of one frame at almost equal times.
@@ -299,7 +299,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 
 
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
-    """Return the grid of a step if every sample is close to one of its frames."""
+    """Return a grid of a given step if its frames are close to all samples, or None."""
     step_length = float(step)
     tolerance = MAX_FRAME_DRIFT * min(step_length, 1.0)
     is_common = step.denominator <= COMMON_DENOMINATORS[-1]
@@ -360,7 +360,7 @@ def _integer_grid(times: list[float], where: PrimLocation) -> SampleGrid:
 
 
 def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
-    """Return a grid trimmed to the authored first frame if it starts just before it.
+    """Trim a grid that starts just before the authored first frame to that frame.
 
     Samples up to a frame earlier are motion blur samples of the first frame.
     """
@@ -374,6 +374,6 @@ def _trim_to_authored_start(grid: SampleGrid, span: _TakeSpan) -> SampleGrid:
 
 
 def _common_divisor(gaps: set[Fraction]) -> Fraction:
-    """Return the largest step that divides every gap."""
+    """Return the greatest common divisor of the gaps between samples."""
     denominator = math.lcm(*(gap.denominator for gap in gaps))
     return Fraction(math.gcd(*(int(gap * denominator) for gap in gaps)), denominator)

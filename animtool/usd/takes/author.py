@@ -233,7 +233,7 @@ def _start_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
 
 @dataclass(slots=True)
 class AuthoredLayers:
-    """Authored layers in memory."""
+    """Authored layers in memory, not saved yet."""
 
     animation: Any  # layer with the SkelAnimation
     rig: Any = None  # layer with the skeleton; the same for a stage, None for a layer

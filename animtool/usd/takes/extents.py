@@ -18,7 +18,7 @@ from animtool.usd.takes.joint_writer import AnimationWriter
 def shape_bounds(
     root: Any, shapes: Sequence[str], weights: Sequence[Float32Array]
 ) -> Float32Array | None:
-    """Return bounds ``(2, 3)`` of all frames in the space of a SkelRoot.
+    """Return bounds ``(2, 3)`` of meshes with shapes over all frames, SkelRoot space.
 
     ``weights`` are the shape weights ``(F, S)``, one array per block.
 
@@ -58,7 +58,7 @@ def shape_bounds(
 
 
 def _shape_padding(prim: Any, max_weight_by_shape: dict[str, float]) -> float:
-    """Return the largest displacement of a mesh's points by shapes."""
+    """Return an upper bound on the displacement of a mesh's points by blend shapes."""
     from pxr import UsdSkel
 
     binding = UsdSkel.BindingAPI(prim)
@@ -219,8 +219,8 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
 def _author_shape_bounds(job: UsdJob, stage: Any, writer: AnimationWriter) -> None:
     """Author bounds of meshes deformed by shapes only.
 
-    USD computes none without joints. These are the points at rest, padded by the
-    largest displacement in any frame.
+    USD computes no bounds without joints. These bounds contain the points at rest,
+    padded by the largest displacement in any frame.
     """
     root = stage.GetPrimAtPath(job.paths.root)
     bounds = shape_bounds(root, writer.shapes, writer.weights)

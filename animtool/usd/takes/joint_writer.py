@@ -112,7 +112,7 @@ def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array 
 def _extract_root_motion(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
 ) -> RootPath:
-    """Remove the motion of the first root joint in place; return it for the SkelRoot.
+    """Move the motion of the first root joint to the SkelRoot; edit joints in place.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy X · M' =
     M, with M' of the first root at rest.
@@ -159,7 +159,7 @@ class AnimationWriter:
     rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
 
     def __post_init__(self) -> None:
-        """Create the prim and its attributes."""
+        """Create the SkelAnimation prim and its attributes."""
         spec = prim_spec(self.layer, self.paths.animation, "SkelAnimation")
         types = Sdf.ValueTypeNames
         names = self.joints
@@ -191,7 +191,7 @@ class AnimationWriter:
         self._root_paths: list[RootPath] = []
 
     def add(self, block: WrittenBlock) -> None:
-        """Write a block of frames."""
+        """Write a block of frames of the animation."""
         columns = slice(None) if self.joint_mask is None else self.joint_mask
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,

@@ -151,7 +151,7 @@ def _is_rest_placed(
     """Return whether a take's rest pose is at the stage placement of the rig.
 
     This holds for takes read from such a stage and converted to another format. In a
-    BVH, whose joints have no rest rotation, only the roots are there.
+    BVH, whose joints have no rest rotation, only the roots are placed.
     """
     if (
         take.placement is not None

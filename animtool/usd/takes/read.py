@@ -217,7 +217,7 @@ def _apply_placement(
 def _drop_placement(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
-    """Return a take without its stage placement; the take keeps a reader of it.
+    """Return a take without its stage placement; the take can still evaluate it.
 
     Joints still include the placement that the file's customData records.
     """
@@ -296,7 +296,7 @@ def _merge_stored_rig(
 def _remap_weights(
     blocks: Iterator[Motion], columns: IntArray, count: int
 ) -> Iterator[Motion]:
-    """Yield blocks with their weights moved to columns; other columns are 0."""
+    """Yield blocks whose shape weights are moved to given columns; the others are 0."""
     for block in blocks:
         channel = block.weights
         if channel is None:

@@ -257,7 +257,7 @@ def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
 def _build_knots(
     segments: list[_CurveSegment], curves: Curves, where: str
 ) -> list[Any]:
-    """Return the knots at both ends of all segments."""
+    """Return the spline knots at the ends of all segments."""
     segment_starts = [
         (*(segment_.control_points[0] + [segment_.start_time, 0.0]).tolist(), segment_)
         for segment_ in segments
@@ -314,7 +314,7 @@ def _build_extrapolation(
 def _measure_error(
     spline: Any, curves: Curves, evaluate: EvaluateCurve
 ) -> tuple[float, float]:
-    """Return the largest difference, and the difference at the end of a cycle."""
+    """Return the largest difference of spline and curve, and that at a cycle's end."""
     times = curves.times
     fractions = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
     segment_times = times[:-1, None] + np.diff(times)[:, None] * fractions
