@@ -35,7 +35,7 @@ class Equations:
         self._last_rate: tuple[float, FloatArray, FloatArray] | None = None
 
     def anchor(self, t: float, y: FloatArray) -> None:
-        """Cache the rate at a state once it is evaluated."""
+        """Mark a state so that its rate is cached when it is first evaluated."""
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return
         last = self._last_rate

@@ -55,7 +55,7 @@ def checkpoint_of(
 def stats_of(
     run: IntegrationRun, status: Status, samples: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
-    """Return statistics of a run; the samples give its stable step."""
+    """Return the statistics of a run, with the largest stable step at the samples."""
     integrator, stable = run.integrator, None
     if status is Status.UNSTABLE and integrator.limit is not None:
         stable = _stable_step(run, samples)
@@ -76,7 +76,7 @@ def stats_of(
 def _stable_step(
     run: IntegrationRun, samples: Sequence[tuple[float, FloatArray]]
 ) -> float | None:
-    """Return the largest step that is stable at all of the samples."""
+    """Return the largest step that is stable at all sampled states [s]."""
     modes = (modes_at(run.equations, t, state) for t, state in samples)
     steps = [
         allowed_step(run.integrator, rates) for rates in modes if rates is not None
@@ -207,7 +207,7 @@ def _sample_energies(
 
 
 def _refinement_error(refined: Trajectory, states: list[FloatArray]) -> float | None:
-    """Return the largest difference from a finer run; None if that stopped early."""
+    """Return the largest difference from a finer run; None if it stopped early."""
     if refined.stats.status is not Status.OK:
         return None
     return float(np.abs(refined.states - np.array(states)).max(initial=0.0))

@@ -23,7 +23,7 @@ CHECK_INTERVAL = 32
 
 
 class DivergenceWatch(Protocol):
-    """Checks states for divergence."""
+    """Interface of an object that checks states for divergence."""
 
     def divergence(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
@@ -93,7 +93,7 @@ class IntegrationRun:
         return self.stop(Status.OUT_OF_BUDGET, reason)
 
     def stop(self, status: Status, reason: str) -> Status:
-        """Stop, and record the reason."""
+        """Stop the run, and record its status and the reason."""
         self.reason = reason
         return status
 
@@ -146,7 +146,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
 
 
 def advance_evenly(run: IntegrationRun, target: float) -> Status:
-    """Integrate until ``target`` [s] in equal steps."""
+    """Integrate to ``target`` [s] in equal steps."""
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)

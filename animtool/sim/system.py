@@ -66,11 +66,11 @@ class System(Protocol):
         return None
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
-        """Return the largest spring length over its rest length [1]."""
+        """Return the largest ratio of spring length to rest length [1], if known."""
         return None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
-        """Return the fastest modes: angular frequency [rad/s], damping ratio.
+        """Return the angular frequency [rad/s] and damping ratio of the fastest modes.
 
         One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` for each mode ``(M, 2)``; a
         decay ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes
@@ -95,7 +95,7 @@ class System(Protocol):
         return after
 
     def native(self, method: str) -> Native | None:
-        """Return a compiled loop that takes many steps; None if there is none.
+        """Return a compiled loop that takes many steps in one call; None without one.
 
         It must match the method of that name, including `settle`.
         """
@@ -153,7 +153,7 @@ class SecondOrder(System, Protocol):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of accelerations by positions and by velocities.
+        """Return the Jacobians of accelerations in positions and in velocities.
 
         Both ``(N d, N d)``, dense or sparse; None lets implicit methods use finite
         differences.
@@ -285,7 +285,7 @@ class ForceSystem(_FunctionSystem, SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of accelerations by positions and by velocities."""
+        """Return the Jacobians of accelerations in positions and in velocities."""
         return None if self._jacobians is None else self._jacobians(t, x, v)
 
     def suspect(self, t: float, state: FloatArray) -> str:

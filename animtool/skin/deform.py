@@ -97,7 +97,7 @@ class DeformedFrames:
     velocities: FloatArray | None = None
 
     def select(self, frames: slice) -> DeformedFrames:
-        """Return a range of the frames."""
+        """Return the selected range of frames."""
         return DeformedFrames(
             self.points[frames],
             self.extents[frames],
@@ -243,7 +243,7 @@ def extents(points: ArrayLike) -> FloatArray:
 
 
 def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> int:
-    """Return the number of frames of weights and joints, which must agree."""
+    """Return the common frame count of weights and joints; raise if they differ."""
     counts = set()
     if weights is not None:
         counts.add(len(weights))
@@ -303,7 +303,7 @@ def _deform_normals(
 
 
 def _times_array(times: ArrayLike | None) -> FloatArray | None:
-    """Return the times of the frames as an array; None without times."""
+    """Return the times of the frames as an array ``(F,)``; None without times."""
     return None if times is None else as_floats(times, ("F",), "times")
 
 

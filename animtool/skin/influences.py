@@ -146,7 +146,7 @@ def _merge_duplicates(
 
 
 def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
-    """Return whether a vertex has a joint twice with weight."""
+    """Return whether any vertex has two nonzero weights for the same joint."""
     # Entries of zero weight get a placeholder that differs from all joints.
     placeholders = -1 - np.arange(joint_indices.shape[1])
     sorted_joints = np.sort(np.where(weights != 0, joint_indices, placeholders), axis=1)
@@ -154,7 +154,7 @@ def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
 
 
 def _row_starts(rows: IntArray, count: int) -> IntArray:
-    """Return the first entry of each row, and the end ``(count + 1,)``."""
+    """Return the CSR row offsets of sorted row indices ``(count + 1,)``."""
     counts = np.bincount(rows, minlength=count)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
@@ -213,12 +213,12 @@ def _check_values(
 
 
 def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
-    """Return which vertices have a wrong influence."""
+    """Return a mask of the vertices with an invalid influence ``(V,)``."""
     return np.asarray(is_wrong.any(axis=1), np.bool_)
 
 
 def _check_sums(sums: FloatArray, remaining_sums: FloatArray) -> None:
-    """Check that each vertex has weight, before and after pruning."""
+    """Check that the weights of each vertex sum above 0, before and after pruning."""
     without_weight = np.minimum(sums, remaining_sums) <= 0
     faults = _vertex_faults(
         "SKIN004", np.asarray(without_weight), "no weight on any joint"
@@ -228,7 +228,7 @@ def _check_sums(sums: FloatArray, remaining_sums: FloatArray) -> None:
 
 
 def _vertex_faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
-    """Return a fault that lists the vertices of a mask, if any."""
+    """Return a fault that lists the vertices selected by a mask; empty if none are."""
     vertices = np.flatnonzero(is_wrong).tolist()
     if not vertices:
         return []

@@ -252,7 +252,7 @@ def _active_offsets(
 
 
 def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the piecewise linear weights of all knots but 0 ``(F, knots - 1)``."""
+    """Return the hat function values of all knots except 0 ``(F, knots - 1)``."""
     last_segment = len(knots) - 2
     segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
     fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])
@@ -324,7 +324,7 @@ def _prepare_columns(
 
 
 def _is_dense(density: FloatArray) -> BoolArray:
-    """Return a mask of the columns that are faster in the dense product."""
+    """Return a mask of the columns for which the dense product is faster."""
     cost = density * SPARSE_COST
     is_dense = np.asarray(cost >= 1.0)
     saved_cost = float((1.0 - cost[~is_dense]).sum())
@@ -336,7 +336,7 @@ def _is_dense(density: FloatArray) -> BoolArray:
 def _nonzero_offsets(
     shape: ShapeDeltas, values: ArrayLike | None, count: int
 ) -> tuple[IntArray, FloatArray]:
-    """Return the vertices that offsets move, and their nonzero offsets."""
+    """Return the indices of vertices with a nonzero offset, and their offsets."""
     if values is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)

@@ -55,7 +55,7 @@ class Touch(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """The last contact of each particle in a step.
+    """The last contact of each of N particles in a step.
 
     Attributes:
         colliders: Index of the collider ``(N,)``, -1 without contact; colliders of
@@ -168,7 +168,7 @@ class Colliders(Sequence[Collider]):
 
     @property
     def active(self) -> bool:
-        """Whether there is anything to collide with."""
+        """Whether the set contains any collider."""
         return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
@@ -216,7 +216,7 @@ class Colliders(Sequence[Collider]):
 
     @property
     def fastest(self) -> float:
-        """The highest speed of a collider [m/s]; teleports do not count.
+        """Maximum speed of any collider, teleports excluded [m/s].
 
         For surfaces and bodies, the highest so far.
         """
@@ -225,7 +225,7 @@ class Colliders(Sequence[Collider]):
 
     @cached_property
     def _max_speed(self) -> float:
-        """Return the highest speed of a rigid collider, teleports excluded [m/s]."""
+        """Return the maximum speed of any rigid collider, teleports excluded [m/s]."""
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
@@ -249,7 +249,7 @@ def _active_side(collider: Collider) -> int:
 
 
 def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
-    """Return a warning about a collider's teleport in interval k."""
+    """Return a warning about a collider's teleport in sample interval ``k``."""
     speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
     message = (
         f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "

@@ -37,7 +37,7 @@ class Plane:
         return np.array([*_normalized(self.normal), self.offset], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(1, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(1, 3)`` [m]."""
         return _normalized(self.normal)[None] * self.offset
 
     def faults(self) -> list[str]:
@@ -63,7 +63,7 @@ class Sphere:
         return np.array([*self.centre, self.radius], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(1, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(1, 3)`` [m]."""
         return np.array([self.centre], np.float64)
 
     def faults(self) -> list[str]:
@@ -92,7 +92,7 @@ class Capsule:
         return np.append(self.anchors().ravel(), self.radius)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(2, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(2, 3)`` [m]."""
         half_axis = _normalized(self.axis) * (self.length / 2)
         centre = np.asarray(self.centre, np.float64)
         return np.stack([centre - half_axis, centre + half_axis])
@@ -118,7 +118,7 @@ class Box:
         return np.asarray(self.size, np.float64) / 2
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(8, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(8, 3)`` [m]."""
         corners = np.array(list(product((-1.0, 1.0), repeat=3)), np.float64)
         return np.asarray(corners * self.sizes(), np.float64)
 
@@ -152,7 +152,7 @@ class Mesh:
         return np.zeros(0)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(8, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(8, 3)`` [m]."""
         points = np.asarray(self.points, np.float64)
         low, high = points.min(axis=0), points.max(axis=0)
         corners = np.array(list(product((0.0, 1.0), repeat=3)))
@@ -192,7 +192,7 @@ class Mesh:
 
 
 def _has_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Return a mask of the triangles ``(T, 3)`` that have an area ``(T,)``."""
+    """Return a mask of the triangles ``(T, 3)`` with nonzero area ``(T,)``."""
     a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
     return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
 
@@ -274,7 +274,7 @@ def _normalized(direction: Vector) -> FloatArray:
 
 
 def _range_faults(shape: Any) -> list[str]:
-    """Return messages about numbers of a shape that are out of range."""
+    """Return messages about numbers of a shape outside their declared ranges."""
     return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 

@@ -21,7 +21,7 @@ ROUNDING = 1e-9
 
 
 class Surfaces:
-    """Sheets in the layout of kernels that take many substeps at once.
+    """Sheets in the array layout of kernels that compute many substeps in one call.
 
     Points that coincide at the beginning are merged; triangles do not change.
 
@@ -71,7 +71,7 @@ class Surfaces:
     def _record_speed(
         self, sheet_index: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
-        """Record a sheet's speed, and its teleports."""
+        """Record the maximum speed of a sheet, and its teleports."""
         distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
         speeds = distances / np.diff(knots)
         is_teleport = speeds > SPEED_LIMIT

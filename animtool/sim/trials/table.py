@@ -20,7 +20,7 @@ from animtool.sim.trials.trial import (
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The run that all others are compared with."""
+    """The run that all other runs are compared with."""
 
     setting: Setting  # the setting of the reference run
     error: PointDistances  # error estimate of the reference, from the two finest runs
@@ -110,17 +110,17 @@ class TrialTable:
 
     @property
     def applicable(self) -> list[TrialRow]:
-        """The rows of settings whose method applies."""
+        """The rows of settings whose method supports the system."""
         return [row for row in self.rows if row.status is not None]
 
     @property
     def by_rms(self) -> bool:
-        """Whether errors are root mean squares, not the largest distance."""
+        """Whether errors are root-mean-square distances, not the largest one."""
         return self.error is ErrorMeasure.RMS
 
     @property
     def has_unmatched(self) -> bool:
-        """Whether some compared runs have unmatched points."""
+        """Whether any run has points that do not match those of the reference."""
         return any(
             row.error is not None and row.error.unmatched for row in self.applicable
         )

@@ -186,7 +186,7 @@ class PointDistances:
     json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the error [m], rotations included.
+        """Return the distance [m] that counts as the error, rotations included.
 
         Args:
             measure: Distance that counts as the error.
@@ -265,7 +265,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def points_extent(snapshots: Sequence[Snapshot]) -> float:
-    """Return the diagonal of the bounding box of all points [m]."""
+    """Return the diagonal of the bounding box of the points at all times [m]."""
     point_arrays = [snapshot.points for snapshot in snapshots if len(snapshot.points)]
     if not point_arrays:
         return 0.0
@@ -275,7 +275,7 @@ def points_extent(snapshots: Sequence[Snapshot]) -> float:
 
 
 def max_instance_extent(snapshots: Sequence[Snapshot]) -> float:
-    """Return the largest extent of instances from their points, at any time [m]."""
+    """Return the largest extent of an instance from its point, over all times [m]."""
     return max((snapshot.reach for snapshot in snapshots), default=0.0)
 
 

@@ -23,7 +23,7 @@ from animtool.systems.attach.poses import PosePath
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttachedBody(ABC):
-    """An attachment of a rig as particles.
+    """An attachment of a rig, modelled as particles.
 
     Attributes:
         name: Name in the rig.
@@ -139,7 +139,7 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
 
 
 def _has_free_tip(rig: Rig, joint: int) -> bool:
-    """Return whether nothing follows the rotation of a chain's last joint."""
+    """Return whether no joint, tip or surface follows a chain's last joint."""
     name = rig.joints[joint].name
     skin_joints = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
     attach_joints = {collider.joint for collider in rig.colliders}

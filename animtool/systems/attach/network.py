@@ -33,7 +33,7 @@ def _no_rows(columns: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """Particles of an attachment at bind, and the springs between them."""
+    """The particles of an attachment at bind time, and the springs between them."""
 
     points: FloatArray  # bind positions ``(N, 3)`` [m]
     pinned: IntArray  # points that follow the animation ``(P,)``, ascending

@@ -124,7 +124,7 @@ class SimulateOptions:
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that are written besides the take."""
+        """Files that are written in addition to the take."""
         return (self.save,) if self.save else ()
 
 

@@ -38,7 +38,7 @@ class SkinSurface:
     joints: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, path: PosePath) -> FloatArray:
-        """Return the points and border middles ``(K, V + B, 3)`` [m]."""
+        """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
@@ -140,7 +140,7 @@ def triangulate_capped(
 
 
 def skin_margin(edge: float, radius: float) -> float:
-    """Return the distance between cloth and skins beyond the radius [m].
+    """Return the margin between cloth and skins in addition to the radius [m].
 
     Long edges need it: they cut into a round limb even if their ends are outside.
 
@@ -176,7 +176,7 @@ class SkinContacts:
         margin: float,
         depenetration: float,
     ) -> None:
-        """Set up the constants of all frames."""
+        """Store the skins and the contact settings that all frames share."""
         self._skins = skins
         self._kernels: list[Any] = []
         self._has_distinct_points: list[

@@ -35,7 +35,7 @@ UNRESOLVED_DEPTH = 1e-3
 
 
 def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations from directions to others ``(F, 4)``.
+    """Return the shortest rotations from directions to other directions ``(F, 4)``.
 
     Directions are ``(F, 3)``.
     Identity if either has no length; 180° about a perpendicular axis if they are
@@ -114,7 +114,7 @@ def _parent_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray
 def _clamp_to_limits(
     joint: Joint, local: FloatArray, fallback: FloatArray
 ) -> FloatArray:
-    """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
+    """Return rotations clamped to joint limits ``(F, 4)``; ``fallback`` if fixed."""
     rest_rotation = np.array(joint.rotation)
     rotation = so3.multiply(so3.conjugate(rest_rotation), local)
     if joint.type is JointType.PIN:
@@ -209,7 +209,7 @@ class CharacterColliders:
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
     ) -> FloatArray:
-        """Return depths of points beyond the allowed ones ``(N,)`` [m].
+        """Return penetration depths of points beyond the allowed depths ``(N,)`` [m].
 
         They are those in the deepest collider at a time [s]; below 0 is outside.
         """

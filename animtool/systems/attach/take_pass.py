@@ -246,7 +246,7 @@ def _contact_warnings(report: AttachReport) -> list[Fault]:
 
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
-    """Return how well a cycle closed: a note, or a warning (SIM130, SIM133)."""
+    """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
     message = (
         f"{names}: the cycle was simulated {counted(loop_closure.repeats, 'time')}; "
     )
@@ -377,7 +377,7 @@ def has_effect(options: SimulateOptions) -> bool:
 
 
 def _check(options: SimulateOptions) -> None:
-    """Raise all faults of the options."""
+    """Raise all faults of the options together."""
     faults: list[Fault] = []
     for name, check in option_checks(options).items():
         if name == "what" and not options.what:

@@ -78,7 +78,7 @@ class Agents(Groups):
 
     @cached_property
     def heights(self) -> FloatArray:
-        """Height of each agent ``(N,)`` [m]."""
+        """Body height of each agent ``(N,)`` [m]."""
         return self.per_individual([one.height for one in self.entries])
 
 
@@ -154,7 +154,7 @@ def build_agents(
 def _without_overlaps(
     agents: Agents, has_points: Sequence[bool]
 ) -> tuple[Agents, list[Fault]]:
-    """Return agents moved until they do not overlap at the start.
+    """Return agents moved apart until they do not overlap at the start.
 
     Agents whose positions are from a file are reported.
     """

@@ -182,7 +182,7 @@ class Crowd:
     def _add_falls(
         self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
     ) -> Falls:
-        """Return falls with more agents ``(K,)``, which fall from the start of a step.
+        """Return falls with agents ``(K,)`` added that fall from the start of a step.
 
         Their velocities are those of continued walking; colliders move the bodies.
         """
@@ -298,7 +298,7 @@ class Crowd:
     def _fallen_poses(
         self, falls: Falls | None
     ) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return local translations and rotations of fallen agents, by agent."""
+        """Return local translations and rotations of fallen agents, by agent index."""
         if falls is None or self.fall_simulator is None:
             return {}
         return {

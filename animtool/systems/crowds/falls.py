@@ -62,7 +62,7 @@ class Falls:
 
     @staticmethod
     def no_falls(joints: int, bodies: int) -> Falls:
-        """Return an empty record for rigs with at most these joints and bodies."""
+        """Return an empty record, sized for rigs of at most these joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joints, 3)),
@@ -147,7 +147,11 @@ class FallSimulator:
         next_poses: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents; ``next_poses`` are those after a step [s]."""
+        """Return the falls with agents added.
+
+        ``next_poses`` are the poses of the agents after a step [s], to estimate
+        velocities.
+        """
         for agent, pose, next_pose in zip(
             agents.tolist(), poses, next_poses, strict=True
         ):
@@ -295,5 +299,5 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
 
 
 def is_at_rest(falls: Falls) -> BoolArray:
-    """Return which falls have come to rest ``(K,)``."""
+    """Return a mask of the falls that have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

@@ -29,7 +29,7 @@ MAX_LANDING_SPEED, MAX_LANDING_YAW_RATE = 2.5, 6.0
 
 
 class Heights(Protocol):
-    """The ground as a height field."""
+    """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
@@ -138,7 +138,7 @@ class Footing:
     def is_misplaced(
         self, state: BodyState, motion: AgentMotion, blend: Blend
     ) -> BoolArray:
-        """Return which feet are too far from their standing targets ``(N, 2)``."""
+        """Return a mask of the feet too far from their standing targets ``(N, 2)``."""
         offsets = state.places - self.standing_targets(motion, blend)
         distances = np.linalg.norm(offsets[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
@@ -148,7 +148,7 @@ class Footing:
     def foot_poses(
         self, state: BodyState, motion: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return feet in the frames of their bodies ``(N, 2, 4)``, and ground normals.
+        """Return foot poses in body frames ``(N, 2, 4)``, and the ground normals.
 
         Feet are x, y, z and yaw, at the scale of the rig. Also returns the distance of
         each foot from the nearer of its last and next footholds ``(N, 2)``.
@@ -243,7 +243,7 @@ def limit_landings(
     dt: float,
     foot_index: int,
 ) -> FloatArray:
-    """Return landings ``(N, 3)`` of a foot, limited in their rate of change.
+    """Return landings ``(N, 3)`` of a foot with a limited rate of change.
 
     ``requested`` are the new landings; feet that just lifted (``was_planted``) get them
     at once.

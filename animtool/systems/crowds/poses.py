@@ -45,7 +45,7 @@ SOLE_SLOPE, SOLE_CLEARANCE = 2.0, 0.02
 
 @dataclass(frozen=True, slots=True)
 class BodyPoses:
-    """Poses of N bodies, in their own frames."""
+    """Poses of N bodies, in the local frame of each body."""
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # positions of the root joint (N, 3) [m]
@@ -167,7 +167,7 @@ def _hip_lowering(
 def _move_into_reach(
     walker: Walker, joints: FloatArray, goals: FloatArray, is_swinging: BoolArray
 ) -> FloatArray:
-    """Return ankle goals ``(N, 2, 3)``, with those of swinging feet in reach.
+    """Return ankle goals ``(N, 2, 3)``, moved into reach for swinging feet.
 
     Feet that are moved towards the hips are also raised.
     """
@@ -232,7 +232,7 @@ def _missing_clearance(
     ankle_offsets: FloatArray,
     foothold_distances: FloatArray,
 ) -> FloatArray:
-    """Return how far swinging soles are below the required height ``(K,)`` [m].
+    """Return the depths of swinging soles below the required height ``(K,)`` [m].
 
     ``foothold_distances`` are those to the nearest foothold ``(K,)`` [m].
     """
@@ -404,7 +404,7 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
 
 
 def _tilt_rotations(normals: FloatArray) -> FloatArray:
-    """Return rotations from y to normals ``(N, 3)``, limited to `MAX_TILT`."""
+    """Return rotations from y to normals ``(N, 3)``, clamped to `MAX_TILT`."""
     axis = np.cross(UP, normals)
     lengths = np.linalg.norm(axis, axis=1)
     angle = np.minimum(np.arctan2(lengths, normals[:, 1]), MAX_TILT)

@@ -28,7 +28,7 @@ NEGLIGIBLE_YAW = 0.02
 
 
 def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
-    """Return vectors along the shoulders; their length grows with yaw to 1 ``(N, 2)``.
+    """Return vectors along the shoulders, with length yaw / `MAX_YAW` ``(N, 2)``.
 
     Headings and shoulder yaws are ``(N,)`` [rad].
     """
@@ -73,7 +73,7 @@ class Trunk:
 
     @property
     def joints(self) -> IntArray:
-        """All joints that it rotates."""
+        """All joints that the trunk rotates: spine and neck."""
         return np.array([*self.spine, *self.neck], np.int64)
 
     def rotate(

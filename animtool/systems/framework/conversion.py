@@ -120,7 +120,7 @@ class SceneUnits:
 
     @property
     def is_default(self) -> bool:
-        """Whether no number needs conversion."""
+        """Whether the units are metres and degrees, so that no number is converted."""
         return self.length == self.angle == 1.0
 
     def factor(self, unit: str) -> float:
@@ -141,7 +141,7 @@ class SceneUnits:
     def convert(
         self, model: Model, joint_type: str = "", weight_unit: str = ""
     ) -> Model:
-        """Return an entry with its specified numbers in metres and degrees.
+        """Return an entry with its specified numbers converted to metres and degrees.
 
         Args:
             model: The entry; nested entries are converted too.
@@ -167,7 +167,7 @@ class SceneUnits:
     def _convert_value(
         self, value: Any, unit: str, joint_type: str, *, timed: bool
     ) -> Any:
-        """Return the value of a key in metres and degrees, also of nested entries."""
+        """Convert the value of a key, nested entries included, to metres and degrees."""
         if isinstance(value, FileModel):
             return self.convert(value, joint_type, unit)
         if isinstance(value, dict):
@@ -187,7 +187,7 @@ class SceneUnits:
         return self._scale_numbers(value, unit)
 
     def convert_options(self, name: str, options: dict[str, Any]) -> dict[str, Any]:
-        """Return the options of a named force, shape or emitter in metres."""
+        """Return the options of a named force, shape or emitter, converted to metres."""
         units = dict(RECORD_UNITS.get(name, {}))
         converted = {
             key: self._scale_numbers(value, units.get(key, ""))
@@ -198,7 +198,7 @@ class SceneUnits:
         return converted
 
     def _convert_central(self, options: Mapping[str, Any]) -> float:
-        """Return the strength of a central force in metres.
+        """Return options of a central force, with the strength converted to metres.
 
         It is the acceleration at one metre, instead of at one length unit.
         """
@@ -209,7 +209,7 @@ class SceneUnits:
     def convert_pass_options(
         self, name: str, options: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """Return the specified options of a pass in metres."""
+        """Return the specified options of a pass, converted to metres."""
         units = PASS_UNITS.get(name, {})
         return {
             key: self._scale_numbers(value, units.get(key, ""))

@@ -37,12 +37,12 @@ class PeakValue:
 
     @property
     def when(self) -> str:
-        """Frame or time as text."""
+        """Frame or time of the peak, as text."""
         return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
     @property
     def text(self) -> str:
-        """Frame and position as text."""
+        """Frame, point and position of the peak, as text."""
         if self.point is None or self.at is None:
             return "nowhere"
         position = ", ".join(f"{value:.3g}" for value in self.at)
@@ -61,7 +61,7 @@ class ClosedSurface:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSurface:
-    """Particles, triangles and edges of a surface that are measured."""
+    """The particles, triangles and edges of a surface at which contact is measured."""
 
     free_particles: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
@@ -139,7 +139,7 @@ class ContactMeter:
         points: FloatArray,
         point: int,
     ) -> PeakValue:
-        """Return the larger of a peak and a value of a frame."""
+        """Return the peak, or a new peak if the frame's value is larger."""
         if not value > peak.value:
             return peak
         x, y, z = points[point].tolist()
@@ -148,13 +148,13 @@ class ContactMeter:
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
-        """Peaks for a report, by name."""
+        """Peak values for a report, by name."""
         names = ("depth", "pierced", "strain", "strain_99")
         return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
-        """Peaks as text; empty without contact and strain."""
+        """Peaks of depth and strain as text; empty without contact and strain."""
         phrases = []
         if self.depth.value > ROUNDING:
             depth = f"{length_text(self.depth.value, 2)} deep in what it touches"

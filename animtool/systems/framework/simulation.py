@@ -132,15 +132,15 @@ class Simulation(Protocol[State]):
 
 @runtime_checkable
 class ManySteps(Protocol[State]):
-    """A simulation that takes many steps at once, equal to single steps."""
+    """A simulation that takes many steps in one call, with the same result as singly."""
 
     def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
-        """Return a new state, a number of full steps [s] after a time [s]."""
+        """Return the state after ``count`` full steps [s] from a time [s]."""
 
 
 @runtime_checkable
 class Joined(Protocol[State_contra]):
-    """A simulation of several joined entries."""
+    """A simulation of several joined scene entries."""
 
     @property
     def views(self) -> Sequence[SystemView[State_contra]]:
@@ -190,12 +190,12 @@ class Tried(Protocol):
 
 
 def growing(axis: int = 0) -> dict[str, Any]:
-    """Mark a field whose arrays grow along an axis, together with all others."""
+    """Mark a field whose arrays grow along an axis, like all fields so marked."""
     return {"grows": axis}
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that starts as None and later has a number or a record.
+    """Mark a field that starts as None and is a number or a record later.
 
     ``np.ndarray`` allows an array.
     """
@@ -208,7 +208,7 @@ def added() -> dict[str, Any]:
 
 
 class StoppedError(ToleranceError):
-    """Raised if a method cannot continue; has its statistics, if known."""
+    """Raised if a method cannot continue; holds the run's statistics, if known."""
 
     def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)

@@ -66,7 +66,7 @@ class RigidSystem(Protocol):
 
     @property
     def shared(self) -> SystemBodies:
-        """Names, masses and shapes of its bodies."""
+        """Names, masses and shapes of the bodies."""
 
     def initial(self) -> Any:
         """Return the state at the time of the first step."""
@@ -90,7 +90,7 @@ class RigidSystem(Protocol):
         """Return a state with impulses applied to its bodies."""
 
     def push_to(self, state: Any, target: Any) -> Wrenches:
-        """Return the impulses that change a state to another at the same time."""
+        """Return the impulses that change one state to another at the same time."""
 
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
@@ -109,7 +109,7 @@ class HasCollisionSurface(Protocol):
     closed: bool  # whether collisions are from outside only
 
     def surface(self, state: Any, t: float) -> MeshFrame:
-        """Return its surface; unchanged topology returns the same index array."""
+        """Return the collision surface, with the same index array while it is unchanged."""
 
 
 # Default half thickness of a surface [m].
@@ -120,7 +120,7 @@ Observed = TypeVar("Observed")
 
 
 class _RecentSamples(Generic[Observed]):
-    """Caches samples at the last requested times."""
+    """Caches the samples at the most recently requested times."""
 
     def __init__(self, past_state: Callable[[float], Observed]) -> None:
         self._sample = past_state
@@ -163,11 +163,11 @@ class SystemSurface(_StateObserver):
         self._indices = self._faces = np.zeros((0, 3), np.int64)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points of the surface ``(N, 3)`` [m] at a time [s]."""
         return self._frames(t).points
 
     def triangles(self, t: float) -> IntArray:
-        """Return its triangles ``(T, 3)``; the same array while unchanged."""
+        """Return the triangles ``(T, 3)``; the same array while unchanged."""
         frame = self._frames(t)
         if frame.indices is not self._indices:
             self._indices = frame.indices
@@ -241,10 +241,10 @@ class BodyColliders(_StateObserver):
         return self._simulation.inertias(state)
 
     def register_pusher(self, pusher: Pusher) -> None:
-        """Register a pusher."""
+        """Register a system that pushes the bodies."""
         if self.count:
             self._pusher_index = self._run.register_pusher(pusher)
 
     def push(self, t: float, wrenches: Wrenches) -> None:
-        """Queue impulses on its bodies at a time [s] for the next step."""
+        """Queue impulses on the bodies at a time [s], for the next step."""
         self._run.push(t, self._pusher_index, wrenches)

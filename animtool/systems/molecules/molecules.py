@@ -77,12 +77,12 @@ class Interactions:
         return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the positions of the neighbour list that is valid at points."""
+        """Return the reference positions of a neighbour list that is valid at ``x``."""
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
-        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions."""
+        """Return forces at positions ``x`` ``(N, 3)`` [nm], with the list of ``reference``."""
         if self._neighbour_list is None or self._neighbour_list[0] is not reference:
             max_pairs = MAX_NEIGHBOURS * len(x)
             try:
@@ -208,7 +208,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, last_sums: ListedForces) -> ListedForces:
-        """Return forces on atoms ``(N, 3)`` [nm], and the positions of their list."""
+        """Return forces at positions ``(N, 3)`` [nm], and the list's reference positions."""
         list_positions = self._interactions.reference(x, last_sums[1])
         return self._interactions.acting(x, list_positions), list_positions
 
@@ -320,7 +320,7 @@ def thermostat_factor(
     kinetic: float,
     degrees_of_freedom: int,
 ) -> float:
-    """Return the factor on velocities in a thermostat step.
+    """Return the velocity scale factor of one thermostat step.
 
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.

@@ -58,7 +58,7 @@ class NbodyState:
 
 
 class CloseEncounterError(Exception):
-    """Raised if two bodies come too close for a step; has time, positions, rates."""
+    """Raised if two bodies come too close for a step; holds time, positions, rates."""
 
 
 def _check_closest_pair(
@@ -167,7 +167,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
     def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
-        """Return the pair with the fastest orbit, for messages."""
+        """Return the pair of bodies with the fastest orbit, as text for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
@@ -214,7 +214,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         raise self._encounter_error(dt, *encounter.args)
 
     def _substeps_for(self, rates: FloatArray, dt: float) -> int:
-        """Return the substeps that resolve the closest pair, a power of two."""
+        """Return the number of substeps that resolve the closest pair, a power of two."""
         if not self._has_fixed_steps or not len(rates):
             return 1
         # A state from a file may hold any rates.

@@ -34,7 +34,7 @@ class ParticleFrame(PointsFrame):
 
 
 class ParticleRun(SimulationRun):
-    """A particle simulation in fixed steps, sampled at any time.
+    """A particle simulation in fixed steps, sampled at arbitrary times.
 
     Attributes:
         state: State at the end of the last full step.
@@ -69,7 +69,7 @@ class ParticleRun(SimulationRun):
         return self._particles.contacts
 
     def at(self, t: float) -> ParticleFrame:
-        """Return the particles at a time [s], which may not decrease.
+        """Return the particles at a time [s]; times must not decrease.
 
         Raises:
             OptionError: Time runs backwards (SIM002).

@@ -219,7 +219,7 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
 def _area_fractions(
     points: FloatArray, counts: IntArray, indices: IntArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return each point's fraction of the area ``(N,)``, and faces without area."""
+    """Return each point's fraction of the total area ``(N,)``, and zero-area faces."""
     starts = np.cumsum(counts) - counts
     centres = np.add.reduceat(points[indices], starts) / counts[:, None]
     next_corners = directed_edges(counts, indices)[:, 1]
@@ -319,7 +319,7 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
 
 
 def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
-    """Return what is wrong with arrays of tetrahedra; empty if nothing is."""
+    """Return what is wrong with arrays of tetrahedra; empty if they are valid."""
     if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
         return f"points have the shape (particles, 3), not {points.shape}"
     if cells.ndim != 2 or cells.shape[1:] != (4,) or not len(cells):
@@ -335,7 +335,7 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
 
 
 def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Return each point's fraction of the volume ``(N,)``."""
+    """Return each point's fraction of the total volume ``(N,)``."""
     edge_vectors = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(edge_vectors))
     size = np.ptp(points, axis=0).max()
@@ -345,7 +345,7 @@ def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
 
 
 def _skin_shape(body: Body) -> FaceShape:
-    """Return the surface triangles of a volume, to draw."""
+    """Return the surface triangles of a volume, for display."""
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
     return FaceShape(counts, triangles.ravel(), body.springs, closed=True)

@@ -40,7 +40,7 @@ class Springs(Rows):
 
     @staticmethod
     def none() -> Springs:
-        """Return no springs."""
+        """Return a set without springs."""
         return Springs(np.zeros((0, 2), np.int64), *np.zeros((4, 0)))
 
     def lengths(self, points: FloatArray) -> FloatArray:

@@ -223,7 +223,7 @@ class _SystemBuilder:
         return system.starting_at(equilibrium.positions)
 
     def _warn_gap(self, subject: str, gap: float) -> None:
-        """Warn about merged or pinned particles that start apart by a gap [m]."""
+        """Warn about merged or pinned particles that start a gap [m] apart."""
         if gap > MAX_GAP:
             message = (
                 f"{subject} {length_text(gap)} from where they are built: springs "

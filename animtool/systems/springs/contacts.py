@@ -23,7 +23,7 @@ CellColliders: TypeAlias = tuple[Any, ...] | None
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Consecutive cells of time of equal length."""
+    """Consecutive time cells of equal length."""
 
     origin: float  # start time of cell 0 [s]
     length: float  # of each cell [s]
@@ -32,7 +32,7 @@ class Cells:
 
 
 class PosedColliders(NamedTuple):
-    """Poses of the last C colliders, carried by joints, and skin meshes in motion."""
+    """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
 
     sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
@@ -49,7 +49,7 @@ def cell_colliders(
     cells: Cells,
     posed: PosedColliders | None = None,
 ) -> CellColliders:
-    """Return kernel arguments of colliders for some cells; None without colliders."""
+    """Return kernel arguments of colliders over ``cells``; None without colliders."""
     if not colliders.active and (posed is None or not posed.skins):
         return None
     origin, index, count = cells.origin, cells.index, cells.count

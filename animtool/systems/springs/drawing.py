@@ -124,7 +124,7 @@ Shape: TypeAlias = CurveShape | FaceShape
 
 
 def _spring_of_pairs(springs: Springs, pairs: IntArray) -> IntArray:
-    """Return the first spring between each pair of particles ``(P,)``, or -1."""
+    """Return the first spring between each pair of particles ``(P,)``; -1 for none."""
     if not len(springs.rest):
         return np.full(len(pairs), -1)
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
@@ -234,7 +234,7 @@ class _NeighbourRotations:
         return np.searchsorted(self.particles, particles)
 
     def sample(self, particles: FloatArray) -> FloatArray:
-        """Return rotations ``(P, 3, 3)`` fitted at particle positions ``(N, 3)``."""
+        """Return rotations ``(P, 3, 3)`` fitted to current positions ``(N, 3)``."""
         neighbour_offsets = (
             particles[self.neighbours] - particles[self.particles[self.owners]]
         )
@@ -251,7 +251,7 @@ class _NeighbourRotations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle point of a torn face, once for each run of corners around it."""
+    """Middle points of a torn face: one for each run of corners around the face."""
 
     corners: IntArray  # of the face ``(C,)``
     run_of_corner: IntArray  # ``(C,)``
@@ -403,7 +403,7 @@ def _build_middle(
 
 
 def polar_rotations(covariances: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the polar rotations of covariances ``(..., 3, 3)`` with some scales."""
+    """Return the rotations of regularised polar decompositions ``(..., 3, 3)``."""
     regularization = ROTATION_REGULARIZATION * scales[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(covariances + regularization)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]

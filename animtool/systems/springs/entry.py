@@ -72,7 +72,7 @@ class SpringEntry:
 
     @property
     def reads(self) -> list[str]:
-        """Inputs besides its own particles, as text."""
+        """Inputs of the entry in addition to its own particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []
@@ -248,7 +248,7 @@ def _check_solver(spec: SpringsModel) -> None:
 
 
 def _check_wind(entry: BodyEntry) -> None:
-    """Report gusts out of order, and wind faster than the speed limit."""
+    """Report faults of wind: gusts out of order, and speeds above the limit."""
     wind = entry.spec.air
     if wind is None:
         return

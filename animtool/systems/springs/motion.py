@@ -24,7 +24,7 @@ MAX_RATE = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Piercing:
-    """Largest self-piercing counts of a surface at any one time."""
+    """Maximum self-piercing counts of a surface over time."""
 
     passed: int = 0  # particles through triangles, not yet resolved
     cut: int = 0  # pairs of edges that passed through each other
@@ -32,7 +32,7 @@ class Piercing:
     rate: float = 0.0
 
     def maximum(self, more: Piercing) -> Piercing:
-        """Return the larger of each count."""
+        """Return the element-wise maximum of these counts and those of ``more``."""
         return Piercing(
             max(self.passed, more.passed),
             max(self.cut, more.cut),
@@ -42,7 +42,7 @@ class Piercing:
 
 @dataclass(frozen=True, slots=True)
 class SpringState:
-    """State of springs at the start of a cell of time, sufficient to resume."""
+    """State of springs at the start of a time cell, sufficient to resume."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
     torn: Flags
@@ -63,7 +63,7 @@ class SpringState:
 
 @dataclass(frozen=True, slots=True)
 class TimeGrid:
-    """A motion at a point of its time grid, with counts over the cells so far."""
+    """A spring motion at one point of its time grid, with counts over earlier cells."""
 
     solver: Solver  # active solver
     origin: float  # start time of cell 0 [s]
@@ -99,7 +99,7 @@ class TimeGrid:
         inside: int,
         pushes: FloatArray,
     ) -> TimeGrid:
-        """Return the grid some cells later, at a new state."""
+        """Return the time grid ``cells`` cells later, with a new state."""
         return replace(
             self,
             index=self.index + cells,

@@ -37,7 +37,7 @@ CARRIER_KEYS = ("joint", "vertex", "prim", "body")
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """Particles pinned to a carrier, or pulled to it."""
+    """Particles that are pinned to a carrier, or pulled towards it by springs."""
 
     model: PinModel
     particles: IntArray  # their indices ``(P,)``
@@ -130,7 +130,7 @@ def _claim_particles(
     particles: IntArray,
     pin_of_particle: dict[int, PinModel],
 ) -> IntArray:
-    """Return the particles that no earlier pin has, and assign them to a pin.
+    """Assign particles without an earlier pin to this pin, and return them.
 
     Particles that an earlier pin has with other keys are reported as a fault.
     """

@@ -103,7 +103,7 @@ def find_rest(
 
 
 def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configuration:
-    """Return the state after damped motion; the start if that takes too many steps.
+    """Return the state after damped motion; the start if it needs too many steps.
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """

@@ -50,7 +50,7 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force by position and velocity of each particle.
+        """Return the Jacobians of each particle's force in its position and velocity.
 
         Both are ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and
         0 for pair forces. They need not be exact: methods are stable if they are about
@@ -74,19 +74,19 @@ class Force(ABC):
         return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return potential energies ``(N,)`` [J]; None if it has no potential."""
+        """Return potential energies ``(N,)`` [J]; None if the force has no potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
-        """Return the largest stiffness, the force over a displacement [N/m]."""
+        """Return the largest stiffness: force per displacement [N/m]."""
         return 0.0
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return the largest damping coefficient, the force over a speed [kg/s]."""
+        """Return the largest damping coefficient: force per speed [kg/s]."""
         return 0.0
 
     def turning(self, particles: ParticleState) -> float:
-        """Return the largest rate at which it rotates velocities [rad/s]."""
+        """Return the largest rate at which the force rotates velocities [rad/s]."""
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
