@@ -76,7 +76,7 @@ class AgentBodies(Footing):
 
     @cached_property
     def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
-        """Local rotations of the animated joints: of each gait, and of the idle clip."""
+        """Local rotations of the animated joints: of each gait and of the idle clip."""
         gaits = self.gaits
         return [
             gait.rotations[:, self.animated] for gait in gaits.moving
@@ -346,7 +346,7 @@ class AgentBodies(Footing):
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
     ) -> FloatArray:
-        """Return the time since each reaction began ``(N,)`` [s]; -1 for no reaction."""
+        """Return the time since each reaction began ``(N,)`` [s]; -1 without one."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period

@@ -181,7 +181,7 @@ def step_rates(
 def _rate_for_margin(
     margin: FloatArray, min_margin: float, speed: FloatArray
 ) -> FloatArray:
-    """Return the inverse of the time until ``speed`` uses up a margin ``(N,)`` [1/s]."""
+    """Return the inverse of the time in which a margin is used up ``(N,)`` [1/s]."""
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(margin, min_margin))
 
 

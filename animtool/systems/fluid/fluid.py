@@ -274,7 +274,7 @@ class Fluid:
         sound_speed: float,
         substeps: int,
     ) -> PressureResult:
-        """Return the state after substeps, with sheet collisions at some of them."""
+        """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
         collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
         substep, pressures, compression = (

@@ -80,7 +80,7 @@ class Colouring:
 
     @staticmethod
     def of(model: ColourModel, quantities: Quantities) -> Colouring:
-        """Return the colouring of a model; the default range is from the first state."""
+        """Return the colouring of a model; its default range is from the quantities."""
         is_palette = model.by == "species"
         ramp = np.array(
             model.ramp or (DEFAULT_PALETTE if is_palette else DEFAULT_RAMP), np.float64

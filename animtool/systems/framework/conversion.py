@@ -167,7 +167,7 @@ class SceneUnits:
     def _convert_value(
         self, value: Any, unit: str, joint_type: str, *, timed: bool
     ) -> Any:
-        """Convert the value of a key, nested entries included, to metres and degrees."""
+        """Convert the value of a key, also nested entries, to metres and degrees."""
         if isinstance(value, FileModel):
             return self.convert(value, joint_type, unit)
         if isinstance(value, dict):
@@ -187,7 +187,7 @@ class SceneUnits:
         return self._scale_numbers(value, unit)
 
     def convert_options(self, name: str, options: dict[str, Any]) -> dict[str, Any]:
-        """Return the options of a named force, shape or emitter, converted to metres."""
+        """Return the options of a named force, shape or emitter in metres."""
         units = dict(RECORD_UNITS.get(name, {}))
         converted = {
             key: self._scale_numbers(value, units.get(key, ""))
@@ -198,7 +198,7 @@ class SceneUnits:
         return converted
 
     def _convert_central(self, options: Mapping[str, Any]) -> float:
-        """Return options of a central force, with the strength converted to metres.
+        """Return the strength of a central force, converted to metres.
 
         It is the acceleration at one metre, instead of at one length unit.
         """

@@ -94,7 +94,7 @@ class EntryRun:
         )
 
     def body_carriers(self) -> TiedBodies:
-        """Return the rigid bodies of the entry as carriers of other systems' particles."""
+        """Return the rigid bodies of the entry as carriers of others' particles."""
         run, simulation = self.run, self.simulation
         bodies = TiedBodies(run, simulation, run.begin, run.step_length)
         run.add_observer(bodies)
@@ -265,7 +265,7 @@ class SimulationRun(EntryRun):
         return self._step_until(self._with_pushes(state), t)[0]
 
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
-        """Return a state with queued pushes applied, from which the next step starts."""
+        """Return a state with pushes applied, from which the next step starts."""
         is_current = state.steps == self.state.steps
         return (
             self.apply_pushes()

@@ -132,7 +132,7 @@ class Simulation(Protocol[State]):
 
 @runtime_checkable
 class ManySteps(Protocol[State]):
-    """A simulation that takes many steps in one call, with the same result as singly."""
+    """A simulation that takes many steps in one call, equal to single steps."""
 
     def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
         """Return the state after ``count`` full steps [s] from a time [s]."""
@@ -190,7 +190,7 @@ class Tried(Protocol):
 
 
 def growing(axis: int = 0) -> dict[str, Any]:
-    """Mark a field whose arrays grow along an axis, like all fields so marked."""
+    """Mark a field whose arrays grow along an axis, in step with all such fields."""
     return {"grows": axis}
 
 

@@ -109,7 +109,7 @@ class HasCollisionSurface(Protocol):
     closed: bool  # whether collisions are from outside only
 
     def surface(self, state: Any, t: float) -> MeshFrame:
-        """Return the collision surface, with the same index array while it is unchanged."""
+        """Return the collision surface; equal topology returns the same index array."""
 
 
 # Default half thickness of a surface [m].

@@ -88,7 +88,7 @@ class TiedBodies(BodyColliders):
         self._run.add_puller(self, pusher)
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
-        """Return a state within a step at a time [s], with the pull of particles applied."""
+        """Return a state at a time [s] within a step, with the puller's pull applied."""
         pull = puller.pull(t, self)
         if pull is None:
             return state
@@ -154,7 +154,7 @@ class TiedStep:
         return TiedStep(self._simulation, state, end_state, t, t + dt)
 
     def push_to(self, state: Any) -> Wrenches:
-        """Return the impulses that change the end state of the step to a given state."""
+        """Return the impulses that change the step's end state to a given state."""
         return self._simulation.push_to(self._end_state, state)
 
     def point_velocities(

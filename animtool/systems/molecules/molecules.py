@@ -82,7 +82,10 @@ class Interactions:
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
-        """Return forces at positions ``x`` ``(N, 3)`` [nm], with the list of ``reference``."""
+        """Return the forces on atoms, with the neighbour list of ``reference``.
+
+        Both positions are ``(N, 3)`` [nm].
+        """
         if self._neighbour_list is None or self._neighbour_list[0] is not reference:
             max_pairs = MAX_NEIGHBOURS * len(x)
             try:
@@ -208,7 +211,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, last_sums: ListedForces) -> ListedForces:
-        """Return forces at positions ``(N, 3)`` [nm], and the list's reference positions."""
+        """Return the forces on atoms, and the reference positions of the neighbour list.
+
+        All positions are ``(N, 3)`` [nm].
+        """
         list_positions = self._interactions.reference(x, last_sums[1])
         return self._interactions.acting(x, list_positions), list_positions
 

@@ -214,7 +214,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         raise self._encounter_error(dt, *encounter.args)
 
     def _substeps_for(self, rates: FloatArray, dt: float) -> int:
-        """Return the number of substeps that resolve the closest pair, a power of two."""
+        """Return the substep count that resolves the closest pair, a power of two."""
         if not self._has_fixed_steps or not len(rates):
             return 1
         # A state from a file may hold any rates.

@@ -149,7 +149,7 @@ class Emitter(Emission, Checked):
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities of ``count`` particles born at ``t`` ``(N, 3)``."""
+        """Return positions and velocities ``(N, 3)`` of particles all born at ``t``."""
         burst = replace(self, rate=0.0, bursts=[(t, count)])
         return burst.sample_births(burst.births(t, None, t, count))[:2]
 
@@ -178,7 +178,7 @@ class Emitter(Emission, Checked):
     def _in_world(
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Transform positions and velocities to the world; add the inherited velocity."""
+        """Return world positions and velocities, including the inherited velocity."""
         if len(self.poses.sample_times) == 1:
             pose = self.poses.rows[0]
             return (

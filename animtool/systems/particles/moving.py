@@ -230,7 +230,7 @@ def _integrate_births(
     birth_states: FloatArray,
     durations: FloatArray,
 ) -> FloatArray:
-    """Advance new particles by their first partial step with the classical RK4 method."""
+    """Advance new particles by their first partial step, by classical Runge-Kutta."""
     h = durations[:, None]
 
     def rate(fraction: float, state: FloatArray) -> FloatArray:

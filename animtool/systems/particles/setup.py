@@ -38,7 +38,7 @@ class KillRegion:
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return a mask of the points ``(N, 3)`` in the region at a time [s] ``(N,)``."""
+        """Return a mask ``(N,)`` of points in the region at a time [s]."""
         distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 

@@ -57,7 +57,7 @@ class Joints:
     parameters_at: Callable[[float], FloatArray] | None = None
 
     def subset(self, indices: IntArray) -> Joints:
-        """Return some of the joints, by index."""
+        """Return the joints with the given indices."""
         index_list = indices.tolist()
         return replace(
             self,
@@ -106,7 +106,7 @@ def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
 def check_joints(
     models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
 ) -> None:
-    """Raise SIM061 for joints that are invalid for any poses of the bodies."""
+    """Raise SIM061 for joints that are invalid regardless of the body poses."""
     models_by_name = {body.name: body for body in bodies}
     refusals = Refusals()
     for i, model in enumerate(models):
@@ -220,7 +220,7 @@ def build_joints(
 def subset_joints(
     joints: Joints, all_bodies: RigidBodies, bodies: RigidBodies
 ) -> tuple[Joints, IntArray]:
-    """Return the joints of a subset of dynamic bodies, and their indices.
+    """Return the joints of a subset of dynamic bodies, and their original indices.
 
     Joints between two bodies outside the subset have no effect, and are left out.
 
@@ -323,7 +323,7 @@ def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
 
 
 def relative_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame relative to a pose ``(7,)``."""
+    """Return a frame relative to a pose in the same space ``(7,)``."""
     inverse = so3.conjugate(pose[3:])
     origin = so3.rotate(inverse, frame[:3] - pose[:3])
     return np.concatenate([origin, so3.multiply(inverse, frame[3:])])

@@ -76,7 +76,7 @@ class BodyKind:
         )
 
     def core_at_centre(self, core: ConvexCore) -> ConvexCore:
-        """Return a core in the frame of the principal axes."""
+        """Return a core in the frame of the centre of mass and principal axes."""
         to_principal = so3.conjugate(self.axes)
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
@@ -287,7 +287,7 @@ def check_motion_keys(model: BodyModel) -> None:
 
 
 def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
-    """Yield keys that contradict how a body moves."""
+    """Yield a problem for each key that contradicts how a body moves."""
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is dynamic, so it cannot have {key}"

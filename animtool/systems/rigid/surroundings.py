@@ -115,7 +115,7 @@ class BodyForces:
     def has_changed(
         self, forces: FloatArray, t: float, dt: float, body_states: FloatArray
     ) -> BoolArray:
-        """Return for which bodies the force differs in the next step ``(N,)``."""
+        """Return a mask of the bodies whose force changes in the next step ``(N,)``."""
         next_wrenches = self.step_wrenches(t + dt, dt, body_states)
         magnitudes = np.linalg.norm(forces, axis=1)
         return np.asarray(

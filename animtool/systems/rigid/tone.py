@@ -84,7 +84,7 @@ def with_finger_capsules(
 
 
 def _joint_chain(children: dict[int, list[int]], joint: int) -> list[int]:
-    """Return a joint and its descendants, up to the first branch."""
+    """Return a joint and its descendants up to the first branching joint."""
     chain = [joint]
     while len(children.get(chain[-1], ())) == 1:
         chain.append(children[chain[-1]][0])

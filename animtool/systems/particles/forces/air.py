@@ -125,7 +125,7 @@ class Friction(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the force divided by velocity as Jacobian: friction never reverses motion."""
+        """Return zero, and force over velocity: friction never reverses motion."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         coefficients = (self.deceleration * particles.masses / speed)[
             :, None, None

@@ -74,7 +74,7 @@ class Force(ABC):
         return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return potential energies ``(N,)`` [J]; None if the force has no potential."""
+        """Return potential energies ``(N,)`` [J]; None without a potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
