@@ -45,7 +45,7 @@ def checkpoint_of(
 ) -> Checkpoint:
     """Return a checkpoint to resume the integration from.
 
-    SciPy's solvers depend on their end time, and are created again.
+    SciPy's solvers depend on their end time, so a new solver is created on resume.
     """
     if status is not Status.OK or run.integrator.control is StepControl.SCIPY:
         return Checkpoint(time, state)
@@ -94,7 +94,7 @@ def integrate(
 
     Built-in methods end a step at each time; SciPy's solvers interpolate between their
     steps. Stopping early is not an error: the states reached so far are returned, with
-    a status with the time and reason it stopped.
+    a status with the time and the reason of the stop.
 
     Args:
         system: The system, with its initial state.

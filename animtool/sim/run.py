@@ -49,7 +49,7 @@ class IntegrationRun:
     smallest_step: float = math.inf  # smallest accepted step [s]
     largest_step: float = 0.0  # largest accepted step [s]
     local_error: float = 0.0  # sum of the error estimates
-    reason: str = ""  # why it stopped
+    reason: str = ""  # why the run stopped; empty if it did not
     checked_steps: int = field(default=0)  # accepted steps at the last divergence check
 
     def accept(self, step: StepResult, t: float, h: float) -> Status:

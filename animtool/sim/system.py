@@ -203,7 +203,7 @@ class RateSystem(_FunctionSystem, FirstOrder):
         rate: Function of time [s] and state that returns the rate of change.
         state: Initial state of any shape; ``(N, d)`` for N particles in a field.
         jacobian: Function that returns the Jacobian of the flattened rate.
-        energy: Function that returns the energy, or another conserved quantity.
+        energy: Function that returns the energy or another conserved quantity.
         frequencies: The fastest modes, see `System.frequencies`.
 
     >>> whirl = RateSystem(lambda t, y: np.stack([-y[:, 1], y[:, 0]], 1), [[1.0, 0.0]])

@@ -18,11 +18,11 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:
-    """A mesh or strands of a rig, with the rig's shapes that it uses."""
+    """A mesh or strands of a rig, with the rig's blend shapes that deform it."""
 
     name: str  # name in the rig
     mesh: DeformedMesh  # prepared mesh, in [m]
-    # For each shape the index of the rig's shape ``(S,)``; -1 for one that is always 0.
+    # Index of each mesh shape among the rig's shapes ``(S,)``; -1 if always 0.
     columns: IntArray
 
     def weights(self, rig_weights: FloatArray | None) -> FloatArray | None:

@@ -15,7 +15,7 @@ SUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """Joint influences; those of vertex v are from ``row_starts[v]``."""
+    """Joint influences in CSR layout; those of vertex v begin at ``row_starts[v]``."""
 
     row_starts: IntArray  # first influence of each vertex, and the end ``(V + 1,)``
     # ``(K,)`` int32, per vertex the strongest first, without duplicates.
@@ -50,7 +50,7 @@ class InfluenceReport:
     zeros: int  # influences of zero weight, removed
     merged: int  # duplicate influences of a joint, merged
     sum_error: float  # largest difference of a vertex's weight sum from 1, as read
-    sum_vertex: int  # the vertex with that difference
+    sum_vertex: int  # the vertex with the largest difference
 
 
 def read_influences(

@@ -64,9 +64,9 @@ class ShapeDeltas:
     offsets: ArrayLike | None
     # Vertices of the offsets ``(D,)``; None is every vertex.
     indices: ArrayLike | None = None
-    # ``(D, 3)`` added to normals; None keeps them.
+    # Normal offsets ``(D, 3)``; None leaves the normals unchanged.
     normal_offsets: ArrayLike | None = None
-    # Offsets at other weights, in any order.
+    # Offsets at weights other than 0 and 1, in any order.
     inbetweens: tuple[InbetweenDeltas, ...] = ()
 
 
@@ -87,7 +87,7 @@ class PreparedShapes:
     """The shapes of a mesh, ready to be evaluated."""
 
     names: tuple[str, ...]  # names of the S shapes, in the order of the weights
-    # For each shape the weights that have offsets, 0 and 1 included, ascending.
+    # Weights at which each shape has offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
     points: _Columns  # columns of the points: one per shape and knot, except knot 0
     normals: _Columns | None  # columns of the normals; None without normals

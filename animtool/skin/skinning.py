@@ -58,7 +58,7 @@ class PreparedSkin:
     """A binding prepared for evaluation."""
 
     method: SkinMethod  # linear blend or dual quaternions
-    influences: Influences  # per vertex; their joints are indices into ``joints``
+    influences: Influences  # per vertex; joint indices refer to ``joints``
     report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
     # Inverse bind transforms of the used joints ``(U, 4, 4)``.

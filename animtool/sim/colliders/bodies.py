@@ -149,7 +149,7 @@ def exchange_impulses(
 
     A contact with an immovable body changes a point's velocity by d. With a movable
     body both velocities change so that they separate at the same speed: that of the
-    point by a fraction of d; its displacement since the contact changes likewise.
+    point by a fraction of d; the displacement since the contact changes equally.
     Simultaneous contacts share the mass of a body, so that no energy is gained (Tonge,
     Benevolenski and Voroshilov 2012, "Mass splitting for jitter-free parallel rigid
     body simulation").

@@ -42,9 +42,9 @@ class Touch(IntEnum):
 
     Attributes:
         NONE: No contact.
-        BOUNCED: It hit a collider and left it.
-        RESTS: It is on the surface of a collider, at rest or sliding.
-        UNRESOLVED: It is still inside a collider, moving out or blocked by others.
+        BOUNCED: The particle hit a collider and left it.
+        RESTS: The particle is on the surface of a collider, at rest or sliding.
+        UNRESOLVED: The particle remains inside a collider, moving out or blocked.
     """
 
     NONE = 0
@@ -110,7 +110,7 @@ class Colliders(Sequence[Collider]):
 
     Attributes:
         sheets: Deforming surfaces; not members of the sequence.
-        surfaces: The sheets, prepared for many substeps at once.
+        surfaces: The sheets, prepared for many substeps in one call.
         bodies: Bodies of other simulations; not members of the sequence.
 
     Raises:
@@ -229,7 +229,7 @@ class Colliders(Sequence[Collider]):
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each teleport (SIM120), of surfaces those so far."""
+        """Return a warning for each teleport (SIM120); surfaces report those so far."""
         return [*self._teleport_warnings(), *self.surfaces.notices()]
 
     def _teleport_warnings(self) -> list[Fault]:

@@ -104,11 +104,11 @@ def rig_colliders(
 ) -> list[Collider]:
     """Return the colliders of a moving rig, named after their joints.
 
-    Their size is that of the first frame.
+    The size of each collider is constant: that of the first frame.
 
     Args:
         rig: Rig with capsules.
-        world: World transforms of its joints over F frames.
+        world: World transforms of the rig's joints over F frames.
         times: Times of the frames ``(F,)`` [s].
         template: Collider that provides the contact material; None for the default.
     """

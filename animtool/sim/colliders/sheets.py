@@ -40,7 +40,7 @@ class Sheet(Material, Checked):
 
     Attributes:
         motion: Points over time.
-        radius: Half its thickness, above 0 [m].
+        radius: Half the thickness of the sheet, above 0 [m].
         closed: Whether it is the surface of a solid: collisions are from outside only.
         name: Name for messages.
         depenetration: Speed at which particles that start inside are moved out [m/s].

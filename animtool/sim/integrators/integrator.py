@@ -29,7 +29,7 @@ class StepControl(StrEnum):
 
     Attributes:
         FIXED: By the caller.
-        ADAPTIVE: By the method, from its error estimates.
+        ADAPTIVE: The method chooses it from error estimates.
         SCIPY: By a solver of SciPy.
     """
 

@@ -39,21 +39,21 @@ class TrialRow:
     # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
     steps: int = 0  # number of steps
-    status: Status | None = None  # how it ended; None if the method does not apply
-    # Why it stopped or does not apply; empty on success.
+    status: Status | None = None  # how the run ended; None if the method does not apply
+    # Why the run stopped or the method does not apply; empty on success.
     reason: str = ""
     stable_step: float | None = None  # as in `TrialOutcome`
-    # Distances from the reference; None if it stopped early or there is no reference.
+    # Distances from the reference; None after an early stop or without a reference.
     error: PointDistances | None = None
     # Largest energy change, relative to the largest energy [1]; None if not conserved.
     energy_drift: float | None = None
     bytes: int = 0  # as in `TrialOutcome`
-    # As in `TrialOutcome`; empty if it stopped early.
+    # As in `TrialOutcome`; empty if the run stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     worst: str = ""  # where the largest distance is; may be empty
     chosen: bool = False  # whether the file uses it
     best: bool = False  # whether Pareto-optimal: no cheaper setting is as accurate
-    # Whether it is recommended, or the cheapest within a budget.
+    # Whether the setting is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
         "*setting status=ended reason stable_step seconds~ steps bytes "

@@ -104,19 +104,19 @@ class TrialOutcome:
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps
     snapshots: Sequence[Snapshot]  # points at the times reached
-    status: Status = Status.OK  # how it ended
-    reason: str = ""  # why it stopped, empty on success
+    status: Status = Status.OK  # how the run ended
+    reason: str = ""  # why the run stopped; empty on success
     # The largest stable step at the end [s]: 0 if none, infinite if all, None if
     # unknown.
     stable_step: float | None = None
     # Energies at these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
     bytes: int = 0  # size of the output; 0 without one
-    # Other figures of the setting.
+    # Additional measured figures of the run.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     # The setting's error, if measured directly instead of from snapshots.
     error: PointDistances | None = None
-    worst: str = ""  # location of that error
+    worst: str = ""  # location of the largest error
 
 
 @dataclass(frozen=True, slots=True)

@@ -48,7 +48,7 @@ class ChainBody(AttachedBody):
 
     joints: IntArray  # joint indices, from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
-    # Whether nothing follows the rotation of the last joint: it has no tip, and no
+    # Whether nothing follows the rotation of the last joint, which has no tip and no
     # joint, skin, collider or strands attached to it.
     has_free_tip: bool = False
 
@@ -154,7 +154,7 @@ def _has_free_tip(rig: Rig, joint: int) -> bool:
 def _bone_end(rig: Rig, joints: list[int]) -> FloatArray:
     """Return the end of a chain's last bone, in the frame of its joint.
 
-    It is the tip of the joint, or its first child, or a copy of the bone before it.
+    This is the tip of the joint, else its first child, else a copy of the bone before.
     """
     last = rig.joints[joints[-1]]
     if last.tips:

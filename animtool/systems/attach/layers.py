@@ -13,12 +13,12 @@ from animtool.sim.colliders import Sheet
 class ClothMotion:
     """Points of simulated cloth over the last simulated frame.
 
-    They are linear within the frame, and constant before and after it.
+    Points move linearly within the frame, and are constant before and after it.
     """
 
     faces: IntArray  # triangles ``(T, 3)``
     begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
-    end: FloatArray  # points at its end ``(N, 3)`` [m]
+    end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
     times: tuple[float, float] = (0.0, 0.0)  # of start and end [s]
 
     def points(self, t: float) -> FloatArray:

@@ -101,7 +101,7 @@ class Network:
 def max_pin_hops(network: Network) -> int:
     """Return the largest number of springs from a pinned particle to any other.
 
-    Without pinned particles it is counted from the first.
+    Without pinned particles, springs are counted from the first particle.
 
     >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2

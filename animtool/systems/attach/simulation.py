@@ -72,7 +72,7 @@ class AttachState:
 class SavedFrame:
     """Saved states of attachments at one frame."""
 
-    frame: float  # its time code
+    frame: float  # time code of the frame
     states: Mapping[str, AttachState]  # by the attachment's name
 
 
@@ -88,7 +88,7 @@ class LoopClosure:
     repeats: int  # number of repeats
     residual: float  # distance between end and start of the last repeat [m]
     tolerance: float  # requested tolerance [m]
-    is_steered: bool  # whether it was steered to the last cycle
+    is_steered: bool  # whether the cycle was steered towards the cycle before
 
 
 @dataclass(slots=True)
@@ -97,7 +97,7 @@ class _AttachmentFrames:
 
     simulated: list[FloatArray]
     targets: list[FloatArray]
-    # Surroundings in a cycle, which is measured after its seam is blended.
+    # Surroundings in a cycle, for contact measurement after the seam is blended.
     surroundings: list[CollisionSurroundings] = field(default_factory=list)
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
     motions: list[FloatArray] = field(default_factory=list)
@@ -391,8 +391,8 @@ class AttachSimulation:
     ) -> list[_AttachmentFrames]:
         """Simulate one cycle, and return all of its frames except the last.
 
-        With ``last_frames`` it is steered to the last cycle, which ended where this one
-        starts.
+        With ``last_frames``, this cycle is steered towards the last cycle, which ended
+        at the start of this one.
         """
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
         codes = self._codes(self._prepended_frames, len(poses)).tolist()

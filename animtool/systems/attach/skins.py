@@ -31,10 +31,10 @@ MIN_CLEARANCE = 1 / 4
 class SkinSurface:
     """A skinned mesh whose borders are closed by triangle fans."""
 
-    mesh: CharacterMesh  # deforms its V points
-    triangles: IntArray  # counter-clockwise from outside ``(T, 3)``; middles from V on
+    mesh: CharacterMesh  # prepared mesh of V points
+    triangles: IntArray  # counter-clockwise ``(T, 3)``; border centres from V on
     border_points: IntArray  # points at borders ``(P,)``
-    borders: IntArray  # border index of each of them ``(P,)``
+    borders: IntArray  # border index of each border point ``(P,)``
     joints: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, path: PosePath) -> FloatArray:
@@ -142,7 +142,7 @@ def triangulate_capped(
 def skin_margin(edge: float, radius: float) -> float:
     """Return the margin between cloth and skins in addition to the radius [m].
 
-    Long edges need it: they cut into a round limb even if their ends are outside.
+    Long edges need a margin: they cut into a round limb even with both ends outside.
 
     >>> round(skin_margin(0.04, 0.005), 6), skin_margin(0.01, 0.005)
     (0.005, 0.0)
@@ -189,7 +189,7 @@ class SkinContacts:
     ) -> list[FloatArray]:
         """Return offsets of the contact distance for each skin ``(N,)`` [m].
 
-        They are measured in the first pose of a path.
+        Distances are measured in the first pose of a path.
         """
         distance = radius + self._contact_settings[2]
         solids = [

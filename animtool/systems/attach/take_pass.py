@@ -107,12 +107,12 @@ class AttachReport:
     steps: int  # steps per frame
     stretch: float  # largest strain of a spring [1]
     aimed: float  # target strain [1]
-    contacts: int  # most particles in contact at once
-    unresolved: int  # most particles left inside colliders
-    passed: int  # most particles through the cloth
-    cut: int  # most pairs of edges through each other
+    contacts: int  # maximum number of particles in contact at one time
+    unresolved: int  # maximum number of particles left inside colliders
+    passed: int  # maximum number of particles that pass through the cloth
+    cut: int  # maximum number of edge pairs that pass through each other
     depth: PeakValue  # largest depth in a skin or a capsule [m]
-    pierced: PeakValue  # most intersecting pairs of an edge and a triangle
+    pierced: PeakValue  # maximum number of intersecting pairs of edge and triangle
     strain: PeakValue  # largest strain of a cloth side [1]
     strain_99: PeakValue  # largest 99th percentile of strain [1]
     jumps: int  # number of teleports

@@ -55,7 +55,7 @@ class Agents(Groups):
         starts: Start positions, x and z ``(N, 2)`` [m].
         speeds: Preferred speeds ``(N,)`` [m/s].
         max_speeds: Maximum speeds ``(N,)`` [m/s].
-        yielding: How far an agent gives way to those it touches ``(N,)`` [1].
+        yielding: Weight with which an agent yields to those it touches ``(N,)`` [1].
         delays: Time from the start until they begin to walk ``(N,)`` [s].
         groups: Index of the group, -1 for none ``(N,)``.
         lateral_offsets: Position in the group, to the left of its centre ``(N,)`` [m].

@@ -164,9 +164,9 @@ class AgentCast:
         """Return the characters as a frame.
 
         Args:
-            state: State of their bodies.
+            state: State of the bodies of all agents.
             motion: Motion of the agents.
-            heights: Heights of the ground below them ``(N,)`` [m].
+            heights: Heights of the ground below the agents ``(N,)`` [m].
             placement: Frame of the ground, and world velocities of agents ``(N, 3)``
                 [m/s].
             is_visible: Mask of visible agents ``(N,)``.

@@ -77,7 +77,7 @@ class Crowd:
         start_points: x and z at the start ``(N, 2)`` [m].
         cast: Bodies of the agents; None if they are points or meshes.
         fall_simulator: Ragdolls of falling agents; None if nobody can fall.
-        meshes: Distinct meshes that populations show.
+        meshes: Distinct meshes by which populations are displayed.
         mesh_of_population: Index of the mesh of each population.
     """
 
@@ -184,7 +184,7 @@ class Crowd:
     ) -> Falls:
         """Return falls with agents ``(K,)`` added that fall from the start of a step.
 
-        Their velocities are those of continued walking; colliders move the bodies.
+        The bodies start with walking velocities, and are moved by colliders.
         """
         assert self.cast is not None
         assert self.fall_simulator is not None
@@ -205,7 +205,7 @@ class Crowd:
     def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
         """Return the shoulder yaws of agents ``(N,)`` [rad].
 
-        Agents shown as points or meshes have none; fallen ones keep their space.
+        Agents shown as points or meshes have yaw 0; fallen agents keep their space.
         """
         if state.bodies is None:
             return np.zeros(len(self.agents))

@@ -91,7 +91,7 @@ class FallSimulator:
         rigs: Rig of each agent.
         sizes: Size of each body relative to its rig ``(N,)``.
         frame: Frame of the ground.
-        ground: Terrain that they fall onto.
+        ground: Terrain that the agents fall onto.
         colliders: Other colliders.
         step: Step of the crowd [s].
     """
@@ -198,7 +198,7 @@ class FallSimulator:
     def poses(self, falls: Falls, row: int) -> _LocalPose:
         """Return local translations and rotations of a fallen agent, cached.
 
-        Those of the first joint are in world space. The pose of agents at rest is
+        Transforms of the first joint are in world space. The pose of agents at rest is
         reused.
         """
         agent = int(falls.agents[row])

@@ -51,8 +51,8 @@ class BodyState:
     paces: FloatArray
     reacts: FloatArray  # time since a reaction began, -1 without one (N,) [s]
     shoulders: FloatArray  # yaw of the shoulders (N,) [rad]
-    heels: FloatArray  # heel pitch of each foot when it lifted (N, 2) [rad]
-    spans: FloatArray  # fraction of the cycle that remained at each lift (N, 2)
+    heels: FloatArray  # heel pitch of each foot at its last lift-off (N, 2) [rad]
+    spans: FloatArray  # remaining fraction of the cycle at each lift-off (N, 2)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Blend:
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles per second (N,)
     free_rate: FloatArray  # cycles per second of straight forward motion (N,)
-    stride: FloatArray  # step length relative to that of the gaits (N,)
+    stride: FloatArray  # step length relative to the step length of the gaits (N,)
     stance_fractions: FloatArray  # fraction of the cycle that feet are planted (N, 2)
     steps: FloatArray  # footholds in the frame of the body (N, 2, 3)
 
@@ -245,8 +245,8 @@ def limit_landings(
 ) -> FloatArray:
     """Return landings ``(N, 3)`` of a foot with a limited rate of change.
 
-    ``requested`` are the new landings; feet that just lifted (``was_planted``) get them
-    at once.
+    ``requested`` are the new landings. Feet that have just lifted (``was_planted``) use
+    the new landings without a limit.
     """
     progress = np.where(
         was_planted, 0.0, swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))

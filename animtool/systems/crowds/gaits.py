@@ -23,7 +23,7 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A biped rig, with the measures of its legs.
+    """A biped rig, with the dimensions of its legs.
 
     Attributes:
         skeleton: Skeleton with y up.
@@ -85,7 +85,7 @@ class Walker:
 def _rest_ground_height(skeleton: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
-    It is the height of the lowest joint or bone end, such as a toe.
+    This is the height of the lowest joint or bone end, such as a toe.
     """
     ends = [
         skeleton.positions[joint] + so3.rotate(skeleton.rotations[joint], np.array(tip))

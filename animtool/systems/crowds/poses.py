@@ -50,7 +50,7 @@ class BodyPoses:
     rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # positions of the root joint (N, 3) [m]
     lowered: FloatArray  # lowering of the hips (N,) [m]
-    ankle_errors: FloatArray  # distance of ankles from their targets (N, 2) [m]
+    ankle_errors: FloatArray  # distance of each ankle from its target (N, 2) [m]
 
 
 def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
@@ -256,7 +256,7 @@ def _swing_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(K, 4)`` and ankle offsets ``(K, 3)`` of swinging feet.
 
-    They are those of foot ``k`` of the bodies in which it swings. Swings start at the
+    These are for foot ``k`` of the bodies in which it swings. Swings start at the
     pose of the last stance, as feet may lift earlier than in the gait.
     """
     swings = np.clip(state.swings[is_swinging, k], 0.0, 1.0)

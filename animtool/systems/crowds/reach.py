@@ -80,7 +80,7 @@ class LegReach:
 
         Args:
             k: Leg: 0 left, 1 right.
-            thighs: Positions of its thigh joint ``(N, 3)``.
+            thighs: Positions of the thigh joint of that leg ``(N, 3)``.
             feet: Position x, y, z and heading of the foot ``(N, 4)``.
             pitches: Heel pitch of the foot ``(N,)`` [rad].
         """

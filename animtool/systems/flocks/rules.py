@@ -27,7 +27,7 @@ class FlockRule:
     """A rule of one species towards others, as kernel arguments."""
 
     members: Indices | None  # members that follow the rule (M,); None for all
-    others: Indices | None  # members that they see; None for all
+    others: Indices | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
     cosine: float  # cosine of half the angle of view
     nearest: int  # number of nearest neighbours; 0 for all

@@ -205,7 +205,7 @@ class Fluid:
     ) -> tuple[FluidState, Sequence[Wrenches]]:
         """Return the state after a step, in the substeps that compression requires.
 
-        Without a list of notices it is a trial, which does not suggest a shorter step.
+        Without a list of notices, this is a trial that does not suggest a shorter step.
         """
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
         max_acceleration = float(np.linalg.norm(accelerations, axis=1).max())
@@ -375,7 +375,7 @@ class Fluid:
     ) -> float | None:
         """Return a shorter step that succeeds from a state [s]; None if none does.
 
-        It is more than ``min_ratio`` times shorter.
+        The step is shorter by a factor above ``min_ratio``.
         """
         steps = (
             floor_to_two_digits(dt / (min_ratio * divisor)) for divisor in STEP_DIVISORS

@@ -55,7 +55,7 @@ class ColourModel(FileModel):
     )
 
     def faults(self, names: Sequence[str], code: str) -> list[Fault]:
-        """Return faults, for a kind with some quantities."""
+        """Return the faults of the keys, given the names of available quantities."""
         if self.by not in names:
             message = f"unknown quantity {excerpt(self.by)}"
             return [

@@ -200,7 +200,7 @@ class SceneUnits:
     def _convert_central(self, options: Mapping[str, Any]) -> float:
         """Return the strength of a central force, converted to metres.
 
-        It is the acceleration at one metre, instead of at one length unit.
+        The strength is the acceleration at one metre, instead of at one length unit.
         """
         exponent = options.get("power", -2.0)
         exponent = exponent if isinstance(exponent, (int, float)) else -2.0

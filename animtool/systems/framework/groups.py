@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True)
 class Groups:
-    """N individuals of several entries, such as species, in order.
+    """N individuals, ordered by their entry, such as a species.
 
     Attributes:
         noun: Word for an individual in messages.

@@ -192,7 +192,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     ) -> tuple[FloatArray, FloatArray]:
         """Return accelerations ``(N, 3)`` and energies ``(N,)`` by an external force.
 
-        Its position is ``(3,)``, those of the bodies are ``x`` ``(N, 3)``.
+        The position of the force is ``(3,)``; positions of bodies are ``x`` ``(N, 3)``.
         """
 
     def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002

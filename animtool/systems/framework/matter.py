@@ -120,7 +120,7 @@ def check_distinct(
         code: Code of the fault.
         where: Key of the fault.
         hint: What to do.
-        reason: Why they must not coincide.
+        reason: Why the points must not coincide.
     """
     order = np.lexsort(points.T)
     coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)

@@ -32,7 +32,7 @@ class PeakValue:
     value: float = 0.0  # a length in [m], a fraction or a count
     frame: float | None = None  # time code; None for a system, or without a value
     point: int | None = None  # particle index; of an edge, the first
-    at: tuple[float, float, float] | None = None  # its position [m]
+    at: tuple[float, float, float] | None = None  # position of the point [m]
     time: float | None = None  # time of a system [s]
 
     @property
@@ -55,7 +55,7 @@ class ClosedSurface:
 
     points: FloatArray  # ``(P, 3)`` [m]
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
-    # Kernel surface of these triangles, if no two of its points coincide.
+    # Kernel surface of the triangles, if it exists and no two points coincide.
     kernel: Any = None
 
 

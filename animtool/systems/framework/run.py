@@ -49,7 +49,7 @@ class EntryRun:
         name: Name of the entry.
         run: Run of the entry and of all entries joined to it.
         simulation: View of the entry; for a single entry the simulation itself.
-        reports_steps: Whether it reports warnings of steps, as the first of joined
+        reports_steps: Whether it reports the warnings of steps, as the first of joined
             entries does.
     """
 
@@ -70,7 +70,7 @@ class EntryRun:
 
         Raises:
             OptionError: The time is before the last one (SIM002).
-            ToleranceError: It blew up (SIM102), or the method failed.
+            ToleranceError: The simulation diverged (SIM102), or the method failed.
         """
         frame: Frame = self.simulation.frame(*self.run.sample(t))
         check_bounds(self.name, frame, t, self.run.step_length)

@@ -37,7 +37,7 @@ State_contra = TypeVar("State_contra", contravariant=True)
 class Diagnostics:
     """Energy, warnings and report values of a state."""
 
-    energy: Energy | None = None  # None if it is not conserved
+    energy: Energy | None = None  # energy; None if it is not conserved
     values: Mapping[str, Any] = field(default_factory=dict)  # for the report
     notices: Sequence[Fault] = ()  # warnings so far
     if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point

@@ -148,8 +148,8 @@ class Member:
     name: str
     kind: str
     spec: Any
-    parts: Mapping[str, Any]  # data read for its keys, by key
-    record: Any = None  # record built by its spec
+    parts: Mapping[str, Any]  # data read for the keys of the entry, by key
+    record: Any = None  # record built by the spec of the entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class PinnedPoints:
 
     where: str  # location in the scene entry
     carrier: Any  # carrier, for `SimContext.poses`
-    # Maps carrier poses to positions in its frame ``(P, 3)`` [m].
+    # Maps carrier poses to point positions in the carrier's frame ``(P, 3)`` [m].
     local_positions: Callable[[Any], FloatArray]
 
 

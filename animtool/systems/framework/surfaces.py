@@ -105,7 +105,7 @@ class RigidSystem(Protocol):
 class HasCollisionSurface(Protocol):
     """A simulation whose collision surface differs from its frame."""
 
-    radius: float  # half its thickness [m]
+    radius: float  # collision radius: half the thickness of the surface [m]
     closed: bool  # whether collisions are from outside only
 
     def surface(self, state: Any, t: float) -> MeshFrame:
@@ -222,7 +222,7 @@ class BodyColliders(_StateObserver):
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
-        They are those of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors
+        Masses are of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors
         ``(K, 3)``.
         """
         state, _ = self._states(t)

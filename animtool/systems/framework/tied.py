@@ -34,8 +34,8 @@ class TiedBodies(BodyColliders):
     """Rigid bodies of a simulation run that carry particles.
 
     Attributes:
-        step: Step of their simulation [s].
-        begin: Time of their first step [s].
+        step: Step of the simulation of the bodies [s].
+        begin: Time of the first step of that simulation [s].
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class TiedBodies(BodyColliders):
         self._run.add_puller(self, pusher)
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
-        """Return a state at a time [s] within a step, with the puller's pull applied."""
+        """Return a state at a time [s] within a step, with the puller's impulses."""
         pull = puller.pull(t, self)
         if pull is None:
             return state

@@ -211,7 +211,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, last_sums: ListedForces) -> ListedForces:
-        """Return the forces on atoms, and the reference positions of the neighbour list.
+        """Return the forces on atoms, and their neighbour list's reference positions.
 
         All positions are ``(N, 3)`` [nm].
         """

@@ -185,7 +185,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
         """Return the state after a step [s].
 
-        It takes substeps if two bodies come too close for one step.
+        The step is split into substeps if two bodies come too close for one step.
         """
         substeps = self._substeps_for(state.pulls.rates, dt)
         encounter = CloseEncounterError(t, state.motion[0], state.pulls.rates)

@@ -79,7 +79,7 @@ class Emitter(Emission, Checked):
 
     Attributes:
         place: Emitter shape in local space.
-        poses: World poses of its frame over time.
+        poses: World poses of the emitter's frame over time.
     """
 
     code: ClassVar[str] = "SIM021"

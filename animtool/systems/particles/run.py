@@ -64,7 +64,7 @@ class ParticleRun(SimulationRun):
     def contacts(self) -> Contacts | None:
         """Contacts of the last step; None before it.
 
-        They do not include particles born in the step.
+        Contacts do not include particles born in the step.
         """
         return self._particles.contacts
 

@@ -111,7 +111,7 @@ class RigidBodies:
 
     @cached_property
     def releases(self) -> FloatArray:
-        """Release times of kinematic bodies ``(B,)`` [s]; -infinity if never released."""
+        """Release times of kinematic bodies ``(B,)`` [s]; -infinity without one."""
         times = [kind.model.release for kind in self.kinds]
         times_by_kind = [-np.inf if time is None else time for time in times]
         return np.array(times_by_kind, np.float64)[self.kind_of_body]
@@ -177,7 +177,7 @@ class RigidBodies:
     def kinematic_state(self, dynamic_index: int, t: float, dt: float) -> FloatArray:
         """Return the state of a body that is not released yet ``(14,)``.
 
-        Its velocities are those of the step [s] before.
+        The velocities are averages over the step [s] before ``t``.
         """
         i = int(self.dynamic[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)

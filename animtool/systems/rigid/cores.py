@@ -59,7 +59,7 @@ def combine_solids(
 ) -> SolidProperties:
     """Return the combined mass properties of solids, with the mass [kg] as volume.
 
-    Its inertia is in [kg m²].
+    The inertia of the result is in [kg m²].
     """
     masses = np.array(
         [

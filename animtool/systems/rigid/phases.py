@@ -198,7 +198,7 @@ def kinematic_states(
 ) -> FloatArray:
     """Return the states of bodies not yet released ``(H, 14)`` at a time [s].
 
-    Their velocities are those of the step [s] before.
+    The velocities are averages over the step [s] before ``t``.
     """
     rows = np.zeros((len(dynamic_indices), 14))
     for row, dynamic_index in zip(rows, dynamic_indices.tolist(), strict=True):

@@ -37,7 +37,7 @@ class RigidState:
         pressing: Number of contact points with a force.
         awake: Number of bodies that are awake.
         residual: Change of velocities in the last iteration [m/s].
-        follows: Largest step that resolves the drive with the fastest oscillation [s].
+        follows: Largest step that resolves the fastest oscillating drive [s].
         swinging: Joint of that drive; -1 is none.
     """
 

@@ -244,7 +244,7 @@ def _notices(
 
     Args:
         ragdoll: The ragdoll.
-        run: Its simulation.
+        run: The simulation run of the ragdoll.
         fall_transforms: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of
             all joints in the fall.
         first_frame: First frame of the fall.

@@ -57,7 +57,7 @@ class Body:
     Attributes:
         positions: ``(N, 3)`` [m].
         masses: ``(N,)`` [kg].
-        springs: Between them.
+        springs: Springs between the particles.
         triangles: Corners ``(T, 3)``.
     """
 

@@ -177,7 +177,7 @@ def tangle_notices(
 ) -> list[Fault]:
     """Return a warning if a surface starts self-intersecting (SIM166).
 
-    Its points are ``(N, 3)`` [m].
+    The points of the surface are ``(N, 3)`` [m].
 
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)

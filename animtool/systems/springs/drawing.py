@@ -72,7 +72,7 @@ class FaceShape:
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
     springs: Springs  # between the particles
-    closed: bool = False  # whether only its outside is visible
+    closed: bool = False  # whether only the outside of the surface is visible
 
     @property
     def can_tear(self) -> bool:
@@ -153,7 +153,7 @@ class Tearing:
         indices: Corners, face by face.
         size: Number of points.
         springs: Side springs that ever tear ``(E,)``.
-        ends: Their particles ``(E, 2)``.
+        ends: Particles at both ends of those springs ``(E, 2)``.
         half_edges: Half the rest vector from first to second end ``(E, 3)`` [m].
         rotations: Rotations of particles at tears.
         middles: Face middles.

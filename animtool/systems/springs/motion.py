@@ -28,7 +28,7 @@ class Piercing:
 
     passed: int = 0  # particles through triangles, not yet resolved
     cut: int = 0  # pairs of edges that passed through each other
-    # Step rate that detects all fast contacts [1/s]; 0 if the rate used did.
+    # Step rate needed to detect all fast contacts [1/s]; 0 if the current one suffices.
     rate: float = 0.0
 
     def maximum(self, more: Piercing) -> Piercing:
@@ -69,16 +69,16 @@ class TimeGrid:
     origin: float  # start time of cell 0 [s]
     cell: float  # length of a cell [s]
     index: int  # index of the next cell
-    state: SpringState  # state at the start of that cell
+    state: SpringState  # state at the start of the current cell
     # Largest strain of xpbd springs beyond their compliance [1].
     stretch: float = 0.0
     steps: int = 0
     evaluations: int = 0  # evaluations of all spring forces
     lost: bool = False  # whether the last cell could not be solved
-    max_contacts: int = 0  # most particles of xpbd in contact at once
+    max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
     unresolved: int = 0  # most particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
-    # origin, and the largest mass in contact at once.
+    # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     # Impulses on rigid bodies that carry pins in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()

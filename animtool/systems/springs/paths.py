@@ -31,7 +31,7 @@ class Pins:
     Positions are linear between times and constant outside of them.
 
     Attributes:
-        particles: Their indices ``(P,)``.
+        particles: Indices of the pinned particles ``(P,)``.
         positions: At the times ``(K, P, 3)``, or ``(P, 3)`` if static [m]; None keeps
             the positions of the body.
         times: Ascending ``(K,)`` [s]; None if static.

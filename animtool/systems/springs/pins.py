@@ -41,7 +41,7 @@ class Pin:
 
     model: PinModel
     particles: IntArray  # their indices ``(P,)``
-    carrier: Any = None  # its carrier, for `SimContext.poses`
+    carrier: Any = None  # carrier of the pin, for `SimContext.poses`
     where: str = "pins"  # location in the scene entry
 
     @property
@@ -270,7 +270,7 @@ def constraints_of(pins: PinPoses, points: FloatArray) -> list[Pins | PointTarge
 def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArray:
     """Return points ``(N, 3)`` [m] moved rigidly to fit pins with an offset.
 
-    It uses the smallest rotation that fits the pins at the start time [s].
+    The rotation is the smallest that fits the pins at the start time [s].
     """
     offset_pins = [(pin, poses) for pin, poses in pins if pin.offset is not None]
     if not offset_pins:

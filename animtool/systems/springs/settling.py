@@ -46,7 +46,7 @@ def find_xpbd_rest(
     """Return springs that start in the rest state of xpbd, near static equilibrium.
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
-    equilibrium and would fall at the start. They fall here instead, with velocities
+    equilibrium and would fall at the start. The fall is simulated here, with velocities
     reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
     halved as long as that reduces the gap.
 

@@ -64,7 +64,7 @@ def acceleration_jacobians(
 ) -> Iterator[Matrix]:
     """Yield the sparse Jacobians of accelerations: by positions, then by velocities.
 
-    Derivatives of springs, targets and drag are exact, those of air are differences.
+    Jacobians of springs, targets and drag are analytic; air uses finite differences.
     Masses ``(N,)`` [kg] are 0 for pinned particles; the wind is ``(1, 3)`` [m/s].
     """
     from scipy.sparse import coo_array

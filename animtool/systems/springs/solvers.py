@@ -310,7 +310,7 @@ def advance_strands(
 ) -> TimeGrid:
     """Advance strands of equal masses by a span [s] with a direct solver per strand.
 
-    They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
+    Strands follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
     collide with rigid colliders too, except ``character_colliders``: first index and
     count.
     """
@@ -354,7 +354,7 @@ def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeG
 def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
     """Return a step that solves a failed cell, with a safety factor [s]; None if none.
 
-    With pins on bodies it is a step of the bodies.
+    With pins on rigid bodies, this is a step of the bodies.
     """
     ties, state = system.ties, grid.state
     if ties is not None:

@@ -332,7 +332,7 @@ class SpringSystem(SecondOrder):
 
         The shape is ``(3 N, 3 N)``.
 
-        It has springs and targets; rows of pinned particles are 0.
+        The matrix includes springs and targets; rows of pinned particles are 0.
         """
         from scipy.sparse import diags_array
 

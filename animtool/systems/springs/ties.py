@@ -91,7 +91,7 @@ class _SolvedBody(NamedTuple):
 
     carrier: int
     dynamic_index: int  # index among the dynamic bodies
-    ties: Sequence[int]  # indices of its ties
+    ties: Sequence[int]  # indices of the ties of this body
     mass: float
     inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
     inverse_inertia: FloatArray  # inverse inertia, 0 about locked axes
@@ -160,7 +160,7 @@ class TiedCell:
     ) -> TiedSolution:
         """Solve the coupled cell by Newton's method; return springs and body impulses.
 
-        ``warm_start`` is that of the last cell.
+        ``warm_start`` is the Jacobian and solution of the last cell.
         """
         count = 6 * len(self._solved_bodies)
         if not count:

@@ -38,9 +38,9 @@ class SpringView:
     rows: IntArray  # particle indices in the simulation ``(N,)``
     springs: slice  # spring indices in the simulation
     member_notices: Sequence[Fault]  # warnings about this entry alone
-    is_first: bool  # whether it reports for all joined entries
+    is_first: bool  # whether this entry reports for all joined entries
     _torn_mesh: Tearing | FaceShape | None = None
-    # Number of torn springs, and the intact faces at that number.
+    # Cache: number of torn springs, and the faces intact at that number.
     _intact: tuple[int, IntArray, IntArray] | None = None
     _self_crossings: SelfCrossings | None = None
     # Measured sides and peaks of a surface in contact.
