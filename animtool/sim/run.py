@@ -36,12 +36,12 @@ class IntegrationRun:
 
     integrator: Integrator
     equations: Equations
-    options: IntegrateOptions  # how to integrate
-    watch: DivergenceWatch  # checks for divergence
-    end: float  # the last time [s]
+    options: IntegrateOptions  # options of the integration
+    watch: DivergenceWatch  # divergence check
+    end: float  # final time of the integration [s]
     time: float  # current time [s]
     state: FloatArray
-    memory: object = None  # the method's memory
+    memory: object = None  # data that the method keeps between steps
     # The next trial step of adaptive methods [s].
     trial: float | None = None
     steps: int = 0  # accepted steps

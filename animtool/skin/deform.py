@@ -91,7 +91,7 @@ class DeformedFrames:
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
     extents: FloatArray  # minimum and maximum coordinates ``(F, 2, 3)``
-    # Unit, ``(F, N, 3)``; None unless requested.
+    # Unit normals ``(F, N, 3)``; None unless requested.
     normals: FloatArray | None = None
     # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
     velocities: FloatArray | None = None

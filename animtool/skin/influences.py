@@ -45,10 +45,10 @@ class Influences:
 class InfluenceReport:
     """Corrections applied to influences on reading."""
 
-    normalized: int  # vertices whose weight sum differs from 1 by more than 1e-6
-    pruned: int  # vertices with weights dropped by the limit of influences
-    zeros: int  # influences of zero weight, removed
-    merged: int  # duplicate influences of a joint, merged
+    normalized: int  # number of vertices with a weight sum off by more than 1e-6
+    pruned: int  # number of vertices that lost influences to the limit
+    zeros: int  # number of influences of zero weight, removed
+    merged: int  # number of duplicate influences of a joint, merged
     sum_error: float  # largest difference of a vertex's weight sum from 1, as read
     sum_vertex: int  # the vertex with the largest difference
 

@@ -48,7 +48,7 @@ MIN_COPY_FRAMES = 7
 class InbetweenDeltas:
     """The offsets of a shape at an inbetween weight."""
 
-    weight: float  # where the offsets apply fully [1], neither 0 nor 1
+    weight: float  # weight of the full offsets [1], neither 0 nor 1
     # ``(D, 3)`` at the vertices of the shape; None moves no points.
     offsets: ArrayLike | None
     normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None keeps normals
@@ -58,7 +58,7 @@ class InbetweenDeltas:
 class ShapeDeltas:
     """A blend shape as stored in files."""
 
-    name: str  # for messages
+    name: str  # name of the shape, for messages
     # ``(D, 3)`` added at weight 1, in the space and unit of the points; None if the
     # shape changes normals only.
     offsets: ArrayLike | None

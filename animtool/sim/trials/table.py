@@ -50,8 +50,8 @@ class TrialRow:
     bytes: int = 0  # as in `TrialOutcome`
     # As in `TrialOutcome`; empty if the run stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    worst: str = ""  # where the largest distance is; may be empty
-    chosen: bool = False  # whether the file uses it
+    worst: str = ""  # location of the largest distance; may be empty
+    chosen: bool = False  # whether the file requests this setting
     best: bool = False  # whether Pareto-optimal: no cheaper setting is as accurate
     # Whether the setting is recommended, or the cheapest within a budget.
     recommended: bool = False

@@ -130,7 +130,7 @@ class Trial:
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
     # Candidates for the reference: each a method with successively halved steps. The
-    # first one that works is used.
+    # first one whose runs succeed is used.
     references: Callable[[], list[list[Setting]]]
     # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]

@@ -79,7 +79,7 @@ class CollisionSurroundings(NamedTuple):
     world: WorldTransforms  # joint transforms
     time: float  # end of the frame [s]
     solids: Sequence[ClosedSurface]  # closed surfaces, such as skins
-    layers: Sequence[ClosedSurface]  # other cloth
+    layers: Sequence[ClosedSurface]  # cloth of other attachments
 
 
 class AttachmentActor:

@@ -19,7 +19,7 @@ class ClothMotion:
     faces: IntArray  # triangles ``(T, 3)``
     begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
     end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
-    times: tuple[float, float] = (0.0, 0.0)  # of start and end [s]
+    times: tuple[float, float] = (0.0, 0.0)  # start and end of the frame [s]
 
     def points(self, t: float) -> FloatArray:
         """Return the points at a time [s] ``(N, 3)`` [m]."""

@@ -117,8 +117,8 @@ def extrapolate_roots(
 class CycleShift:
     """Displacement of a character over one cycle, along the ground."""
 
-    shift: FloatArray  # ``(3,)`` [m], after the rotation
-    rotation: FloatArray  # about the up axis, at the world's origin ``(4,)``
+    shift: FloatArray  # translation after the rotation ``(3,)`` [m]
+    rotation: FloatArray  # rotation about the up axis through the origin ``(4,)``
 
 
 def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:

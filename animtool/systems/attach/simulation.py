@@ -73,7 +73,7 @@ class SavedFrame:
     """Saved states of attachments at one frame."""
 
     frame: float  # time code of the frame
-    states: Mapping[str, AttachState]  # by the attachment's name
+    states: Mapping[str, AttachState]  # states by attachment name
 
 
 def state_name_and_clock(body: AttachedBody, frame: float) -> tuple[str, StateClock]:

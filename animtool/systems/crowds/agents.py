@@ -88,7 +88,7 @@ class AgentMotion:
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]
-    headings: FloatArray  # about y, 0 is along z (N,) [rad]
+    headings: FloatArray  # angles about y; 0 is along z (N,) [rad]
 
 
 def build_agents(

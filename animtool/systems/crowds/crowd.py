@@ -60,11 +60,11 @@ class CrowdState:
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # x and z (N, 2) [m/s]
-    headings: FloatArray  # about up, 0 is along z (N,) [rad]
+    headings: FloatArray  # angles about up; 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # largest overlap of two agents so far [m]
-    bodies: BodyState | None  # None without bodies
-    falls: Falls | None  # None if nobody can fall
+    bodies: BodyState | None  # body states; None without bodies
+    falls: Falls | None  # falls so far; None if no agent can fall
 
 
 @dataclass(frozen=True, eq=False)

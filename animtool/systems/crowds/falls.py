@@ -79,7 +79,7 @@ _LocalPose = tuple[FloatArray, FloatArray]
 class FallingRagdoll:
     """The ragdoll of a falling agent."""
 
-    rig: Rig  # scaled to the agent, with limits widened to its pose at the fall
+    rig: Rig  # agent-sized rig, with limits widened to the start pose
     ragdoll: Ragdoll
     simulation: RigidSimulation
 

@@ -58,7 +58,7 @@ class Steering:
     goals: Sequence[CrowdGoalModel]
     goal_points: FloatArray
     queue_spacings: FloatArray
-    grid: NavGrid | None  # None without obstacles
+    grid: NavGrid | None  # walkable grid; None without obstacles
 
     @cached_property
     def flow_fields(self) -> list[FlowField]:

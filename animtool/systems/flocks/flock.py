@@ -156,7 +156,7 @@ class FlockState:
     """State of the members of a flock."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    heading: MemberHeadings | None  # None if points are shown
+    heading: MemberHeadings | None  # orientations; None if members are shown as points
 
 
 @dataclass(frozen=True)

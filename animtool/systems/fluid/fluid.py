@@ -59,10 +59,12 @@ _NO_PARTICLES = np.zeros((2, 0, 3))
 class FluidState:
     """State of N fluid particles at the end of a step."""
 
-    ids: IntArray = field(metadata=growing())  # ascending (N,)
-    motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
+    ids: IntArray = field(metadata=growing())  # particle ids, ascending (N,)
+    # Positions [m], then velocities [m/s] (2, N, 3).
+    motion: FloatArray = field(metadata=growing(1))
     births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
-    pressures: FloatArray = field(metadata=growing())  # means over a step (N,) [Pa]
+    # Mean pressures over a step (N,) [Pa].
+    pressures: FloatArray = field(metadata=growing())
     made: int = 0  # number of particles born so far
     held: int = 0  # number of particles not emitted so far, for lack of room
     sound: float = 0.0  # speed of sound [m/s]
@@ -529,4 +531,4 @@ class PressureResult:
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]
     compression: float
-    wrenches: Sequence[Wrenches]  # on bodies of each system
+    wrenches: Sequence[Wrenches]  # impulses on the bodies of each system

@@ -75,8 +75,9 @@ class ContactMeter:
 
     seconds: bool = False  # whether frames are times in [s], as for systems
     start: float | None = None  # first measured time of a system [s]
-    depth: PeakValue = field(default_factory=PeakValue)  # in a skin or a collider [m]
-    # Intersecting pairs of an edge and a triangle, with itself and with skins.
+    # Largest depth in a skin or a collider [m].
+    depth: PeakValue = field(default_factory=PeakValue)
+    # Largest number of intersecting edge-triangle pairs, with itself and with skins.
     pierced: PeakValue = field(default_factory=PeakValue)
     strain: PeakValue = field(default_factory=PeakValue)  # largest strain of a side [1]
     strain_99: PeakValue = field(

@@ -189,9 +189,9 @@ def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
 class _FieldMetadata:
     """Metadata of state fields by name, from `growing`, `later` and `added`."""
 
-    axes: dict[str, int] = field(default_factory=dict)  # `growing`
+    axes: dict[str, int] = field(default_factory=dict)  # fields marked `growing`
     later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
-    added: set[str] = field(default_factory=set)  # `added`
+    added: set[str] = field(default_factory=set)  # fields marked `added`
 
     def starts_as_none(self, name: str) -> bool:
         """Return whether an array belongs to a field that starts as None."""

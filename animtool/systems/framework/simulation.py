@@ -38,7 +38,7 @@ class Diagnostics:
     """Energy, warnings and report values of a state."""
 
     energy: Energy | None = None  # energy; None if it is not conserved
-    values: Mapping[str, Any] = field(default_factory=dict)  # for the report
+    values: Mapping[str, Any] = field(default_factory=dict)  # report values by name
     notices: Sequence[Fault] = ()  # warnings so far
     if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
     steps: int | None = None  # method steps so far; None is one per step

@@ -45,7 +45,7 @@ class SolidProperties:
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
-    inertia: FloatArray  # about the centre (3, 3) [m⁵]
+    inertia: FloatArray  # inertia about the centre of mass (3, 3) [m⁵]
 
     def transformed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
         """Return the properties after a rotation and a translation."""

@@ -58,7 +58,8 @@ class BodyKind:
     """Properties that all copies of a body share, in the frame of the body."""
 
     model: BodyModel
-    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and rotation
+    # Shapes, each with its origin and rotation.
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]
     cores: Sequence[ConvexCore]
     mass: float  # [kg]
     centre: FloatArray  # centre of mass (3,) [m]

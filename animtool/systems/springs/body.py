@@ -231,10 +231,11 @@ class SpringForces:
     inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 for pinned particles
     drags: FloatArray  # drag per mass and speed ``(N,)`` [1/s]
     springs: Springs
-    triangles: IntArray  # surface that air acts on ``(T, 3)``
+    triangles: IntArray  # triangles on which air acts ``(T, 3)``
     gravity: FloatArray  # ``(3,)`` [m/s²]
-    air_coefficients: tuple[float, float]  # air drag and lift over area and speed²
-    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)  # particles ``(P,)``
+    air_coefficients: tuple[float, float]  # air drag and lift per area and speed²
+    # Indices of the pinned particles ``(P,)``.
+    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)
     target_springs: TargetSprings = NO_TARGETS
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:

@@ -26,7 +26,7 @@ class Cells:
     """Consecutive time cells of equal length."""
 
     origin: float  # start time of cell 0 [s]
-    length: float  # of each cell [s]
+    length: float  # length of each cell [s]
     index: int  # index of the first cell
     count: int
 
@@ -34,13 +34,13 @@ class Cells:
 class PosedColliders(NamedTuple):
     """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
 
-    sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
+    sizes: FloatArray  # sizes in the layout of kernels ``(C, 13)`` [m]
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
     # Signed distances, at most 0, that particles may have from rigid colliders and
     # skin meshes ``(R, N)`` [m].
     depths: FloatArray
-    skins: Sequence[Any]  # kernel surfaces, before those of the world
-    inside: float  # deeper particles stay inside [m]
+    skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
+    inside: float  # depth below which particles stay inside [m]
 
 
 def cell_colliders(

@@ -30,7 +30,7 @@ class CurveShape:
     """
 
     counts: IntArray  # particles of each curve ``(C,)``
-    width: float  # of the curves [m]
+    width: float  # width of the curves [m]
     springs: Springs  # springs between the particles
 
     @property
@@ -71,7 +71,7 @@ class FaceShape:
 
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
-    springs: Springs  # between the particles
+    springs: Springs  # springs between the particles
     closed: bool = False  # whether only the outside of the surface is visible
 
     @property
@@ -226,7 +226,7 @@ class _NeighbourRotations:
 
     particles: IntArray  # ascending ``(P,)``
     owners: IntArray  # row in `particles` for each neighbour ``(K,)``
-    neighbours: IntArray  # particles that stay connected to them ``(K,)``
+    neighbours: IntArray  # particles that stay connected to an owner ``(K,)``
     rest_offsets: FloatArray  # rest vectors to the neighbours ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
@@ -253,9 +253,9 @@ class _NeighbourRotations:
 class _Middle:
     """Middle points of a torn face: one for each run of corners around the face."""
 
-    corners: IntArray  # of the face ``(C,)``
-    run_of_corner: IntArray  # ``(C,)``
-    springs: IntArray  # between a run and the next, around the face ``(P,)``
+    corners: IntArray  # particles at the corners of the face ``(C,)``
+    run_of_corner: IntArray  # index of the run of each corner ``(C,)``
+    springs: IntArray  # side spring from each run to the next ``(P,)``
     rest_offsets: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
     def positions(

@@ -26,8 +26,8 @@ MAX_RATE = 1e6
 class Piercing:
     """Maximum self-piercing counts of a surface over time."""
 
-    passed: int = 0  # particles through triangles, not yet resolved
-    cut: int = 0  # pairs of edges that passed through each other
+    passed: int = 0  # number of particles through triangles, not yet resolved
+    cut: int = 0  # number of edge pairs that passed through each other
     # Step rate needed to detect all fast contacts [1/s]; 0 if the current one suffices.
     rate: float = 0.0
 
@@ -73,16 +73,16 @@ class TimeGrid:
     # Largest strain of xpbd springs beyond their compliance [1].
     stretch: float = 0.0
     steps: int = 0
-    evaluations: int = 0  # evaluations of all spring forces
+    evaluations: int = 0  # number of evaluations of all spring forces
     lost: bool = False  # whether the last cell could not be solved
     max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
-    unresolved: int = 0  # most particles left inside colliders
+    unresolved: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
     # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     # Impulses on rigid bodies that carry pins in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()
-    # Largest counts of self-piercing.
+    # Maximum counts of self-piercing over time.
     piercing: Piercing = field(default_factory=Piercing)
 
     @property

@@ -40,7 +40,7 @@ class Pin:
     """Particles that are pinned to a carrier, or pulled towards it by springs."""
 
     model: PinModel
-    particles: IntArray  # their indices ``(P,)``
+    particles: IntArray  # indices of the pinned particles ``(P,)``
     carrier: Any = None  # carrier of the pin, for `SimContext.poses`
     where: str = "pins"  # location in the scene entry
 
@@ -91,7 +91,7 @@ PinPoses: TypeAlias = Sequence[tuple[Pin, Poses]]
 class Join:
     """Particles merged with those of another system."""
 
-    particles: IntArray  # their indices ``(P,)``
+    particles: IntArray  # indices of the particles to merge ``(P,)``
     to: JoinedModel
     where: str  # location in the scene entry
 

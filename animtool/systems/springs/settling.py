@@ -90,7 +90,7 @@ class _Descent:
     rest: FloatArray  # final positions (N, 3) [m]
     speed: float  # speed of the fastest particle [m/s]
     substeps: int  # steps in a cell
-    work: int  # springs times steps so far
+    work: int  # number of springs times steps so far
     gap: float  # largest distance from the start [m]
 
 

@@ -93,7 +93,7 @@ class _SolvedBody(NamedTuple):
     dynamic_index: int  # index among the dynamic bodies
     ties: Sequence[int]  # indices of the ties of this body
     mass: float
-    inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
+    inertia: FloatArray  # world inertia about the centre of mass ``(3, 3)`` [kg m²]
     inverse_inertia: FloatArray  # inverse inertia, 0 about locked axes
     radius: float  # largest distance from the centre to carried particles [m]
 
