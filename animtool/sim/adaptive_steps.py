@@ -59,7 +59,7 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
 
 
 def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float]:
-    """Return a step size and its end time that leave no tiny step before the target."""
+    """Return the step size and end time of a step that leaves no tiny last step."""
     remaining = target - time
     if trial >= remaining:
         return remaining, target
@@ -68,7 +68,7 @@ def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float
 
 
 def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
-    """Return whether a trial step before the target is below the floor."""
+    """Return whether a trial step that ends before the target is below the floor."""
     if trial >= target - run.time:
         return False
     return trial < run.options.floor or run.time + trial == run.time
@@ -93,7 +93,7 @@ def _step_factor(ratio: float, run: IntegrationRun) -> float:
 def _error_ratio(
     step: StepResult, start: FloatArray, options: IntegrateOptions
 ) -> float:
-    """Return the largest error over its tolerance; NaN if the state is not finite."""
+    """Return the largest error-to-tolerance ratio; NaN if the state is not finite."""
     assert step.error is not None
     magnitude = np.maximum(np.abs(start), np.abs(step.state))
     tolerances = options.least + options.relative * magnitude

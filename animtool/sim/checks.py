@@ -72,7 +72,7 @@ def stop_warning(
 
 
 def _stable_step_advice(stable_step: float | None) -> str:
-    """Return a hint with the largest stable step, or without it if it is unknown."""
+    """Return a hint that names the largest stable step, if that is known."""
     if stable_step is None or math.isinf(stable_step):
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
@@ -139,7 +139,7 @@ class EnergyWatch:
 
 
 def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
-    """Return sample times as an array; they must be finite and ascending."""
+    """Return sample times as an array; raise if they are not finite and ascending."""
     times = np.asarray(values, np.float64)
     message, hint = "", None
     if times.ndim != 1 or not len(times):
@@ -210,7 +210,7 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 
 
 def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
-    """Return one message for each row that is not finite at the start."""
+    """Return a message for each row that is not finite at the start."""
     is_finite = np.isfinite(np.atleast_1d(values))
     nonfinite_rows = np.flatnonzero(
         ~is_finite.all(axis=tuple(range(1, is_finite.ndim)))

@@ -44,7 +44,7 @@ class Equations:
         self._anchor_rate = last[2] if last is not None and is_same_state else None
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the time derivative of a state, in its shape."""
+        """Return the time derivative of a state, in the shape of the state."""
         anchor = self._anchor
         if anchor is not None and anchor[1] is y and anchor[0] == t:
             if self._anchor_rate is None:

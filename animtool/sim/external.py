@@ -23,7 +23,7 @@ DENSE_JACOBIAN_SOLVERS = {"scipy.integrate:LSODA"}
 
 @dataclass(slots=True)
 class _Solver:
-    """A running solver, and its dense output over the last step."""
+    """A running SciPy solver, and the dense output of its last step."""
 
     solver: Any
     dense_output: Any = None

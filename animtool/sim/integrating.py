@@ -165,7 +165,7 @@ def _start_run(
     times: FloatArray,
     start: Checkpoint,
 ) -> IntegrationRun:
-    """Return a run that starts from a checkpoint, with its energy watch."""
+    """Return a run that starts from a checkpoint, with a divergence check."""
     energy_watch = EnergyWatch(equations.system, options)
     energy_watch.start(start.time, start.state)
     return IntegrationRun(
@@ -197,7 +197,7 @@ def _sample_states(
 def _sample_energies(
     system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
-    """Return total energies at the times reached; None if one is missing."""
+    """Return total energies at the times reached; None if any energy is undefined."""
     energies = [
         system.energy(t, state)
         for t, state in zip(times.tolist(), states, strict=False)

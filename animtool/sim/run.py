@@ -161,7 +161,7 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
 
 
 def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
-    """Take the steps one by one, in Python."""
+    """Take the steps of a grid one by one, in Python."""
     step_function = run.integrator.step
     assert step_function is not None
     for i in range(grid.count):
@@ -177,7 +177,7 @@ def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
 
 
 def _advance_by_blocks(run: IntegrationRun, grid: StepGrid, native: Native) -> Status:
-    """Take the steps in compiled blocks, with a check after each."""
+    """Take the steps of a grid in compiled blocks, with a check after each block."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):
         count = min(CHECK_INTERVAL, grid.count - i)

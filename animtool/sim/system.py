@@ -62,7 +62,7 @@ class System(Protocol):
         ...
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:
-        """Return the energy of a state; None if it has none or it cannot be used."""
+        """Return the energy of a state; None if it is undefined or not meaningful."""
         return None
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
@@ -114,7 +114,7 @@ class FirstOrder(System, Protocol):
     """A system ``y' = rate(t, y)`` with a state of any shape."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the time derivative of a state, in its shape [1/s]."""
+        """Return the time derivative of a state, in the shape of the state [1/s]."""
         ...
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:

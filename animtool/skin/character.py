@@ -75,7 +75,7 @@ def character_meshes(
 def character_strands(
     strands: Sequence[Strands], joints: Sequence[str], bind: FloatArray
 ) -> list[CharacterMesh]:
-    """Return strands prepared to follow their joint rigidly.
+    """Return strands prepared to follow a joint rigidly.
 
     Args:
         strands: ``(S, K, 3)`` points each, flattened to one row of vertices.

@@ -26,7 +26,7 @@ MIN_BLOCK_FRAMES = 4
 
 @dataclass(frozen=True, slots=True)
 class DeformedMesh:
-    """A mesh with its shapes and skin.
+    """A mesh with blend shapes and a skin, prepared for deformation.
 
     Raises:
         FormatError: Shapes, skin or normals do not match the number of vertices
@@ -321,7 +321,7 @@ def replace_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> DeformedFrames:
-    """Return frames of a mesh with its points replaced, for example by simulated ones.
+    """Return frames of a mesh with other points, such as simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 

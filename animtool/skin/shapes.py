@@ -264,7 +264,7 @@ def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _offsets_by_weight(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape at all its weights, 1 included, by weight.
+    """Return the offsets of a shape at all inbetween weights and 1, by weight.
 
     Empty offsets with normal offsets mean a shape of normals only.
     """

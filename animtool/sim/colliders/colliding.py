@@ -389,7 +389,7 @@ def _mesh_arrays(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
 def _offset_mesh(
     shape: Mesh, point_offset: int, triangle_offset: int, node_offset: int
 ) -> tuple[Any, ...]:
-    """Return a mesh's arrays, with indices offset by those of earlier meshes."""
+    """Return the arrays of a mesh, with indices offset past earlier meshes."""
     points, corners = shape.weld()
     sorted_triangles, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(
         points, corners

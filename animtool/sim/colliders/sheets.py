@@ -16,7 +16,7 @@ from animtool.sim.contact import Material
 
 
 class SheetMotion(Protocol):
-    """A surface over time; particles do not push it."""
+    """Interface of a surface over time, which particles do not push."""
 
     def points(self, t: float) -> FloatArray:
         """Return the points of the surface ``(N, 3)`` [m] at a time [s].
@@ -57,7 +57,7 @@ class Sheet(Material, Checked):
     depenetration: Annotated[float, above(0, "SIM020")] = 1.0
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = Checked.problems(self)
         return [fault for fault in faults if fault[0] == "radius"] or faults
 

@@ -89,11 +89,11 @@ class Surfaces:
 
 
 class _PreparedSheet:
-    """A sheet with its tree, built once at the start.
+    """A sheet with a bounding volume tree, built once at the start.
 
     Attributes:
         sheet: The sheet.
-        faces: Its triangles; for two-sided sheets, those of their hull ``(T, 3)``.
+        faces: Triangles of the sheet; for a two-sided sheet, of its hull ``(T, 3)``.
         kernel: Kernel object with the tree of the triangles.
         material: Restitution, friction, margin, depenetration and the speed limit.
     """

@@ -19,7 +19,7 @@ MAX_STEP_RATIO = 2.4
 
 @dataclass(frozen=True, slots=True)
 class PreviousStep:
-    """The previous step: its start and its length [s]."""
+    """Start state and length [s] of the previous step."""
 
     state: FloatArray
     h: float

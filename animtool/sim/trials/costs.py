@@ -15,7 +15,7 @@ TIMING_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The cost and the error of a setting."""
+    """The cost of a setting, and the error of its result."""
 
     value: float  # time [s], or another cost
     error: float  # [m]

@@ -204,7 +204,7 @@ def _trial_rows(
     settings: Sequence[Setting],
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
-    """Return a row for each setting; skip those far slower than the reference."""
+    """Return a row for each setting; skip settings far slower than the reference."""
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.

@@ -33,7 +33,7 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class TrialRow:
-    """A setting and its results."""
+    """A setting, with the results of its run."""
 
     setting: Setting  # setting of the run
     # Wall time of the simulation [s]; 0 if the method does not apply.

@@ -62,7 +62,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The points at one time."""
+    """The points of a run at one time."""
 
     points: FloatArray  # (N, 3) [m]
     # Point ids, ascending (N,); None if constant.
@@ -72,7 +72,7 @@ class Snapshot:
 
 
 class Figure(StrEnum):
-    """A measured quantity of a run besides its points."""
+    """A scalar quantity measured in a run in addition to its points."""
 
     STRETCH = "stretch"  # largest spring elongation over its rest length [1]
     DEPTH = "depth"  # largest penetration of cloth [m]

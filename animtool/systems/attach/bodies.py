@@ -152,7 +152,7 @@ def _has_free_tip(rig: Rig, joint: int) -> bool:
 
 
 def _bone_end(rig: Rig, joints: list[int]) -> FloatArray:
-    """Return the end of a chain's last bone, in the frame of its joint.
+    """Return the end of a chain's last bone, in the frame of the last joint.
 
     This is the tip of the joint, else its first child, else a copy of the bone before.
     """

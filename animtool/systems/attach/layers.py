@@ -32,11 +32,11 @@ class ClothMotion:
         return self.begin + fraction * (self.end - self.begin)
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return the triangles ``(T, 3)``; they are constant."""
+        """Return the constant triangles ``(T, 3)``."""
         return self.faces
 
     def forget(self, t: float) -> None:
-        """Do nothing: only the last frame is stored."""
+        """Do nothing, as only the last frame is stored."""
 
 
 def cloth_sheet(

@@ -124,8 +124,8 @@ class CycleShift:
 def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
-    It is zero if the first root returns to its start. Else the step from the last frame
-    to the next cycle has the mean speed of both ends.
+    The travel is zero if the first root returns to its start. Otherwise, the
+    step from the last frame to the next cycle has the mean speed of both ends.
     """
     root = rig.roots[0]
     first, second, second_last, last = (pose.translations[root] for pose in poses)
@@ -159,7 +159,7 @@ def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
 def seam_weights(frames: int, seam_fraction: float = SEAM_FRACTION) -> FloatArray:
     """Return the weight of the seam correction for each frame ``(F,)``.
 
-    It increases from 0 to 1 over a fraction of the cycle, at its end.
+    The weight increases from 0 to 1 over a fraction of the cycle, at its end.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]

@@ -88,7 +88,7 @@ def headings_of(rotations: FloatArray) -> FloatArray:
 
 
 def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
-    """Return the kind of a clip (moves, stands, reacts), and its gait."""
+    """Classify a clip (moves, stands or reacts), and return it as a gait."""
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.skeleton, world.positions)
     fps = float(take.clock.rate)
@@ -176,7 +176,7 @@ def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatA
 
 
 def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
-    """Return the second of three cycles as a gait; None unless it has two steps."""
+    """Return the second of three cycles as a gait; None if it lacks two clear steps."""
     translations, rotations, _ = take.motion.dense()
     world = forward_kinematics(walker.rig, translations, rotations)
     length, fps = take.clock.count // CYCLE_REPEATS, float(take.clock.rate)

@@ -270,7 +270,7 @@ class FallSimulator:
 def _step_ragdoll(
     simulation: RigidSimulation, body_states: FloatArray, t: float, dt: float
 ) -> FloatArray:
-    """Return body states ``(B, 14)`` after a step [s], in substeps if they are fast."""
+    """Return body states ``(B, 14)`` after a step [s]; fast bodies take substeps."""
     initial = simulation.initial()
     for substeps in (1, SUBSTEPS):
         states, substep = body_states, dt / substeps

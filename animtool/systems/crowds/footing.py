@@ -229,7 +229,7 @@ class Footing:
         return detours
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights and normals of the ground; heights are 0 beyond its edge."""
+        """Return heights and normals of the ground; beyond the edge, heights are 0."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
 

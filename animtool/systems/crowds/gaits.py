@@ -156,7 +156,7 @@ class Gaits:
 
 
 def swing_progress(fraction: FloatArray) -> FloatArray:
-    """Return the smoothed progress of a foot over its swing."""
+    """Return the smoothed progress of a foot over a swing, from 0 to 1."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 

@@ -207,7 +207,7 @@ def navigation_grids(
     goals: FloatArray,
     t: float,
 ) -> tuple[NavGrid | None, NavGrid | None]:
-    """Return a grid of walkable nodes, and one of nodes on the ground.
+    """Return a grid of walkable nodes, and a grid of all nodes on the ground.
 
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.

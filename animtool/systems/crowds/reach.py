@@ -38,7 +38,7 @@ MAX_CYCLE_RATE = 2.5
 
 @dataclass(frozen=True)
 class LegReach:
-    """Reach of the legs of a rig, from its thigh positions in gaits.
+    """Reach of the legs of a rig, computed from the thigh positions in gaits.
 
     Attributes:
         gaits: Gaits of the rig.

@@ -55,7 +55,7 @@ def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> Flo
 
 @dataclass(frozen=True)
 class Trunk:
-    """Joints that rotate the shoulders: spine joints, and neck joints against them."""
+    """Joints that rotate the shoulders: spine joints, and opposite neck joints."""
 
     spine: tuple[int, ...]
     neck: tuple[int, ...]  # neck and head joints

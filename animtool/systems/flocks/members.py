@@ -37,7 +37,7 @@ MIN_REPORTED_MOVE = 4e-3
 
 @dataclass(frozen=True)
 class Members(Groups):
-    """N members of several species, with their start."""
+    """N members of all species, with start positions and velocities."""
 
     noun: ClassVar[str] = "member"
     species_data: Sequence[Mapping[str, Any]]  # resolved keys of each species

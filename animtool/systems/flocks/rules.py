@@ -24,7 +24,7 @@ _NO_INTERACTION = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class FlockRule:
-    """A rule of one species towards others, as kernel arguments."""
+    """A rule of one species towards other members, as kernel arguments."""
 
     members: Indices | None  # members that follow the rule (M,); None for all
     others: Indices | None  # members that the rule reacts to; None for all
@@ -81,7 +81,7 @@ def build_rules(members: Members) -> list[FlockRule]:
 def _build_flocking_rule(
     species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
-    """Return the rule of a species towards its own kind and those it joins."""
+    """Return the rule of a species towards members of this and of joined species."""
     vision, repulsion = species.vision, species.repulsion
 
     def clamp_radius(radius: float | None) -> float:

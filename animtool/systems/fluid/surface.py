@@ -36,7 +36,7 @@ def build_surface(
     velocities: FloatArray,
     primvars: Mapping[str, Any],
 ) -> MeshFrame:
-    """Return the surface mesh of particles ``(N, 3)``; its faces change by frame.
+    """Return the surface mesh of particles ``(N, 3)``; the topology differs by frame.
 
     Each vertex has the velocity and primvars of the nearest particle.
     """

@@ -217,7 +217,7 @@ class SceneUnits:
         }
 
     def _scale_numbers(self, value: Any, unit: str) -> Any:
-        """Return numbers, also in nested lists, converted from a unit."""
+        """Convert numbers, also in nested lists, from a unit."""
         factor = self.factor(unit) if unit else 1.0
         if factor == 1.0 or isinstance(value, bool):
             return value
@@ -228,7 +228,7 @@ class SceneUnits:
         return value
 
     def array_factor(self, description: str | None) -> float:
-        """Return the factor for arrays of a key, from the unit in its description."""
+        """Return the factor for arrays of a key, from the unit in the description."""
         units = _BRACKETS.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 

@@ -45,7 +45,7 @@ State = TypeVar("State", bound=HasMotion)
 def integrate_step(
     system: SecondOrder, options: IntegrateOptions, begin: float, duration: float
 ) -> FloatArray:
-    """Integrate a system over a duration [s] and return its final state."""
+    """Integrate a system over a duration [s], and return the final state."""
     start = Checkpoint(begin, system.state)
     trajectory = integrate(system, (begin, begin + duration), options, start)
     if trajectory.stats.status is not Status.OK:
@@ -171,7 +171,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def compute_sums(
         self, x: FloatArray, last_sums: InteractionSums
     ) -> InteractionSums:
-        """Return interaction sums at positions ``(N, 3)``, given the last sums."""
+        """Return interaction sums at positions ``(N, 3)``, given the previous sums."""
 
     @abstractmethod
     def _forces(self, sums: InteractionSums) -> FloatArray:
@@ -228,7 +228,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         state: State,
         check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> StepSystem[InteractionSums]:
-        """Return the system of one step from a state."""
+        """Return the second-order system that integrates one step from a state."""
         return StepSystem(self, state.motion, self._state_sums(state), check)
 
     @cached_property

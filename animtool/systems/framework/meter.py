@@ -27,7 +27,7 @@ VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
 @dataclass(frozen=True, slots=True)
 class PeakValue:
-    """The largest value over all frames, with its frame and position."""
+    """The largest value over all frames, and the frame and position where it occurs."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
     frame: float | None = None  # time code; None for a system, or without a value

@@ -36,7 +36,7 @@ STEP_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ReachedState(Generic[State]):
-    """A state and its number of steps."""
+    """A state, and the number of steps from the start to it."""
 
     steps: int
     state: State
@@ -66,7 +66,7 @@ class EntryRun:
         self._was_empty: bool | None = None  # None before the first frame
 
     def at(self, t: float) -> Frame:
-        """Return the frame at a time [s] not before the last requested one.
+        """Return the frame at a time [s]; requested times must not decrease.
 
         Raises:
             OptionError: The time is before the last one (SIM002).
@@ -94,7 +94,7 @@ class EntryRun:
         )
 
     def body_carriers(self) -> TiedBodies:
-        """Return the rigid bodies of the entry as carriers of others' particles."""
+        """Return the rigid bodies of the entry as carriers for other systems."""
         run, simulation = self.run, self.simulation
         bodies = TiedBodies(run, simulation, run.begin, run.step_length)
         run.add_observer(bodies)
@@ -282,7 +282,7 @@ class SimulationRun(EntryRun):
             self._queued_pushes.append((t, pusher_index, wrenches))
 
     def apply_pushes(self) -> ReachedState[Any]:
-        """Return the last state with all pushes up to its time applied.
+        """Return the last state with all pushes until that time applied.
 
         Pushers are advanced to the same time first, so that the result does not depend
         on the requested times.
@@ -362,7 +362,7 @@ class SimulationRun(EntryRun):
         return sampled.state, max(t, time)
 
     def forget(self) -> None:
-        """Drop past states that no observer needs."""
+        """Discard past states that no observer needs."""
         assert self._past_states is not None
         t = min(observer.earliest_time for observer in self._observers)
         if t == -math.inf:

@@ -164,7 +164,7 @@ class Resumed(Protocol[State_contra]):
     """A simulation with additional checks of resumed states."""
 
     def incompatibility(self, state: State_contra, t: float) -> str:
-        """Return why it cannot resume from a state; empty if it can."""
+        """Return why the simulation cannot resume from a state; empty if it can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,7 +183,7 @@ class Tried(Protocol):
     """A simulation that provides the settings of its work-precision table."""
 
     def trial_settings(self) -> TrialSettings:
-        """Return settings around the configured one."""
+        """Return the settings to compare, around the configured setting."""
 
 
 # Metadata of fields of a state, so that it can be saved and resumed.
@@ -203,7 +203,7 @@ def later(*records: type[Any]) -> dict[str, Any]:
 
 
 def added() -> dict[str, Any]:
-    """Mark a field that older state files lack; it then keeps its initial value."""
+    """Mark a field that older state files lack; it keeps its initial value then."""
     return {"added": True}
 
 

@@ -93,7 +93,7 @@ class SystemSpec(FileModel):
         return {name: count for name, count in counts.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return faults of conflicting keys, with the key as ``where``.
+        """Return the faults of conflicting keys, with the key as ``where``.
 
         ``parts`` is the data read for the keys, as in a `SimContext`.
         """
@@ -109,7 +109,7 @@ class SystemSpec(FileModel):
         yield from ()
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
-        """Return the record of the entry and its faults, when the file is read.
+        """Return the record and the faults of the entry when the file is read.
 
         A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
@@ -182,4 +182,4 @@ class EntryRecord(Protocol):
         """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
-        """Return faults of joins with other systems, each with its key."""
+        """Return the faults of joins with other systems, with the key of each join."""

@@ -27,13 +27,13 @@ class ObservedRun(Protocol):
         """Drop past states that no observer needs."""
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
-        """Queue impulses on its bodies at a time [s]."""
+        """Queue impulses on the bodies of the run at a time [s]."""
 
     def register_pusher(self, pusher: Pusher) -> int:
-        """Register a system that pushes its bodies; return the index of the pusher."""
+        """Register a system that pushes the bodies; return the index of the pusher."""
 
     def add_puller(self, bodies: Any, puller: Any) -> None:
-        """Register a system whose particles are attached to its bodies."""
+        """Register a system whose particles are attached to the bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +87,7 @@ class RigidSystem(Protocol):
         """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
-        """Return a state with impulses applied to its bodies."""
+        """Return a state with impulses applied to the bodies."""
 
     def push_to(self, state: Any, target: Any) -> Wrenches:
         """Return the impulses that change one state to another at the same time."""

@@ -47,7 +47,7 @@ class TiedBodies(BodyColliders):
         self._start_state: Any = simulation.initial()
 
     def body_index(self, carrier: BodyCarrier) -> int:
-        """Return the index of a body; raise SIM162 if its name is unknown."""
+        """Return the index of a carrier's body; raise SIM162 if the name is unknown."""
         names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)

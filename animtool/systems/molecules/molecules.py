@@ -164,7 +164,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self._max_frequency = math.sqrt(8 * max(rates))
 
     def begin(self) -> None:
-        """Check the initial state, and set colour ranges from it."""
+        """Check the initial state, and set colour ranges from that state."""
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
             self._check_numbers(start)

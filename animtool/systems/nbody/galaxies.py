@@ -126,7 +126,7 @@ def surface_density(disc: DiscModel, r: FloatArray | float) -> FloatArray:
 
 
 def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
-    """Return the bodies of each galaxy of a spec, in its start position."""
+    """Return the bodies of each galaxy of a spec at the start positions."""
     constant, softening = spec.gravity_constant, spec.softening
     galaxies = [build_galaxy(galaxy, constant, softening) for galaxy in spec.galaxies]
     starts = [

@@ -111,7 +111,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def __init__(
         self, spec: NbodyModel, context: SimContext, body_sets: Sequence[PointMasses]
     ) -> None:
-        """Start with the bodies of each entry, those of galaxies last."""
+        """Start with the bodies of each entry; bodies of galaxies are last."""
         super().__init__(spec, context, "attractors")
         self._has_fixed_steps = self._integrator.control is StepControl.FIXED
         self._max_phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
@@ -171,7 +171,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
-        """Return the mass [kg] of the pair with the fastest orbit, and its distance."""
+        """Return the mass [kg] and a description of the pair with the fastest orbit."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
         cubes = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5

@@ -199,7 +199,7 @@ class Emitter(Emission, Checked):
         return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options by name, each with a message."""
+        """Return the names of invalid options, each with a message."""
         problems = [("place", message) for message in self.place.faults()]
         problems += [("poses", message) for message in self.poses.faults()]
         problems += super().problems()

@@ -17,7 +17,7 @@ PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _RangeChecked:
-    """Checks a shape by the ranges that its fields declare."""
+    """Base of shapes that are checked against the declared ranges of their fields."""
 
     __slots__ = ()
 

@@ -15,7 +15,7 @@ from animtool.systems.particles.simulation import ParticleRunState, ParticleSimu
 
 @dataclass(frozen=True, slots=True)
 class ParticleFrame(PointsFrame):
-    """Particles at one time.
+    """The particles of a simulation at one time.
 
     Attributes:
         ids: ``(N,)``, ascending.
@@ -62,7 +62,7 @@ class ParticleRun(SimulationRun):
 
     @property
     def contacts(self) -> Contacts | None:
-        """Contacts of the last step; None before it.
+        """Contacts of the last step; None before the first step.
 
         Contacts do not include particles born in the step.
         """

@@ -136,6 +136,6 @@ def _record_faults(
 
 
 def _table_name(force: Force) -> str:
-    """Return the name of a force in `FORCES`, or that of its class."""
+    """Return the name of a force in `FORCES`, or the class name if it has none."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

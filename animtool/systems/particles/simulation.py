@@ -364,7 +364,7 @@ class ParticleSimulation:
         return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
-        """Return the energy if it is conserved, and warnings."""
+        """Return the energy if it is conserved, and warnings about the motion."""
         empty_warning = self._empty_notice(t)
         return Diagnostics(
             self._energy(state, t),

@@ -69,7 +69,7 @@ class RigidBodies:
     def from_models(
         models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
     ) -> RigidBodies:
-        """Return the bodies of the models of a spec, with their copies."""
+        """Return the bodies described by the models of a spec, copies included."""
         kinds: list[BodyKind] = []
         names, of, is_dynamic, poses = [], [], [], []
         used_names: set[str] = set()
@@ -252,7 +252,7 @@ class RigidBodies:
 
     @cached_property
     def collision_shapes(self) -> CollisionShapes:
-        """Collision shapes of all bodies; those of meshes are convex hulls."""
+        """Collision shapes of all bodies; mesh shapes are convex hulls."""
         rows = [
             (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
             for i, k in enumerate(self.kind_of_body.tolist())
@@ -337,7 +337,7 @@ def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
 
 
 def collider_shape(shape: Shape) -> Shape:
-    """Return a shape as a collider; of a mesh, its convex hull."""
+    """Return a shape as a collider; for a mesh, its convex hull."""
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = core_mesh(core_of(shape))

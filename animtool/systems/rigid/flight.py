@@ -124,7 +124,7 @@ def _substep(
     acceleration: FloatArray,
     jacobians: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return positions and velocities after a substep, and their error ``(N,)``.
+    """Take one exponential Runge-Kutta substep; return the motion and errors ``(N,)``.
 
     Vectors have six elements: a position, and a velocity times the substep.
     """

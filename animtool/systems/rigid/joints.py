@@ -89,7 +89,7 @@ class Joints:
 
 
 def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
-    """Concatenate several sets of joints."""
+    """Concatenate sets of joints into one set."""
     return Joints(
         np.concatenate([joints.rows for joints in joint_sets]),
         np.concatenate([joints.numbers for joints in joint_sets]),
@@ -143,7 +143,7 @@ def check_joints(
 
 
 def _body_model(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
-    """Return the model of a body by name, also of a copy such as ``crate[2]``."""
+    """Return the model of a body or of a copy such as ``crate[2]`` by name."""
     if name not in bodies and name.rpartition("[")[0] not in bodies:
         refuse_unknown(name, list(bodies), key)
     return bodies.get(name) or bodies[name.rpartition("[")[0]]
@@ -400,7 +400,7 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
 
 
 def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
-    """Return the speed of a motor [rad/s] or [m/s]; 0 without one."""
+    """Return the speed of a joint motor [rad/s] or [m/s]; 0 without a motor."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
@@ -424,7 +424,7 @@ def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> 
 def _distance_warnings(
     bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
-    """Return a warning if a joint is far from its body (SIM127)."""
+    """Return a warning if a joint is far from the body that it moves (SIM127)."""
     kind, pose = (
         bodies.kinds[bodies.kind_of_body[body]],
         bodies.poses[body].at(bodies.begin),

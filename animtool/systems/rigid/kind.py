@@ -181,7 +181,7 @@ def _body_shapes(
 
 
 def _convex_pieces(mesh: Mesh) -> list[tuple[Shape, ConvexCore]]:
-    """Return the convex pieces of a mesh; empty if its hull is used instead."""
+    """Return the convex decomposition of a mesh; empty to use the hull instead."""
     return list(convex_pieces(mesh)) if is_available() else []
 
 
@@ -237,7 +237,7 @@ def _mass_properties(
 
 
 def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return principal moments ``(3,)``, and their axes as a quaternion ``(4,)``.
+    """Return principal moments ``(3,)``, and principal axes as a quaternion ``(4,)``.
 
     Inertias that are diagonal up to rounding keep the axes of the frame.
     """
@@ -259,7 +259,7 @@ def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _display_mesh(
     display_shapes: Sequence[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the mesh that shows a body; decomposed meshes keep their own faces."""
+    """Return the display mesh of a body; decomposed meshes keep their faces."""
     points, counts, corners, first_index = [], [], [], 0
     for mesh, core, origin, rotation in display_shapes:
         shape_points, shape_counts, shape_corners = core_mesh(core)

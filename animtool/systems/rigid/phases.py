@@ -67,7 +67,7 @@ class BodyPhase:
 
 
 class BodyPhases:
-    """Phases of a system; each is built when it is first used.
+    """Phases of a system, each built on first use.
 
     Args:
         bodies: Bodies after all releases.

@@ -158,7 +158,7 @@ class RigidSimulation(RigidStates):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return the state after a step [s], in as many substeps as it needs."""
+        """Return the state after a step [s], with as many substeps as are required."""
         substeps = self._force_solver.required_substeps(t, dt, state.motion)
         if self._forces.is_variable:
             is_constrained = self._is_constrained(state, t, dt)

@@ -30,7 +30,7 @@ _FINGER_NAMES = re.compile(
 def with_finger_capsules(
     rig: Rig, world: WorldTransforms, capsules: JointCapsules
 ) -> JointCapsules:
-    """Return the capsules of a rig, with those of fingers added to its hands.
+    """Return the capsules of a rig, with finger capsules added to the hands.
 
     A hand is a joint that has capsules, has no descendants with capsules, and from
     which fingers branch off.

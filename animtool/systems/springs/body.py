@@ -119,7 +119,7 @@ def build_body(
     families: Sequence[tuple[ArrayLike, Family | None]],
     triangles: ArrayLike = (),
 ) -> Body:
-    """Return a body with springs of several families; None families are skipped."""
+    """Return a body with springs of all given families; None families are skipped."""
     points = as_floats(positions, ("N", 3), "positions")
     particle_masses = np.broadcast_to(
         np.asarray(masses, np.float64), len(points)

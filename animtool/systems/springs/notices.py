@@ -39,7 +39,7 @@ class _Simulation(Protocol):
 
 
 def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
-    """Return warnings about the motion so far; the one that stopped it last."""
+    """Return warnings about the motion so far, with the reason of a stop last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
         *_step_notices(simulation, stats),

@@ -28,7 +28,7 @@ TIME_TOLERANCE = 1e-9
 class Pins:
     """Pinned particles and their positions over time.
 
-    Positions are linear between times and constant outside of them.
+    Positions are interpolated linearly between times and constant outside of them.
 
     Attributes:
         particles: Indices of the pinned particles ``(P,)``.
@@ -91,7 +91,7 @@ def resample_to_shared_times(
 
 
 def merge_constraints(constraints: Sequence[Constraint]) -> Constraint | None:
-    """Merge pins, or targets, with times into one record; None without any."""
+    """Merge timed pins or targets into one record; None if there are none."""
     if not constraints:
         return None
     names = {field.name for field in fields(constraints[0])} - {"positions", "times"}
@@ -194,7 +194,7 @@ class Teleports:
         return sum(cells <= 0 for cells in self._cells_until_teleports(grid))
 
     def cells_until_next(self, grid: TimeGrid) -> float:
-        """Return the number of cells before the next teleport."""
+        """Return the number of cells from the current cell to the next teleport."""
         return min(
             (c for c in self._cells_until_teleports(grid) if c > 0), default=math.inf
         )

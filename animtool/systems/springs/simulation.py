@@ -67,7 +67,7 @@ class SpringPlan:
 
 
 class SpringSimulation:
-    """Simulates springs in cells of time; its counters serve warnings only.
+    """Simulates springs in time cells; counters are used for warnings only.
 
     Attributes:
         grid: Current grid position, with counts over all cells so far.
@@ -195,7 +195,7 @@ class SpringSimulation:
         return ""
 
     def _after_teleports(self) -> TimeGrid:
-        """Return the grid at the start of the next cell, after its teleports."""
+        """Return the grid at the start of the next cell, with its teleports applied."""
         grid, jumps = self.grid, self.system.teleports
         stage = jumps.cell_stage(grid)
         previous_stage = jumps.cell_stage(replace(grid, index=grid.index - 1))
@@ -386,7 +386,7 @@ class SpringSimulation:
         return system.colliders.active or any(values.any() for values in coefficients)
 
     def trial_settings(self) -> TrialSettings:
-        """Return solvers with several step lengths around their defaults."""
+        """Return the settings to compare: solvers with steps around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
     @property

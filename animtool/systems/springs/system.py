@@ -227,7 +227,7 @@ class SpringSystem(SecondOrder):
         return self._cached_stage[1]
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
-        """Return both ends of a cell, and the path knots within it [s]."""
+        """Return both end times of a cell, and the path knots between them [s]."""
         stage_paths = self._stage(stage)
         times = [
             knots
@@ -492,7 +492,7 @@ class SpringSystem(SecondOrder):
         return notices + self.teleports.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which spring has the largest strain, as text."""
+        """Return which spring has the largest extension, as text."""
         springs = self.body.springs
         if not len(springs.rest):
             return ""

@@ -90,6 +90,6 @@ class Force(ABC):
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options by name, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = range_faults(self, "must be {bound}, not {value:g}")
         return [(str(fault.where), fault.message) for fault in faults]

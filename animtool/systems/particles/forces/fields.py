@@ -47,7 +47,7 @@ class Field(Expressions, Force):
         return evaluate_expressions(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         return expression_faults(self, VARIABLES)
 
 

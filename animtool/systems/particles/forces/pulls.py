@@ -98,7 +98,7 @@ class Central(Force):
         return np.asarray(particles.masses * self.strength * powers)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = super().faults()
         if self.power < 1 and not self.softening > 0:
             faults.append(("softening", "must be above 0 if the power is below 1"))
@@ -201,7 +201,7 @@ class Propulsion(Force):
         return zeros, (self.thrust * is_burning / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = super().faults()
         if self.direction is not None and not any(self.direction):
             faults.append(("direction", "must not be all 0"))
