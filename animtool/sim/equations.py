@@ -63,7 +63,7 @@ class Equations:
         return np.array((v, self.acceleration(t, x, v)))
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, d)``, 0 for fixed particles."""
+        """Return accelerations ``(N, d)``; those of fixed particles are 0."""
         assert self.second_order is not None
         self.evaluations += 1
         accelerations = self.second_order.acceleration(t, x, v)
@@ -81,7 +81,7 @@ class Equations:
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of the accelerations, 0 for fixed particles."""
+        """Return Jacobians of the accelerations; rows of fixed particles are 0."""
         assert self.second_order is not None
         matrices = self.second_order.jacobians(t, x, v)
         if matrices is None or self._fixed is None:

@@ -95,7 +95,7 @@ class Poses:
         )
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         times = np.asarray(self.times, np.float64)
         expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():

@@ -41,7 +41,7 @@ class Plane:
         return _normalized(self.normal)[None] * self.offset
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         faults = [] if np.isfinite(self.offset) else ["its offset is not finite"]
         return faults + _direction_faults("normal", self.normal)
 
@@ -67,7 +67,7 @@ class Sphere:
         return np.array([self.centre], np.float64)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return _range_faults(self) + _point_faults(self.centre)
 
 
@@ -98,7 +98,7 @@ class Capsule:
         return np.stack([centre - half_axis, centre + half_axis])
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         faults = _range_faults(self) + _point_faults(self.centre)
         return faults + _direction_faults("axis", self.axis)
 
@@ -123,7 +123,7 @@ class Box:
         return np.asarray(corners * self.sizes(), np.float64)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         if len(self.size) != 3:
             return [f"its size must be three numbers, not {len(self.size)}"]
         return _size_faults(self.size)
@@ -177,7 +177,7 @@ class Mesh:
         return bool((forward == backward).all() and (np.diff(forward) > 0).all())
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         points = np.asarray(self.points, np.float64)
         triangles = np.asarray(self.triangles)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -222,14 +222,14 @@ class HeightField:
         return Mesh(points.reshape(-1, 3), triangles, closed=True)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         if len(self.size) != 2:
             return [f"its size must be two numbers, not {len(self.size)}"]
         return _size_faults(self.size)
 
     @staticmethod
     def height_faults(heights: ArrayLike) -> list[str]:
-        """Return messages about invalid heights."""
+        """Return a message if heights have fewer than two rows or columns."""
         shape = np.shape(heights)
         if len(shape) == 2 and min(shape) >= 2:
             return []
@@ -274,7 +274,7 @@ def _normalized(direction: Vector) -> FloatArray:
 
 
 def _range_faults(shape: Any) -> list[str]:
-    """Return messages about numbers of a shape outside their declared ranges."""
+    """Return a message for each number of a shape outside its declared range."""
     return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 

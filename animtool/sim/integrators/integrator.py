@@ -29,7 +29,7 @@ class StepControl(StrEnum):
 
     Attributes:
         FIXED: By the caller.
-        ADAPTIVE: The method chooses it from error estimates.
+        ADAPTIVE: By the method, from error estimates.
         SCIPY: By a solver of SciPy.
     """
 

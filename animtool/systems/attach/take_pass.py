@@ -120,12 +120,12 @@ class AttachReport:
 
 
 def attachment_reports(simulation: AttachSimulation) -> list[AttachReport]:
-    """Return the result of each attachment so far."""
+    """Return the result of each attachment up to the current frame."""
     return [_report(actor) for actor in simulation.actors]
 
 
 def _report(actor: AttachmentActor) -> AttachReport:
-    """Return the result of an attachment so far."""
+    """Return the result of an attachment up to the current frame."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
     if grid.stretch > STRAIN_TOLERANCE * target_strain:

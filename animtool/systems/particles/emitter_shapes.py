@@ -22,7 +22,7 @@ class _RangeChecked:
     __slots__ = ()
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return [fault.message for fault in range_faults(self, ENTRY_RANGE_MESSAGE)]
 
 
@@ -134,7 +134,7 @@ class MeshSurface:
         return points, normals[faces] / areas[faces, None]
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return self.mesh.faults()
 
 

@@ -285,7 +285,7 @@ class SpringSimulation:
 
     @property
     def shortest_step(self) -> float:
-        """Shortest step so far [s]."""
+        """Shortest step taken so far [s]."""
         return self.grid.cell / self._max_substeps
 
     def stats(self, reached: float) -> Stats:
