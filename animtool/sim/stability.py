@@ -1,4 +1,4 @@
-"""Largest stable steps of methods.
+"""Largest stable steps of integration methods.
 
 For the equation ``x'' + 2 ζ ω x' + ω² x = 0``, in ``s = ω h``. Polynomials are arrays
 of coefficients in ascending order, as in numpy.

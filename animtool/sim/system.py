@@ -97,7 +97,7 @@ class System(Protocol):
     def native(self, method: str) -> Native | None:
         """Return a compiled loop that takes many steps in one call; None without one.
 
-        It must match the method of that name, including `settle`.
+        The loop must give the same result as the named method, including `settle`.
         """
         return None
 

@@ -1,4 +1,4 @@
-"""Deforming surfaces, prepared for kernels that take many substeps."""
+"""Deforming surfaces, prepared for kernels that compute many substeps in one call."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cost and error of settings, and the best of them."""
+"""Cost and error of settings, and selection of the best settings."""
 
 from __future__ import annotations
 

@@ -149,7 +149,7 @@ class AttachedSprings:
     ) -> tuple[AttachedSprings, FloatArray]:
         """Return springs with additional pulls to another motion, and their targets.
 
-        One pull replaces both. Its target is the mean of the animated particles
+        A single pull replaces both. The target is the mean of the animated particles
         ``(K, N, 3)`` [m] and that motion, weighted by stiffness.
         """
         settings, options = self._settings, self._settings.options
@@ -202,10 +202,10 @@ class AttachedSprings:
 
         Args:
             grid: State at the start of the frame.
-            path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
+            path: Animated particles at the ends of the frame's cells ``(K, N, 3)`` [m].
             colliders: Colliders in these cells.
             character_colliders: First index and count of the rigid colliders of the
-                character. Of strands, only particles collide with them.
+                character. Only the particles of strands collide with these.
         """
         min_substeps, previous_strain = self.substeps, grid.stretch
         if self._network.strands:

@@ -274,8 +274,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. They also collide with cloth that is named before them and has
-    self-contact; that cloth is not affected.
+    caches. Cloth and strands also collide with earlier named cloth that has
+    self-contact, without affecting that cloth.
 
     Args:
         stream: The take.

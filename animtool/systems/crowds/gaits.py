@@ -99,8 +99,8 @@ def _rest_ground_height(skeleton: RoledSkeleton) -> float:
 class Gait:
     """One cycle of a clip: the left foot lands first, the right in the middle.
 
-    It is in the frame of the body: on the ground below the hips, moving at constant
-    speed along z and constant yaw rate.
+    Values are in the frame of the body: on the ground below the hips, moving at
+    constant speed along z and constant yaw rate.
 
     Attributes:
         rotations: Local rotations of joints ``(P, J, 4)``.

@@ -98,7 +98,7 @@ def density_field(
 ) -> FloatArray:
     """Return the fluid fraction at the nodes of a grid.
 
-    It is the sum of H. Wendland's C2 function over particles ``(N, 3)``; 1 in fluid.
+    This is the sum of Wendland's C2 kernel over particles ``(N, 3)``; 1 in fluid.
     """
     nodes = np.floor((points - grid_origin) / cell).astype(np.int64)
     cell_range = int(np.ceil(radius / cell))

@@ -1,4 +1,4 @@
-"""Runs of a simulation in steps of equal length, sampled at any time."""
+"""Runs of a simulation in steps of equal length, sampled at arbitrary times."""
 
 from __future__ import annotations
 
@@ -205,8 +205,8 @@ class SimulationRun(EntryRun):
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
         """Return the impulses that attached particles apply to bodies in a step.
 
-        The step is the one at a time [s]. Also returns its start and end [s]; None
-        without a pull.
+        The step is the one that contains the time [s]. Also returns the start and end
+        of the step [s]; returns None without a pull.
         """
         steps = self.advance(t)
         start = self.step_time(steps)

@@ -63,11 +63,11 @@ class SimContext:
     """What a kind needs to build a simulation.
 
     Attributes:
-        begin: Time of its first step [s].
+        begin: Time of the first step [s].
         last: Last requested time [s].
-        colliders: Colliders of its entry: shapes, characters, meshes of files, and
+        colliders: Colliders of the entry: shapes, characters, meshes of files, and
             surfaces of other systems, at any time of a step.
-        parts: Data read for the keys of its entry, by key; a list for a list of
+        parts: Data read for the keys of the entry, by key; a list for a list of
             entries. It has forces, emitter shapes, shapes and arrays (`FieldKind`), a
             `Collider` for an entry with a shape, the record of a `RecordModel`, and a
             nested mapping for other models, with ``poses`` of placed ones. Plain values
@@ -120,7 +120,7 @@ class Simulation(Protocol[State]):
     def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
         """Return a new state, a step [s] after a time [s].
 
-        Also returns impulses on bodies of other systems, if it collides with any.
+        Also returns impulses on bodies of other systems, if there are any.
         """
 
     def frame(self, state: State, t: float) -> Frame:

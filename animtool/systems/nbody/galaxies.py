@@ -1,4 +1,4 @@
-"""Galaxies in equilibrium, and two on an orbit.
+"""Galaxies in equilibrium, and encounters of two galaxies on an orbit.
 
 Discs are exponential with a vertical sech² profile; spheroids have the profile of
 Hernquist or Plummer. Circular velocities are those of all components; velocities are

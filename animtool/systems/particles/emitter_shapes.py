@@ -107,7 +107,7 @@ class MeshSurface:
     """Emits from the surface of a mesh, along its normals.
 
     Attributes:
-        mesh: Its triangles.
+        mesh: Triangles that particles are emitted from.
     """
 
     mesh: Mesh

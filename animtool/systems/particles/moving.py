@@ -158,7 +158,7 @@ def particle_energies(
 ) -> tuple[FloatArray, bool]:
     """Return kinetic and potential energies ``(2, N)`` [J].
 
-    Also returns whether all forces have a potential; others are left out.
+    Also returns whether all forces have a potential; forces without one are left out.
     """
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)

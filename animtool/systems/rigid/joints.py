@@ -156,7 +156,7 @@ def build_joints(
 ) -> Joints:
     """Return the joints of a spec, once `check_joints` has passed.
 
-    It raises SIM061 for joints that are invalid for the poses of the bodies.
+    Raises SIM061 for joints that are invalid for the poses of the bodies.
     """
     rows, numbers, anchors, parent_bodies, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []

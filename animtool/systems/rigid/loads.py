@@ -121,8 +121,8 @@ class StepForceSolver:
         """Return the mean forces of a step.
 
         Bodies constrained by contacts or joints ``(N,)`` get the initial force and a
-        larger mass, as the force would decrease with their velocity. Others get the
-        mean force of their free flight.
+        larger mass, as the force would decrease with their velocity. All other bodies
+        get the mean force of their free flight.
         """
         if flight is None:
             with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Convex decomposition of meshes, by coacd if installed."""
+"""Convex decomposition of meshes by the package coacd, if it is installed."""
 
 from __future__ import annotations
 

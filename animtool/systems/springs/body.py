@@ -77,10 +77,10 @@ def springs_between(
     """Return springs of a family between particles, at rest in their positions.
 
     Args:
-        ends: Particles to join ``(S, 2)``.
+        ends: Particles that each spring connects ``(S, 2)``.
         family: Stiffness, damping and tear limit.
-        positions: Of particles ``(N, 3)`` [m].
-        masses: ``(N,)`` [kg].
+        positions: Positions of the particles ``(N, 3)`` [m].
+        masses: Masses of the particles ``(N,)`` [kg].
         rest: Rest length ``(S,)`` or one for all [m]; None is the distance times the
             rest factor of the family.
 

@@ -1,4 +1,4 @@
-"""Colliders over cells of time, as kernel arguments."""
+"""Colliders over time cells, as kernel arguments."""
 
 from __future__ import annotations
 

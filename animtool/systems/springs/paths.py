@@ -48,7 +48,7 @@ class PointTargets:
 
     Attributes:
         particles: Pulled particles ``(A,)``; repeats are allowed.
-        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
+        positions: Target points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
             [m].
         stiffness: Force over distance, of each or of all [N/m].
         damping: Force over the speed between particle and point, of each or all

@@ -1,4 +1,4 @@
-"""Springs as a simulation in cells of time."""
+"""Simulation of springs in time cells."""
 
 from __future__ import annotations
 

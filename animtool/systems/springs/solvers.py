@@ -1,4 +1,4 @@
-"""Solvers of springs: their choice, and their advance over cells of time."""
+"""Solvers of springs: choice of a solver, and steps over time cells."""
 
 from __future__ import annotations
 

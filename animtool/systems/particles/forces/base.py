@@ -53,8 +53,8 @@ class Force(ABC):
         """Return the Jacobians of each particle's force in its position and velocity.
 
         Both are ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and
-        0 for pair forces. They need not be exact: methods are stable if they are about
-        as steep as the force.
+        0 for pair forces. The Jacobians need not be exact: methods are stable if they
+        are about as steep as the force.
         """
         by_position, by_velocity = np.zeros((2, len(x), 3, 3))
         if self.pairs:
