@@ -33,7 +33,7 @@ def no_limit(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
 def rate_limit(growth: Sequence[float]) -> Limit:
     """Return the stability limit of a method with stability polynomial R(h λ).
 
-    R is a polynomial that begins 1 + z.
+    A step multiplies ``y' = λ y`` by R, a polynomial that begins 1 + z.
 
     The limit is the smallest unstable step, even if some larger steps are stable.
 

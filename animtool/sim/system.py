@@ -153,7 +153,7 @@ class SecondOrder(System, Protocol):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the Jacobians of accelerations in positions and in velocities.
+        """Return Jacobians of acceleration with respect to positions and velocities.
 
         Both ``(N d, N d)``, dense or sparse; None lets implicit methods use finite
         differences.
@@ -285,7 +285,7 @@ class ForceSystem(_FunctionSystem, SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the Jacobians of accelerations in positions and in velocities."""
+        """Return Jacobians of acceleration with respect to positions and velocities."""
         return None if self._jacobians is None else self._jacobians(t, x, v)
 
     def suspect(self, t: float, state: FloatArray) -> str:

@@ -321,7 +321,7 @@ class SpringSystem(SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the Jacobians of accelerations in positions and in velocities."""
+        """Return Jacobians of acceleration with respect to positions and velocities."""
         by_x, by_v = acceleration_jacobians(
             self.forces, self.free_masses, self.wind(t), x, v
         )

@@ -50,7 +50,7 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of each particle's force in its position and velocity.
+        """Return the Jacobians of each force with respect to position and velocity.
 
         Both are ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and
         0 for pair forces. The Jacobians need not be exact: methods are stable if they
