@@ -25,7 +25,7 @@ FAILED_FACTOR = 0.25
 
 
 def advance_adaptively(run: IntegrationRun, target: float) -> Status:
-    """Integrate until ``target`` [s]; the last step ends exactly there."""
+    """Integrate with adaptive steps; the last step ends exactly at ``target`` [s]."""
     while run.time < target:
         status = _try_step(run, target)
         if status is not Status.OK:
@@ -34,7 +34,7 @@ def advance_adaptively(run: IntegrationRun, target: float) -> Status:
 
 
 def _try_step(run: IntegrationRun, target: float) -> Status:
-    """Try a step; accept it if its error is within tolerance."""
+    """Try a step; accept it if its error estimate is within the tolerance."""
     step_function = run.integrator.step
     assert step_function is not None
     run.equations.anchor(run.time, run.state)
@@ -59,7 +59,7 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
 
 
 def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float]:
-    """Return a step size and its end time that leave no tiny step before the target."""
+    """Return the step size and end time of a step that leaves no tiny last step."""
     remaining = target - time
     if trial >= remaining:
         return remaining, target
@@ -68,7 +68,7 @@ def _fit_to_stop(trial: float, time: float, target: float) -> tuple[float, float
 
 
 def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
-    """Return whether a trial step before the target is below the floor."""
+    """Return whether a trial step that ends before the target is below the floor."""
     if trial >= target - run.time:
         return False
     return trial < run.options.floor or run.time + trial == run.time
@@ -83,7 +83,7 @@ def _stop_below_floor(run: IntegrationRun, trial: float) -> Status:
 
 
 def _step_factor(ratio: float, run: IntegrationRun) -> float:
-    """Return the factor of the next step size, from the error over the tolerance."""
+    """Return the factor for the next step size from the error-to-tolerance ratio."""
     if ratio == 0:
         return MAX_STEP_FACTOR
     factor = SAFETY * math.pow(ratio, -1 / run.integrator.error_order)
@@ -93,7 +93,7 @@ def _step_factor(ratio: float, run: IntegrationRun) -> float:
 def _error_ratio(
     step: StepResult, start: FloatArray, options: IntegrateOptions
 ) -> float:
-    """Return the largest error over its tolerance; NaN if the state is not finite."""
+    """Return the largest error-to-tolerance ratio; NaN if the state is not finite."""
     assert step.error is not None
     magnitude = np.maximum(np.abs(start), np.abs(step.state))
     tolerances = options.least + options.relative * magnitude
@@ -103,7 +103,7 @@ def _error_ratio(
 
 
 def _initial_step(run: IntegrationRun) -> float:
-    """Return an initial step size, estimated from the rate and its change."""
+    """Return an initial step size [s], estimated from the rate and its change."""
     options, equations, y = run.options, run.equations, run.state
     tolerances = np.maximum(options.least + options.relative * np.abs(y), 1e-300)
 

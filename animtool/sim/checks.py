@@ -72,7 +72,7 @@ def stop_warning(
 
 
 def _stable_step_advice(stable_step: float | None) -> str:
-    """Return a hint from the largest stable step, which may be unknown."""
+    """Return a hint that names the largest stable step, if that is known."""
     if stable_step is None or math.isinf(stable_step):
         return f"use a shorter step, or {STABLE_METHODS}"
     if stable_step == 0:
@@ -81,7 +81,7 @@ def _stable_step_advice(stable_step: float | None) -> str:
 
 
 class EnergyWatch:
-    """Checks states for non-finite values, and energy or strain out of bounds.
+    """Detects divergence: non-finite states, or energy or strain out of bounds.
 
     The gain of energy is relative to an energy scale: the largest of the initial
     energies, the energy that may be supplied, and the potential energy released since
@@ -115,7 +115,7 @@ class EnergyWatch:
         return self._energy_reason(t, state) or self._strain_reason(t, state)
 
     def _energy_reason(self, t: float, state: FloatArray) -> str:
-        """Return why the energy of a state shows divergence, or empty."""
+        """Return why the energy of a state indicates divergence; else empty."""
         start, current = self._start_energy, self._system.energy(t, state)
         self.energy = current
         if start is None or current is None:
@@ -129,7 +129,7 @@ class EnergyWatch:
         return ""
 
     def _strain_reason(self, t: float, state: FloatArray) -> str:
-        """Return why the stretch of springs shows divergence, or empty."""
+        """Return why the strain of springs indicates divergence; else empty."""
         if np.isinf(self._options.stretch):
             return ""
         ratio = self._system.stretch(t, state)
@@ -139,7 +139,7 @@ class EnergyWatch:
 
 
 def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
-    """Return sample times as an array; they must be finite and ascending."""
+    """Return sample times as an array; raise if they are not finite and ascending."""
     times = np.asarray(values, np.float64)
     message, hint = "", None
     if times.ndim != 1 or not len(times):
@@ -159,7 +159,7 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
 
 
 def check_supported(equations: Equations, integrator: Integrator) -> None:
-    """Raise if a method does not support a system."""
+    """Raise if an integrator does not support the form of a system."""
     name, message, hint = integrator.name, "", None
     if equations.first_order is None and equations.second_order is None:
         kind = type(equations.system).__name__
@@ -185,7 +185,7 @@ def check_start(equations: Equations, t: float, state: FloatArray) -> None:
 
 
 def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
-    """Return messages about the shape and values of an initial state."""
+    """Return messages about the wrong shape or invalid values of an initial state."""
     if equations.second_order is not None:
         if state.ndim != 3 or state.shape[0] != 2:
             return [f"the start must have shape (2, N, d), not {state.shape}"]
@@ -197,7 +197,7 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
 
 
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
-    """Return messages about the shape and values of the initial rate."""
+    """Return messages about the wrong shape or invalid values of the initial rate."""
     if equations.second_order is not None:
         rate, expected = equations.acceleration(t, *state), state.shape[1:]
         name, row_name = "the acceleration", "the acceleration of particle"
@@ -210,7 +210,7 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 
 
 def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
-    """Return one message for each row that is not finite at the start."""
+    """Return a message for each row that is not finite at the start."""
     is_finite = np.isfinite(np.atleast_1d(values))
     nonfinite_rows = np.flatnonzero(
         ~is_finite.all(axis=tuple(range(1, is_finite.ndim)))

@@ -35,7 +35,7 @@ class Equations:
         self._last_rate: tuple[float, FloatArray, FloatArray] | None = None
 
     def anchor(self, t: float, y: FloatArray) -> None:
-        """Cache the rate at a state once it is evaluated."""
+        """Mark a state so that its rate is cached when it is first evaluated."""
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return
         last = self._last_rate
@@ -44,7 +44,7 @@ class Equations:
         self._anchor_rate = last[2] if last is not None and is_same_state else None
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the time derivative of a state, in its shape."""
+        """Return the time derivative of a state, in the shape of the state."""
         anchor = self._anchor
         if anchor is not None and anchor[1] is y and anchor[0] == t:
             if self._anchor_rate is None:
@@ -63,7 +63,7 @@ class Equations:
         return np.array((v, self.acceleration(t, x, v)))
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
-        """Return accelerations ``(N, d)``, 0 for fixed particles."""
+        """Return accelerations ``(N, d)``; those of fixed particles are 0."""
         assert self.second_order is not None
         self.evaluations += 1
         accelerations = self.second_order.acceleration(t, x, v)
@@ -81,7 +81,7 @@ class Equations:
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of the accelerations, 0 for fixed particles."""
+        """Return Jacobians of the accelerations; rows of fixed particles are 0."""
         assert self.second_order is not None
         matrices = self.second_order.jacobians(t, x, v)
         if matrices is None or self._fixed is None:

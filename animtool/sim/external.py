@@ -23,7 +23,7 @@ DENSE_JACOBIAN_SOLVERS = {"scipy.integrate:LSODA"}
 
 @dataclass(slots=True)
 class _Solver:
-    """A running solver, and its dense output over the last step."""
+    """A running SciPy solver, and the dense output of its last step."""
 
     solver: Any
     dense_output: Any = None
@@ -52,7 +52,7 @@ def advance_scipy(run: IntegrationRun, target: float) -> Status:
 
 
 def _dense_value(memory: _Solver, t: float) -> FloatArray:
-    """Return the state at a time within the last step."""
+    """Return the state at a time within the last step, from the dense output."""
     if t == memory.solver.t:
         return np.array(memory.solver.y)
     if memory.dense_output is None:
@@ -61,7 +61,7 @@ def _dense_value(memory: _Solver, t: float) -> FloatArray:
 
 
 def _take_step(solver: Any) -> str:
-    """Take a step; return the reason of a failure, empty on success."""
+    """Take one solver step; return why it failed, or an empty string on success."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         message = solver.step()
@@ -71,7 +71,7 @@ def _take_step(solver: Any) -> str:
 
 
 def _failure_text(run: IntegrationRun, failure: str) -> str:
-    """Return why a step failed, with the likely cause if known."""
+    """Return why a SciPy step failed, with the likely cause if it is known."""
     suspect = run.equations.system.suspect(run.time, run.state)
     return f"{failure}; {suspect}" if suspect else failure
 

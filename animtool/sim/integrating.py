@@ -45,7 +45,7 @@ def checkpoint_of(
 ) -> Checkpoint:
     """Return a checkpoint to resume the integration from.
 
-    SciPy's solvers depend on their end time, and are created again.
+    SciPy's solvers depend on their end time, so a new solver is created on resume.
     """
     if status is not Status.OK or run.integrator.control is StepControl.SCIPY:
         return Checkpoint(time, state)
@@ -55,7 +55,7 @@ def checkpoint_of(
 def stats_of(
     run: IntegrationRun, status: Status, samples: Sequence[tuple[float, FloatArray]]
 ) -> Stats:
-    """Return statistics of a run; the samples give its stable step."""
+    """Return the statistics of a run, with the largest stable step at the samples."""
     integrator, stable = run.integrator, None
     if status is Status.UNSTABLE and integrator.limit is not None:
         stable = _stable_step(run, samples)
@@ -76,7 +76,7 @@ def stats_of(
 def _stable_step(
     run: IntegrationRun, samples: Sequence[tuple[float, FloatArray]]
 ) -> float | None:
-    """Return the largest step that is stable at all of the samples."""
+    """Return the largest step that is stable at all sampled states [s]."""
     modes = (modes_at(run.equations, t, state) for t, state in samples)
     steps = [
         allowed_step(run.integrator, rates) for rates in modes if rates is not None
@@ -94,7 +94,7 @@ def integrate(
 
     Built-in methods end a step at each time; SciPy's solvers interpolate between their
     steps. Stopping early is not an error: the states reached so far are returned, with
-    a status with the time and reason it stopped.
+    a status with the time and the reason of the stop.
 
     Args:
         system: The system, with its initial state.
@@ -165,7 +165,7 @@ def _start_run(
     times: FloatArray,
     start: Checkpoint,
 ) -> IntegrationRun:
-    """Return a run that starts from a checkpoint, with its energy watch."""
+    """Return a run that starts from a checkpoint, with a divergence check."""
     energy_watch = EnergyWatch(equations.system, options)
     energy_watch.start(start.time, start.state)
     return IntegrationRun(
@@ -197,7 +197,7 @@ def _sample_states(
 def _sample_energies(
     system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
-    """Return total energies at the times reached; None if one is missing."""
+    """Return total energies at the times reached; None if any energy is undefined."""
     energies = [
         system.energy(t, state)
         for t, state in zip(times.tolist(), states, strict=False)
@@ -207,7 +207,7 @@ def _sample_energies(
 
 
 def _refinement_error(refined: Trajectory, states: list[FloatArray]) -> float | None:
-    """Return the largest difference from a finer run; None if that stopped early."""
+    """Return the largest difference from a finer run; None if it stopped early."""
     if refined.stats.status is not Status.OK:
         return None
     return float(np.abs(refined.states - np.array(states)).max(initial=0.0))

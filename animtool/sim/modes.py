@@ -37,7 +37,7 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
 
 
 def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | None:
-    """Return the fastest modes at a state ``(M, 2)``; None if unknown.
+    """Return the fastest modes at a state as (ω, ζ) ``(M, 2)``; None if unknown.
 
     The modes that the system reports; for small states without them, the eigenvalues of
     a finite-difference Jacobian. Modes that grow physically are left out.

@@ -27,7 +27,7 @@ DIFFERENCE_STEP = 1.5e-8
 def solve_stage(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
-    """Solve ``y = base + scale · rate(t, y)``; None if it does not converge.
+    """Solve ``y = base + scale · rate(t, y)`` by Newton's method; None on failure.
 
     For second-order systems only the velocities are unknowns. Without Jacobians from
     the system, finite differences are used, with one evaluation for each unknown.
@@ -41,7 +41,7 @@ def solve_stage(
 def _solve_first_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
-    """Solve a stage of a first-order system for the whole state."""
+    """Solve an implicit stage of a first-order system for the complete state."""
     shape = base.shape
 
     def residual(unknowns: FloatArray) -> FloatArray:
@@ -62,7 +62,7 @@ def _solve_first_order(
 def _solve_second_order(
     equations: Equations, t: float, base: FloatArray, guess: FloatArray, scale: float
 ) -> FloatArray | None:
-    """Solve a stage of a second-order system for the velocities."""
+    """Solve an implicit stage of a second-order system for the velocities alone."""
     shape = base[1].shape
 
     def state_of(unknowns: FloatArray) -> FloatArray:
@@ -105,7 +105,7 @@ def _find_root(
     start: FloatArray,
     min_size: float,
 ) -> FloatArray | None:
-    """Return the root of a residual ``(n,)``; the matrix is its negative Jacobian.
+    """Return the root ``(n,)`` of a residual; ``matrix`` is its negative Jacobian.
 
     ``min_size`` is the magnitude below which unknowns count as 0.
     """

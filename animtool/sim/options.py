@@ -62,7 +62,7 @@ class IntegrateOptions:
 
     @property
     def least(self) -> float:
-        """Absolute tolerance, in units of the state."""
+        """Absolute tolerance of adaptive methods, in units of the state."""
         return self.relative if self.absolute is None else self.absolute
 
 
@@ -76,7 +76,7 @@ def check_options(options: IntegrateOptions) -> Integrator:
 
 
 def finer_options(options: IntegrateOptions) -> IntegrateOptions:
-    """Return options of a more accurate run, to compare with.
+    """Return the options of a more accurate run that estimates the error.
 
     >>> finer_options(IntegrateOptions("rk4", step=0.1)).step
     0.05
@@ -103,7 +103,7 @@ def _find_named_integrator(options: IntegrateOptions) -> Integrator:
 
 
 def _option_faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
-    """Return faults of options for a kind of step control."""
+    """Return the faults of the step size and tolerance options."""
     return range_faults(options) + _method_faults(
         options, fixed=control is StepControl.FIXED
     )

@@ -23,7 +23,7 @@ CHECK_INTERVAL = 32
 
 
 class DivergenceWatch(Protocol):
-    """Checks states for divergence."""
+    """Interface of an object that checks states for divergence."""
 
     def divergence(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
@@ -36,12 +36,12 @@ class IntegrationRun:
 
     integrator: Integrator
     equations: Equations
-    options: IntegrateOptions  # how to integrate
-    watch: DivergenceWatch  # checks for divergence
-    end: float  # the last time [s]
+    options: IntegrateOptions  # options of the integration
+    watch: DivergenceWatch  # divergence check
+    end: float  # final time of the integration [s]
     time: float  # current time [s]
     state: FloatArray
-    memory: object = None  # the method's memory
+    memory: object = None  # data that the method keeps between steps
     # The next trial step of adaptive methods [s].
     trial: float | None = None
     steps: int = 0  # accepted steps
@@ -49,7 +49,7 @@ class IntegrationRun:
     smallest_step: float = math.inf  # smallest accepted step [s]
     largest_step: float = 0.0  # largest accepted step [s]
     local_error: float = 0.0  # sum of the error estimates
-    reason: str = ""  # why it stopped
+    reason: str = ""  # why the run stopped; empty if it did not
     checked_steps: int = field(default=0)  # accepted steps at the last divergence check
 
     def accept(self, step: StepResult, t: float, h: float) -> Status:
@@ -93,7 +93,7 @@ class IntegrationRun:
         return self.stop(Status.OUT_OF_BUDGET, reason)
 
     def stop(self, status: Status, reason: str) -> Status:
-        """Stop, and record the reason."""
+        """Stop the run, and record its status and the reason."""
         self.reason = reason
         return status
 
@@ -146,7 +146,7 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
 
 
 def advance_evenly(run: IntegrationRun, target: float) -> Status:
-    """Integrate until ``target`` [s] in equal steps."""
+    """Integrate to ``target`` [s] in equal steps."""
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
@@ -161,7 +161,7 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
 
 
 def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
-    """Take the steps one by one, in Python."""
+    """Take the steps of a grid one by one, in Python."""
     step_function = run.integrator.step
     assert step_function is not None
     for i in range(grid.count):
@@ -177,7 +177,7 @@ def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
 
 
 def _advance_by_blocks(run: IntegrationRun, grid: StepGrid, native: Native) -> Status:
-    """Take the steps in compiled blocks, with a check after each."""
+    """Take the steps of a grid in compiled blocks, with a check after each block."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):
         count = min(CHECK_INTERVAL, grid.count - i)

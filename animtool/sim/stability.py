@@ -1,4 +1,4 @@
-"""Largest stable steps of methods.
+"""Largest stable steps of integration methods.
 
 For the equation ``x'' + 2 ζ ω x' + ω² x = 0``, in ``s = ω h``. Polynomials are arrays
 of coefficients in ascending order, as in numpy.
@@ -31,9 +31,9 @@ def no_limit(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
 
 
 def rate_limit(growth: Sequence[float]) -> Limit:
-    """Return the limit of a method with growth polynomial R(h λ) for ``y' = λ y``.
+    """Return the stability limit of a method with stability polynomial R(h λ).
 
-    R is a polynomial that begins 1 + z.
+    A step multiplies ``y' = λ y`` by R, a polynomial that begins 1 + z.
 
     The limit is the smallest unstable step, even if some larger steps are stable.
 
@@ -72,7 +72,7 @@ def jury_limit(
     trace: Callable[[float], Sequence[float]],
     determinant: Callable[[float], Sequence[float]],
 ) -> Limit:
-    """Return the limit of a method that maps (x, v/ω) by a matrix each step.
+    """Return the stability limit of a method whose step maps (x, v/ω) by a matrix.
 
     Both eigenvalues are in the unit circle if the determinant D is at most 1 and the
     magnitude of the trace T at most 1 + D (Jury's conditions). For a damping ratio,
@@ -99,7 +99,7 @@ def jury_limit(
 
 
 def _first_positive(polynomial: FloatArray) -> float:
-    """Return the smallest argument above 0 at which a polynomial is positive."""
+    """Return the smallest argument ≥ 0 above which a polynomial is positive."""
     negligible = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
     coefficients = np.where(negligible, 0.0, polynomial)
     (nonzero,) = coefficients.nonzero()

@@ -62,15 +62,15 @@ class System(Protocol):
         ...
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:
-        """Return the energy of a state; None if it has none or it cannot be used."""
+        """Return the energy of a state; None if it is undefined or not meaningful."""
         return None
 
     def stretch(self, t: float, state: FloatArray) -> float | None:
-        """Return the largest spring length over its rest length [1]."""
+        """Return the largest ratio of spring length to rest length [1], if known."""
         return None
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:
-        """Return the fastest modes: angular frequency [rad/s], damping ratio.
+        """Return the angular frequency [rad/s] and damping ratio of the fastest modes.
 
         One row (ω, ζ) of ``x'' + 2 ζ ω x' + ω² x = 0`` for each mode ``(M, 2)``; a
         decay ``y' = -k y`` is (k, 1), a rotation ``y' = i ω y`` is (ω, 0). Only modes
@@ -95,9 +95,9 @@ class System(Protocol):
         return after
 
     def native(self, method: str) -> Native | None:
-        """Return a compiled loop that takes many steps; None if there is none.
+        """Return a compiled loop that takes many steps in one call; None without one.
 
-        It must match the method of that name, including `settle`.
+        The loop must give the same result as the named method, including `settle`.
         """
         return None
 
@@ -114,7 +114,7 @@ class FirstOrder(System, Protocol):
     """A system ``y' = rate(t, y)`` with a state of any shape."""
 
     def rate(self, t: float, y: FloatArray) -> FloatArray:
-        """Return the time derivative of a state, in its shape [1/s]."""
+        """Return the time derivative of a state, in the shape of the state [1/s]."""
         ...
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
@@ -153,7 +153,7 @@ class SecondOrder(System, Protocol):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of accelerations by positions and by velocities.
+        """Return Jacobians of acceleration with respect to positions and velocities.
 
         Both ``(N d, N d)``, dense or sparse; None lets implicit methods use finite
         differences.
@@ -203,7 +203,7 @@ class RateSystem(_FunctionSystem, FirstOrder):
         rate: Function of time [s] and state that returns the rate of change.
         state: Initial state of any shape; ``(N, d)`` for N particles in a field.
         jacobian: Function that returns the Jacobian of the flattened rate.
-        energy: Function that returns the energy, or another conserved quantity.
+        energy: Function that returns the energy or another conserved quantity.
         frequencies: The fastest modes, see `System.frequencies`.
 
     >>> whirl = RateSystem(lambda t, y: np.stack([-y[:, 1], y[:, 0]], 1), [[1.0, 0.0]])
@@ -285,7 +285,7 @@ class ForceSystem(_FunctionSystem, SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return Jacobians of accelerations by positions and by velocities."""
+        """Return Jacobians of acceleration with respect to positions and velocities."""
         return None if self._jacobians is None else self._jacobians(t, x, v)
 
     def suspect(self, t: float, state: FloatArray) -> str:

@@ -14,9 +14,9 @@ class Status(StrEnum):
 
     Attributes:
         OK: All times were reached.
-        UNSTABLE: It diverged: energy, springs or the state itself exceeded bounds.
+        UNSTABLE: The run diverged: energy, strain or state exceeded their bounds.
         STEP_TOO_SMALL: The tolerance requires a step below the floor.
-        OUT_OF_BUDGET: It used up its budget of evaluations.
+        OUT_OF_BUDGET: The run reached its limit of evaluations.
         NOT_SOLVED: An implicit step did not converge.
     """
 
@@ -49,9 +49,9 @@ class Stats:
     """Statistics of an integration, and how it ended.
 
     Attributes:
-        status: How it ended.
-        time: The last time, or the time at which it stopped [s].
-        reason: Why it stopped; empty on success.
+        status: How the integration ended.
+        time: The last sample time, or the time of an early stop [s].
+        reason: Why the integration stopped; empty on success.
         steps: Number of accepted steps.
         rejected: Number of rejected steps; None for SciPy's solvers, which hide it.
         evaluations: Number of evaluations of rates or accelerations.

@@ -18,15 +18,15 @@ from animtool.skin.skinning import Binding, SkinMethod, prepare_skin
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CharacterMesh:
-    """A mesh or strands of a rig, with the rig's shapes that it uses."""
+    """A mesh or strands of a rig, with the rig's blend shapes that deform it."""
 
     name: str  # name in the rig
     mesh: DeformedMesh  # prepared mesh, in [m]
-    # For each shape the index of the rig's shape ``(S,)``; -1 for one that is always 0.
+    # Index of each mesh shape among the rig's shapes ``(S,)``; -1 if always 0.
     columns: IntArray
 
     def weights(self, rig_weights: FloatArray | None) -> FloatArray | None:
-        """Return the weights of its shapes ``(F, S)``; None if all are off.
+        """Return the weights of the mesh's shapes ``(F, S)``; None if all are 0.
 
         Args:
             rig_weights: Weights of the rig's shapes, in rig order ``(F, shapes)`` [1].
@@ -75,7 +75,7 @@ def character_meshes(
 def character_strands(
     strands: Sequence[Strands], joints: Sequence[str], bind: FloatArray
 ) -> list[CharacterMesh]:
-    """Return strands prepared to follow their joint rigidly.
+    """Return strands prepared to follow a joint rigidly.
 
     Args:
         strands: ``(S, K, 3)`` points each, flattened to one row of vertices.
@@ -111,7 +111,7 @@ def _with_mesh_name(fault: Fault, mesh: str) -> Fault:
 def _shape_column(
     surface: Surface, shape: SurfaceShape, column_of_shape: dict[str, int]
 ) -> int:
-    """Return the column of a shape, which may have its mesh's name as prefix."""
+    """Return the column of a shape, whose name may start with that of its mesh."""
     short_name = shape.name.removeprefix(f"{surface.name}_")
     return column_of_shape.get(shape.name, column_of_shape.get(short_name, -1))
 
@@ -138,7 +138,7 @@ def _prepare_mesh(
 
 
 def _shape_deltas(shape: SurfaceShape) -> ShapeDeltas:
-    """Return a surface's shape as offsets, with its inbetweens."""
+    """Return the blend shape of a surface as offsets, with its inbetweens."""
     return ShapeDeltas(
         shape.name,
         shape.deltas,

@@ -26,7 +26,7 @@ MIN_BLOCK_FRAMES = 4
 
 @dataclass(frozen=True, slots=True)
 class DeformedMesh:
-    """A mesh with its shapes and skin.
+    """A mesh with blend shapes and a skin, prepared for deformation.
 
     Raises:
         FormatError: Shapes, skin or normals do not match the number of vertices
@@ -91,13 +91,13 @@ class DeformedFrames:
     # ``(F, V, 3)``; skeleton space if skinned, else mesh space.
     points: FloatArray
     extents: FloatArray  # minimum and maximum coordinates ``(F, 2, 3)``
-    # Unit, ``(F, N, 3)``; None unless requested.
+    # Unit normals ``(F, N, 3)``; None unless requested.
     normals: FloatArray | None = None
     # ``(F, V, 3)`` [unit of the points / s]; None unless requested.
     velocities: FloatArray | None = None
 
     def select(self, frames: slice) -> DeformedFrames:
-        """Return a range of the frames."""
+        """Return the selected range of frames."""
         return DeformedFrames(
             self.points[frames],
             self.extents[frames],
@@ -243,7 +243,7 @@ def extents(points: ArrayLike) -> FloatArray:
 
 
 def _frame_count(weights: FloatArray | None, world: WorldTransforms | None) -> int:
-    """Return the number of frames of weights and joints, which must agree."""
+    """Return the common frame count of weights and joints; raise if they differ."""
     counts = set()
     if weights is not None:
         counts.add(len(weights))
@@ -303,7 +303,7 @@ def _deform_normals(
 
 
 def _times_array(times: ArrayLike | None) -> FloatArray | None:
-    """Return the times of the frames as an array; None without times."""
+    """Return the times of the frames as an array ``(F,)``; None without times."""
     return None if times is None else as_floats(times, ("F",), "times")
 
 
@@ -321,7 +321,7 @@ def replace_points(
     surface: Surface | None,
     times: FloatArray | None,
 ) -> DeformedFrames:
-    """Return frames of a mesh with its points replaced, for example by simulated ones.
+    """Return frames of a mesh with other points, such as simulated ones.
 
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 

@@ -15,7 +15,7 @@ SUM_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class Influences:
-    """Joint influences; those of vertex v are from ``row_starts[v]``."""
+    """Joint influences in CSR layout; those of vertex v begin at ``row_starts[v]``."""
 
     row_starts: IntArray  # first influence of each vertex, and the end ``(V + 1,)``
     # ``(K,)`` int32, per vertex the strongest first, without duplicates.
@@ -45,12 +45,12 @@ class Influences:
 class InfluenceReport:
     """Corrections applied to influences on reading."""
 
-    normalized: int  # vertices whose weight sum differs from 1 by more than 1e-6
-    pruned: int  # vertices with weights dropped by the limit of influences
-    zeros: int  # influences of zero weight, removed
-    merged: int  # duplicate influences of a joint, merged
+    normalized: int  # number of vertices with a weight sum off by more than 1e-6
+    pruned: int  # number of vertices that lost influences to the limit
+    zeros: int  # number of influences of zero weight, removed
+    merged: int  # number of duplicate influences of a joint, merged
     sum_error: float  # largest difference of a vertex's weight sum from 1, as read
-    sum_vertex: int  # the vertex with that difference
+    sum_vertex: int  # the vertex with the largest difference
 
 
 def read_influences(
@@ -146,7 +146,7 @@ def _merge_duplicates(
 
 
 def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
-    """Return whether a vertex has a joint twice with weight."""
+    """Return whether any vertex has two nonzero weights for the same joint."""
     # Entries of zero weight get a placeholder that differs from all joints.
     placeholders = -1 - np.arange(joint_indices.shape[1])
     sorted_joints = np.sort(np.where(weights != 0, joint_indices, placeholders), axis=1)
@@ -154,7 +154,7 @@ def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
 
 
 def _row_starts(rows: IntArray, count: int) -> IntArray:
-    """Return the first entry of each row, and the end ``(count + 1,)``."""
+    """Return the CSR row offsets of sorted row indices ``(count + 1,)``."""
     counts = np.bincount(rows, minlength=count)
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
@@ -213,12 +213,12 @@ def _check_values(
 
 
 def _any_per_vertex(is_wrong: BoolArray) -> BoolArray:
-    """Return which vertices have a wrong influence."""
+    """Return a mask of the vertices with an invalid influence ``(V,)``."""
     return np.asarray(is_wrong.any(axis=1), np.bool_)
 
 
 def _check_sums(sums: FloatArray, remaining_sums: FloatArray) -> None:
-    """Check that each vertex has weight, before and after pruning."""
+    """Check that the weights of each vertex sum above 0, before and after pruning."""
     without_weight = np.minimum(sums, remaining_sums) <= 0
     faults = _vertex_faults(
         "SKIN004", np.asarray(without_weight), "no weight on any joint"
@@ -228,7 +228,7 @@ def _check_sums(sums: FloatArray, remaining_sums: FloatArray) -> None:
 
 
 def _vertex_faults(code: str, is_wrong: BoolArray, problem: str) -> list[Fault]:
-    """Return a fault that lists the vertices of a mask, if any."""
+    """Return a fault that lists the vertices selected by a mask; empty if none are."""
     vertices = np.flatnonzero(is_wrong).tolist()
     if not vertices:
         return []

@@ -48,7 +48,7 @@ MIN_COPY_FRAMES = 7
 class InbetweenDeltas:
     """The offsets of a shape at an inbetween weight."""
 
-    weight: float  # where the offsets apply fully [1], neither 0 nor 1
+    weight: float  # weight of the full offsets [1], neither 0 nor 1
     # ``(D, 3)`` at the vertices of the shape; None moves no points.
     offsets: ArrayLike | None
     normal_offsets: ArrayLike | None = None  # ``(D, 3)``; None keeps normals
@@ -58,15 +58,15 @@ class InbetweenDeltas:
 class ShapeDeltas:
     """A blend shape as stored in files."""
 
-    name: str  # for messages
+    name: str  # name of the shape, for messages
     # ``(D, 3)`` added at weight 1, in the space and unit of the points; None if the
     # shape changes normals only.
     offsets: ArrayLike | None
     # Vertices of the offsets ``(D,)``; None is every vertex.
     indices: ArrayLike | None = None
-    # ``(D, 3)`` added to normals; None keeps them.
+    # Normal offsets ``(D, 3)``; None leaves the normals unchanged.
     normal_offsets: ArrayLike | None = None
-    # Offsets at other weights, in any order.
+    # Offsets at weights other than 0 and 1, in any order.
     inbetweens: tuple[InbetweenDeltas, ...] = ()
 
 
@@ -87,7 +87,7 @@ class PreparedShapes:
     """The shapes of a mesh, ready to be evaluated."""
 
     names: tuple[str, ...]  # names of the S shapes, in the order of the weights
-    # For each shape the weights that have offsets, 0 and 1 included, ascending.
+    # Weights at which each shape has offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
     points: _Columns  # columns of the points: one per shape and knot, except knot 0
     normals: _Columns | None  # columns of the normals; None without normals
@@ -252,7 +252,7 @@ def _active_offsets(
 
 
 def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the piecewise linear weights of all knots but 0 ``(F, knots - 1)``."""
+    """Return the hat function values of all knots except 0 ``(F, knots - 1)``."""
     last_segment = len(knots) - 2
     segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
     fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])
@@ -264,7 +264,7 @@ def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
 
 
 def _offsets_by_weight(shape: ShapeDeltas) -> list[InbetweenDeltas]:
-    """Return the offsets of a shape at all its weights, 1 included, by weight.
+    """Return the offsets of a shape at all inbetween weights and 1, by weight.
 
     Empty offsets with normal offsets mean a shape of normals only.
     """
@@ -324,7 +324,7 @@ def _prepare_columns(
 
 
 def _is_dense(density: FloatArray) -> BoolArray:
-    """Return a mask of the columns that are faster in the dense product."""
+    """Return a mask of the columns for which the dense product is faster."""
     cost = density * SPARSE_COST
     is_dense = np.asarray(cost >= 1.0)
     saved_cost = float((1.0 - cost[~is_dense]).sum())
@@ -336,7 +336,7 @@ def _is_dense(density: FloatArray) -> BoolArray:
 def _nonzero_offsets(
     shape: ShapeDeltas, values: ArrayLike | None, count: int
 ) -> tuple[IntArray, FloatArray]:
-    """Return the vertices that offsets move, and their nonzero offsets."""
+    """Return the indices of vertices with a nonzero offset, and their offsets."""
     if values is None:
         return np.zeros(0, np.int64), np.zeros((0, 3))
     offsets = np.asarray(values, np.float64)

@@ -58,7 +58,7 @@ class PreparedSkin:
     """A binding prepared for evaluation."""
 
     method: SkinMethod  # linear blend or dual quaternions
-    influences: Influences  # per vertex; their joints are indices into ``joints``
+    influences: Influences  # per vertex; joint indices refer to ``joints``
     report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
     # Inverse bind transforms of the used joints ``(U, 4, 4)``.
@@ -203,7 +203,7 @@ def _skin_values(
 
 
 def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
-    """Return points moved to their place at bind time."""
+    """Transform points to the world at bind time."""
     if (world_from_points == np.eye(4)).all():
         return points
     return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
@@ -221,7 +221,7 @@ def _skinning_matrices(
 
 
 def _remove_rounding(stretches: FloatArray) -> FloatArray | None:
-    """Return stretches with rounding removed; None if no frame is stretched."""
+    """Return stretches with rounding errors removed; None if nothing is stretched."""
     distance = np.abs(stretches - np.eye(3)).max(axis=(1, 2, 3), initial=0.0)
     is_stretched = distance > STRETCH_TOLERANCE
     if not is_stretched.any():
@@ -231,7 +231,7 @@ def _remove_rounding(stretches: FloatArray) -> FloatArray | None:
 
 
 def _inverse_transposes(linear: FloatArray) -> FloatArray:
-    """Return inverse transposes ``(…, 3, 3)``; if singular, only the direction."""
+    """Return inverse transposes ``(…, 3, 3)``; scaled cofactors if singular."""
     a, b, c = np.moveaxis(linear, -2, 0)
     cofactors = np.stack([np.cross(b, c), np.cross(c, a), np.cross(a, b)], axis=-2)
     determinant = (a * cofactors[..., 0, :]).sum(axis=-1)[..., None, None]

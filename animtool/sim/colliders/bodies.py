@@ -79,19 +79,19 @@ class Wrenches:
 
     @staticmethod
     def none(count: int) -> Wrenches:
-        """Return zero impulses on a number of bodies."""
+        """Return zero impulses on ``count`` bodies."""
         return Wrenches(np.zeros((count, 6)), np.zeros((count, 6)))
 
     @staticmethod
     def sum(wrenches: Sequence[Wrenches]) -> Wrenches:
-        """Return the sum of impulses."""
+        """Return the element-wise sum of several sets of impulses."""
         return Wrenches(
             np.sum([wrench.impulses for wrench in wrenches], axis=0),
             np.sum([wrench.delayed for wrench in wrenches], axis=0),
         )
 
     def after(self, duration: float) -> Wrenches:
-        """Return the impulses, applied a duration [s] earlier."""
+        """Return the same impulses as if they were applied ``duration`` [s] earlier."""
         return Wrenches(self.impulses, self.delayed + duration * self.impulses)
 
 
@@ -132,7 +132,7 @@ def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> Float
 def split_by_system(
     bodies: Sequence[MovingBodies], pushes: FloatArray
 ) -> list[FloatArray]:
-    """Return impulses on bodies ``(2, B, 6)``, split by system."""
+    """Split impulses on all bodies ``(2, B, 6)`` into one array for each system."""
     end_indices = np.cumsum([system.count for system in bodies])
     return np.split(pushes, end_indices[:-1], axis=1) if bodies else []
 
@@ -149,7 +149,7 @@ def exchange_impulses(
 
     A contact with an immovable body changes a point's velocity by d. With a movable
     body both velocities change so that they separate at the same speed: that of the
-    point by a fraction of d; its displacement since the contact changes likewise.
+    point by a fraction of d; the displacement since the contact changes equally.
     Simultaneous contacts share the mass of a body, so that no energy is gained (Tonge,
     Benevolenski and Voroshilov 2012, "Mass splitting for jitter-free parallel rigid
     body simulation").

@@ -18,7 +18,10 @@ from animtool.sim.contact import Contact
 
 @dataclass(frozen=True)
 class Poses:
-    """World poses at sample times, interpolated between and held outside.
+    """World poses at sample times.
+
+    Poses are interpolated between the samples; before the first and after the last
+    sample they are constant.
 
     Attributes:
         times: Sample times ``(T,)`` [s], ascending; a single one for a fixed collider.
@@ -92,7 +95,7 @@ class Poses:
         )
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         times = np.asarray(self.times, np.float64)
         expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
@@ -133,12 +136,12 @@ class Collider(Contact, Checked):
 
     @cached_property
     def teleports(self) -> BoolArray:
-        """Mask of the intervals between samples in which it teleports ``(T - 1,)``."""
+        """Mask of the sample intervals in which the collider teleports ``(T - 1,)``."""
         return self.poses.teleports(self.shape.anchors(), self.speed_limit)
 
     @property
     def speed(self) -> float:
-        """Its highest speed, teleports excluded [m/s]."""
+        """Maximum speed of the collider, teleports excluded [m/s]."""
         positions = self.poses.to_world(self.shape.anchors())
         distances = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(
             axis=1, initial=0.0
@@ -147,13 +150,13 @@ class Collider(Contact, Checked):
         return float(speeds[~self.teleports].max(initial=0.0))
 
     def volume(self) -> Collider:
-        """Return the collider as a solid, whose mesh is closed."""
+        """Return the collider as a solid: a watertight mesh is marked as closed."""
         if not isinstance(self.shape, Mesh) or self.shape.closed:
             return self
         return replace(self, shape=replace(self.shape, closed=True))
 
     def pose(self, t: float) -> FloatArray:
-        """Return its pose ``(7,)`` at a time [s]; in a teleport, the pose before it."""
+        """Return the pose ``(7,)`` at a time [s]; in a teleport, the pose before it."""
         key_times = self.poses.sample_times
         i = int(np.searchsorted(key_times, t, side="right")) - 1
         if 0 <= i < len(self.teleports) and self.teleports[i]:
@@ -162,7 +165,7 @@ class Collider(Contact, Checked):
         return self.poses.at(t)
 
     def ends(self, t0: float, t1: float) -> FloatArray:
-        """Return its poses ``(2, 7)`` at both ends of a step."""
+        """Return the poses of the collider ``(2, 7)`` at both ends of a step."""
         if self.teleports.any() and self._has_teleported(t0, t1):
             return np.stack([self.pose(t1)] * 2)
         return np.stack([self.pose(t0), self.pose(t1)])
@@ -173,7 +176,7 @@ class Collider(Contact, Checked):
         return bool(((end_times > t0) & (end_times <= t1)).any())
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = [("shape", message) for message in self.shape.faults()]
         faults += [("poses", message) for message in self.poses.faults()]
         return faults + super().problems()

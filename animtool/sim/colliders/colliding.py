@@ -42,9 +42,9 @@ class Touch(IntEnum):
 
     Attributes:
         NONE: No contact.
-        BOUNCED: It hit a collider and left it.
-        RESTS: It is on the surface of a collider, at rest or sliding.
-        UNRESOLVED: It is still inside a collider, moving out or blocked by others.
+        BOUNCED: The particle hit a collider and left it.
+        RESTS: The particle is on the surface of a collider, at rest or sliding.
+        UNRESOLVED: The particle remains inside a collider, moving out or blocked.
     """
 
     NONE = 0
@@ -55,7 +55,7 @@ class Touch(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
-    """The last contact of each particle in a step.
+    """The last contact of each of N particles in a step.
 
     Attributes:
         colliders: Index of the collider ``(N,)``, -1 without contact; colliders of
@@ -110,7 +110,7 @@ class Colliders(Sequence[Collider]):
 
     Attributes:
         sheets: Deforming surfaces; not members of the sequence.
-        surfaces: The sheets, prepared for many substeps at once.
+        surfaces: The sheets, prepared for many substeps in one call.
         bodies: Bodies of other simulations; not members of the sequence.
 
     Raises:
@@ -168,7 +168,7 @@ class Colliders(Sequence[Collider]):
 
     @property
     def active(self) -> bool:
-        """Whether there is anything to collide with."""
+        """Whether the set contains any collider."""
         return bool(self.rigid or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
@@ -216,7 +216,7 @@ class Colliders(Sequence[Collider]):
 
     @property
     def fastest(self) -> float:
-        """The highest speed of a collider [m/s]; teleports do not count.
+        """Maximum speed of any collider, teleports excluded [m/s].
 
         For surfaces and bodies, the highest so far.
         """
@@ -225,11 +225,11 @@ class Colliders(Sequence[Collider]):
 
     @cached_property
     def _max_speed(self) -> float:
-        """Return the highest speed of a rigid collider, teleports excluded [m/s]."""
+        """Return the maximum speed of any rigid collider, teleports excluded [m/s]."""
         return max((collider.speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
-        """Return a warning for each teleport (SIM120), of surfaces those so far."""
+        """Return a warning for each teleport (SIM120); surfaces report those so far."""
         return [*self._teleport_warnings(), *self.surfaces.notices()]
 
     def _teleport_warnings(self) -> list[Fault]:
@@ -249,7 +249,7 @@ def _active_side(collider: Collider) -> int:
 
 
 def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
-    """Return a warning about a collider's teleport in interval k."""
+    """Return a warning about a collider's teleport in sample interval ``k``."""
     speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
     message = (
         f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "
@@ -389,7 +389,7 @@ def _mesh_arrays(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
 def _offset_mesh(
     shape: Mesh, point_offset: int, triangle_offset: int, node_offset: int
 ) -> tuple[Any, ...]:
-    """Return a mesh's arrays, with indices offset by those of earlier meshes."""
+    """Return the arrays of a mesh, with indices offset past earlier meshes."""
     points, corners = shape.weld()
     sorted_triangles, by_corner, by_edge, bounds, tree = _kernels.build_mesh_tree(
         points, corners

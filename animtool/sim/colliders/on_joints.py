@@ -63,7 +63,7 @@ class JointCapsules:
         return len(self.joints)
 
     def world_ends(self, world: WorldTransforms) -> FloatArray:
-        """Return both ends in world space ``(K, C, 2, 3)`` [m]."""
+        """Return both ends of each capsule in world space ``(K, C, 2, 3)`` [m]."""
         linear = world.linear[:, self.joints]
         rotated = (linear[:, :, None] * self.ends[None, :, :, None, :]).sum(axis=-1)
         return np.asarray(rotated + world.positions[:, self.joints, None])
@@ -71,7 +71,7 @@ class JointCapsules:
     def joint_poses_and_ends(
         self, world: WorldTransforms
     ) -> tuple[FloatArray, FloatArray]:
-        """Return poses of the joints, and ends with the scale of the first frame.
+        """Return joint poses, and capsule ends at the joint scales of the first frame.
 
         Returns:
             Origins and quaternions ``(K, C, 7)``; ends in those frames ``(C, 2, 3)``.
@@ -83,7 +83,7 @@ class JointCapsules:
         return poses, so3.rotate(so3.conjugate(rotations[0])[:, None], ends)
 
     def world_radii(self, world: WorldTransforms) -> FloatArray:
-        """Return the radii in world space, at the scale of the first frame ``(C,)``."""
+        """Return world-space radii at the joint scales of the first frame ``(C,)``."""
         volumes = np.abs(np.linalg.det(world.linear[0, self.joints]))
         return np.asarray(self.radii * np.cbrt(volumes))
 
@@ -104,11 +104,11 @@ def rig_colliders(
 ) -> list[Collider]:
     """Return the colliders of a moving rig, named after their joints.
 
-    Their size is that of the first frame.
+    The size of each collider is constant: that of the first frame.
 
     Args:
         rig: Rig with capsules.
-        world: World transforms of its joints over F frames.
+        world: World transforms of the rig's joints over F frames.
         times: Times of the frames ``(F,)`` [s].
         template: Collider that provides the contact material; None for the default.
     """

@@ -37,11 +37,11 @@ class Plane:
         return np.array([*_normalized(self.normal), self.offset], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(1, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(1, 3)`` [m]."""
         return _normalized(self.normal)[None] * self.offset
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         faults = [] if np.isfinite(self.offset) else ["its offset is not finite"]
         return faults + _direction_faults("normal", self.normal)
 
@@ -63,11 +63,11 @@ class Sphere:
         return np.array([*self.centre, self.radius], np.float64)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(1, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(1, 3)`` [m]."""
         return np.array([self.centre], np.float64)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return _range_faults(self) + _point_faults(self.centre)
 
 
@@ -92,13 +92,13 @@ class Capsule:
         return np.append(self.anchors().ravel(), self.radius)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(2, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(2, 3)`` [m]."""
         half_axis = _normalized(self.axis) * (self.length / 2)
         centre = np.asarray(self.centre, np.float64)
         return np.stack([centre - half_axis, centre + half_axis])
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         faults = _range_faults(self) + _point_faults(self.centre)
         return faults + _direction_faults("axis", self.axis)
 
@@ -118,12 +118,12 @@ class Box:
         return np.asarray(self.size, np.float64) / 2
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(8, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(8, 3)`` [m]."""
         corners = np.array(list(product((-1.0, 1.0), repeat=3)), np.float64)
         return np.asarray(corners * self.sizes(), np.float64)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         if len(self.size) != 3:
             return [f"its size must be three numbers, not {len(self.size)}"]
         return _size_faults(self.size)
@@ -152,7 +152,7 @@ class Mesh:
         return np.zeros(0)
 
     def anchors(self) -> FloatArray:
-        """Return points to measure its speed at ``(8, 3)`` [m]."""
+        """Return the local points at which the speed is measured ``(8, 3)`` [m]."""
         points = np.asarray(self.points, np.float64)
         low, high = points.min(axis=0), points.max(axis=0)
         corners = np.array(list(product((0.0, 1.0), repeat=3)))
@@ -177,7 +177,7 @@ class Mesh:
         return bool((forward == backward).all() and (np.diff(forward) > 0).all())
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         points = np.asarray(self.points, np.float64)
         triangles = np.asarray(self.triangles)
         if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
@@ -192,7 +192,7 @@ class Mesh:
 
 
 def _has_area(points: FloatArray, triangles: ArrayLike) -> npt.NDArray[np.bool_]:
-    """Return a mask of the triangles ``(T, 3)`` that have an area ``(T,)``."""
+    """Return a mask of the triangles ``(T, 3)`` with nonzero area ``(T,)``."""
     a, b, c = points[np.asarray(triangles, np.int64)].swapaxes(0, 1)
     return np.asarray(np.cross(b - a, c - a).any(axis=1), np.bool_)
 
@@ -222,14 +222,14 @@ class HeightField:
         return Mesh(points.reshape(-1, 3), triangles, closed=True)
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         if len(self.size) != 2:
             return [f"its size must be two numbers, not {len(self.size)}"]
         return _size_faults(self.size)
 
     @staticmethod
     def height_faults(heights: ArrayLike) -> list[str]:
-        """Return messages about invalid heights."""
+        """Return a message if heights have fewer than two rows or columns."""
         shape = np.shape(heights)
         if len(shape) == 2 and min(shape) >= 2:
             return []
@@ -274,7 +274,7 @@ def _normalized(direction: Vector) -> FloatArray:
 
 
 def _range_faults(shape: Any) -> list[str]:
-    """Return messages about numbers of a shape that are out of range."""
+    """Return a message for each number of a shape outside its declared range."""
     return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 

@@ -16,16 +16,16 @@ from animtool.sim.contact import Material
 
 
 class SheetMotion(Protocol):
-    """A surface over time; particles do not push it."""
+    """Interface of a surface over time, which particles do not push."""
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` [m] at a time [s].
+        """Return the points of the surface ``(N, 3)`` [m] at a time [s].
 
         Times before the last call of `forget` are not available.
         """
 
     def triangles(self, t: float) -> IntArray:
-        """Return the corners of its triangles ``(T, 3)`` at a time [s]."""
+        """Return the point indices of the triangles ``(T, 3)`` at a time [s]."""
 
     def forget(self, t: float) -> None:
         """Release buffered states before a time [s]."""
@@ -40,7 +40,7 @@ class Sheet(Material, Checked):
 
     Attributes:
         motion: Points over time.
-        radius: Half its thickness, above 0 [m].
+        radius: Half the thickness of the sheet, above 0 [m].
         closed: Whether it is the surface of a solid: collisions are from outside only.
         name: Name for messages.
         depenetration: Speed at which particles that start inside are moved out [m/s].
@@ -57,7 +57,7 @@ class Sheet(Material, Checked):
     depenetration: Annotated[float, above(0, "SIM020")] = 1.0
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = Checked.problems(self)
         return [fault for fault in faults if fault[0] == "radius"] or faults
 
@@ -143,7 +143,7 @@ def collide_with_sheet(
     spawn_times: FloatArray,
     collide_static: StaticCollision,
 ) -> tuple[IntArray, Any] | None:
-    """Return the particles near a sheet and their end states, or None without any.
+    """Return the particles near a sheet and their end states; None if none are near.
 
     Each particle is simulated in the moving frame of the nearest point of the sheet,
     whose path in the step is straight: in this frame the sheet is at rest in its final
@@ -220,7 +220,7 @@ def _displacement(
     displacements: FloatArray,
     triangles: IntArray,
 ) -> FloatArray:
-    """Return a surface's displacement at its nearest points ``(N, 3)``."""
+    """Return the surface displacement at the points nearest to N points ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     used_points = np.unique(triangles)

@@ -1,4 +1,4 @@
-"""Deforming surfaces, prepared for kernels that take many substeps."""
+"""Deforming surfaces, prepared for kernels that compute many substeps in one call."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ ROUNDING = 1e-9
 
 
 class Surfaces:
-    """Sheets in the layout of kernels that take many substeps at once.
+    """Sheets in the array layout of kernels that compute many substeps in one call.
 
     Points that coincide at the beginning are merged; triangles do not change.
 
@@ -71,7 +71,7 @@ class Surfaces:
     def _record_speed(
         self, sheet_index: int, sheet: Sheet, points: FloatArray, knots: FloatArray
     ) -> None:
-        """Record a sheet's speed, and its teleports."""
+        """Record the maximum speed of a sheet, and its teleports."""
         distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
         speeds = distances / np.diff(knots)
         is_teleport = speeds > SPEED_LIMIT
@@ -89,11 +89,11 @@ class Surfaces:
 
 
 class _PreparedSheet:
-    """A sheet with its tree, built once at the start.
+    """A sheet with a bounding volume tree, built once at the start.
 
     Attributes:
         sheet: The sheet.
-        faces: Its triangles; for two-sided sheets, those of their hull ``(T, 3)``.
+        faces: Triangles of the sheet; for a two-sided sheet, of its hull ``(T, 3)``.
         kernel: Kernel object with the tree of the triangles.
         material: Restitution, friction, margin, depenetration and the speed limit.
     """

@@ -20,7 +20,7 @@ from animtool.sim.stability import rate_limit
 
 
 def step_doubling(base: Integrator) -> Integrator:
-    """Return the adaptive method that doubles the steps of a fixed-step method.
+    """Return a fixed-step method made adaptive by step doubling.
 
     The error of the two half steps is estimated from their difference to the full step,
     and added to the state: so the order is one more than that of the base.

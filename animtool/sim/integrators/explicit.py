@@ -36,7 +36,7 @@ class Tableau:
     def step(
         self, equations: Equations, t: float, y: FloatArray, h: float, memory: object
     ) -> StepResult:
-        """Return the state after a step.
+        """Return the state after one step of the Runge-Kutta method.
 
         If the last stage is at the step's end, it is the new state; its rate is reused
         by the next step.
@@ -55,7 +55,7 @@ class Tableau:
 
     @property
     def first_as_last(self) -> bool:
-        """Whether the last stage is evaluated at the end of the step."""
+        """Whether the method is FSAL: the last stage is at the end of the step."""
         return self.rows[-1] + (0.0,) == self.weights
 
     def integrator(self, name: str, summary: str, order: int) -> Integrator:
@@ -93,7 +93,7 @@ class Tableau:
 def _add_rates(
     y: FloatArray, h: float, weights: tuple[float, ...], rates: list[FloatArray]
 ) -> FloatArray:
-    """Return a state plus weighted rates times the step."""
+    """Return the state ``y`` plus the step times the weighted sum of stage rates."""
     for weight, rate in zip(weights, rates, strict=False):
         if weight:
             y = y + (h * weight) * rate
@@ -121,7 +121,10 @@ RK4 = Tableau(
 def modified_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult:
-    """Return the state after a step along the mean of both velocities."""
+    """Advance a second-order state by one step of the modified Euler method.
+
+    The position advances along the mean of the velocities at both ends.
+    """
     x, v = y
     v_end = v + h * equations.acceleration(t, x, v)
     return StepResult(np.array((x + (0.5 * h) * (v + v_end), v_end)))

@@ -19,7 +19,7 @@ MAX_STEP_RATIO = 2.4
 
 @dataclass(frozen=True, slots=True)
 class PreviousStep:
-    """The previous step: its start and its length [s]."""
+    """Start state and length [s] of the previous step."""
 
     state: FloatArray
     h: float
@@ -28,7 +28,7 @@ class PreviousStep:
 def implicit_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult | None:
-    """Return the state after a step along the rate at its end."""
+    """Advance a state by one implicit (backward) Euler step."""
     state = solve_stage(equations, t + h, y, y, h)
     return None if state is None else StepResult(state)
 
@@ -46,7 +46,7 @@ IMPLICIT_EULER = Integrator(
 def trapezoid(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult | None:
-    """Return the state after a step along the mean of the rates at both ends."""
+    """Advance a state by one step of the implicit trapezoidal method."""
     base = y + (0.5 * h) * equations.rate(t, y)
     state = solve_stage(equations, t + h, base, y, 0.5 * h)
     return None if state is None else StepResult(state)
@@ -66,7 +66,10 @@ TRAPEZOID = Integrator(
 def bdf2(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult | None:
-    """Return the state after a BDF2 step; the first step is implicit Euler."""
+    """Advance a state by one step of BDF2 (two-step backward differentiation).
+
+    The first step is an implicit Euler step.
+    """
     base, scale = y, h
     previous = memory if isinstance(memory, PreviousStep) else PreviousStep(y, 0.0)
     if (

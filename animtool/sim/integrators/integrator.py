@@ -29,7 +29,7 @@ class StepControl(StrEnum):
 
     Attributes:
         FIXED: By the caller.
-        ADAPTIVE: By the method, from its error estimates.
+        ADAPTIVE: By the method, from error estimates.
         SCIPY: By a solver of SciPy.
     """
 
@@ -42,8 +42,8 @@ class StepControl(StrEnum):
 class StepResult:
     """The result of a step."""
 
-    state: FloatArray  # after the step
-    memory: object = None  # passed to the next step
+    state: FloatArray  # state after the step
+    memory: object = None  # data for the next step
     # Error estimate in the state's shape; None without an estimate.
     error: FloatArray | None = None
 

@@ -23,7 +23,10 @@ from animtool.sim.stability import jury_limit
 def symplectic_euler(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult:
-    """Return the state after a step: velocity first, then position."""
+    """Advance a state by one semi-implicit (symplectic) Euler step.
+
+    The velocity is updated first, then the position with the new velocity.
+    """
     x, v = y
     v_end = v + h * equations.acceleration(t, x, v)
     return StepResult(np.array((x + h * v_end, v_end)))
@@ -44,7 +47,7 @@ SYMPLECTIC_EULER = Integrator(
 def velocity_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult:
-    """Return the state after a step: half a kick, a drift, half a kick.
+    """Advance a state by one velocity Verlet (kick-drift-kick leapfrog) step.
 
     The force of the second kick is reused by the next step, unless forces depend on the
     velocity, which the kick changes.
@@ -81,7 +84,7 @@ VELOCITY_VERLET = Integrator(
 def position_verlet(
     equations: Equations, t: float, y: FloatArray, h: float, memory: object
 ) -> StepResult:
-    """Return the state after a step: half a drift, a kick, half a drift."""
+    """Advance a state by one position Verlet (drift-kick-drift leapfrog) step."""
     x, v = y
     x_half = x + (0.5 * h) * v
     v_end = v + h * equations.acceleration(t + 0.5 * h, x_half, v)

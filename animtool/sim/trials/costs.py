@@ -1,4 +1,4 @@
-"""Cost and error of settings, and the best of them."""
+"""Cost and error of settings, and selection of the best settings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ TIMING_NOISE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """The cost and the error of a setting."""
+    """The cost of a setting, and the error of its result."""
 
     value: float  # time [s], or another cost
     error: float  # [m]

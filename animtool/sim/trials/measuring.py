@@ -153,7 +153,7 @@ class _RunCache:
 def _find_reference(
     trial: Trial, runs: _RunCache
 ) -> tuple[Reference | None, TrialOutcome | None]:
-    """Return the first reference whose runs succeed, and its finest run."""
+    """Return the first reference whose runs all succeed, and its most accurate run."""
     for settings in trial.references():
         outcomes: list[TrialOutcome] = []
         for setting in settings:
@@ -204,7 +204,7 @@ def _trial_rows(
     settings: Sequence[Setting],
     reference_outcome: TrialOutcome | None,
 ) -> list[TrialRow]:
-    """Return a row for each setting; skip those far slower than the reference."""
+    """Return a row for each setting; skip settings far slower than the reference."""
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
@@ -270,7 +270,7 @@ def _trial_row(
 
 
 def _failure_reason(error: PointDistances, extent: float) -> str:
-    """Return why a completed run is unusable; empty if it is fine."""
+    """Return why a completed run is unusable; empty if it is usable."""
     if error.unmatched > MAX_UNMATCHED_FRACTION:
         return f"{error.unmatched:.0%} of its points differ"
     if not error.largest <= DIVERGED_ERROR * extent:
@@ -279,7 +279,7 @@ def _failure_reason(error: PointDistances, extent: float) -> str:
 
 
 def _energy_drift(energies: Sequence[Energy] | None) -> float | None:
-    """Return the largest energy change, relative to the largest energy."""
+    """Return the largest change of total energy, relative to the largest energy."""
     if not energies:
         return None
     totals = np.array([energy.total for energy in energies])
@@ -312,7 +312,7 @@ def _mark_recommended(
     instance_extent: float,
     budget: float | None,
 ) -> list[TrialRow]:
-    """Return rows with the best settings and the recommended one marked."""
+    """Return rows with the Pareto-optimal and the recommended settings marked."""
     if not any(row.error is not None and row.error.largest for row in rows):
         # Nothing moves: all settings are equal, and timings are noise.
         if budget is None:
@@ -344,7 +344,7 @@ def _mark_recommended(
 def _rank_by_figures(
     rows: list[TrialRow], reference_outcome: TrialOutcome, measure: CostMeasure
 ) -> list[TrialRow]:
-    """Return rows of a chaotic motion, with the best marked by energy, strain, depth.
+    """Return rows of a chaotic motion, with the Pareto-optimal settings marked.
 
     The error of a row is the largest excess of one of its figures over that of the
     reference, relative to the figure's tolerance. Errors below 1 count as equal.
@@ -372,7 +372,7 @@ def _rank_by_figures(
 def _relative_figures(
     drift: float | None, figures: Mapping[Figure, float]
 ) -> dict[str, float]:
-    """Return figures relative to their tolerances."""
+    """Return each figure and the energy drift divided by its tolerance."""
     ratios = {
         str(k): x / FIGURE_TOLERANCES[k]
         for k, x in figures.items()
@@ -382,7 +382,7 @@ def _relative_figures(
 
 
 def _row_cost(row: TrialRow, measure: CostMeasure, error: float) -> Cost:
-    """Return the cost of a row by a measure, with its error."""
+    """Return the cost of a row by the given measure, paired with its error."""
     value = {
         CostMeasure.SECONDS: row.seconds,
         CostMeasure.BYTES: float(row.bytes),

@@ -20,7 +20,7 @@ from animtool.sim.trials.trial import (
 
 @dataclass(frozen=True, slots=True)
 class Reference:
-    """The run that all others are compared with."""
+    """The run that all other runs are compared with."""
 
     setting: Setting  # the setting of the reference run
     error: PointDistances  # error estimate of the reference, from the two finest runs
@@ -33,27 +33,27 @@ class Reference:
 
 @dataclass(frozen=True, slots=True)
 class TrialRow:
-    """A setting and its results."""
+    """A setting, with the results of its run."""
 
     setting: Setting  # setting of the run
     # Wall time of the simulation [s]; 0 if the method does not apply.
     seconds: float = 0.0
     steps: int = 0  # number of steps
-    status: Status | None = None  # how it ended; None if the method does not apply
-    # Why it stopped or does not apply; empty on success.
+    status: Status | None = None  # how the run ended; None if the method does not apply
+    # Why the run stopped or the method does not apply; empty on success.
     reason: str = ""
     stable_step: float | None = None  # as in `TrialOutcome`
-    # Distances from the reference; None if it stopped early or there is no reference.
+    # Distances from the reference; None after an early stop or without a reference.
     error: PointDistances | None = None
     # Largest energy change, relative to the largest energy [1]; None if not conserved.
     energy_drift: float | None = None
     bytes: int = 0  # as in `TrialOutcome`
-    # As in `TrialOutcome`; empty if it stopped early.
+    # As in `TrialOutcome`; empty if the run stopped early.
     figures: Mapping[Figure, float] = field(default_factory=dict)
-    worst: str = ""  # where the largest distance is; may be empty
-    chosen: bool = False  # whether the file uses it
+    worst: str = ""  # location of the largest distance; may be empty
+    chosen: bool = False  # whether the file requests this setting
     best: bool = False  # whether Pareto-optimal: no cheaper setting is as accurate
-    # Whether it is recommended, or the cheapest within a budget.
+    # Whether the setting is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
         "*setting status=ended reason stable_step seconds~ steps bytes "
@@ -110,17 +110,17 @@ class TrialTable:
 
     @property
     def applicable(self) -> list[TrialRow]:
-        """The rows of settings whose method applies."""
+        """The rows of settings whose method supports the system."""
         return [row for row in self.rows if row.status is not None]
 
     @property
     def by_rms(self) -> bool:
-        """Whether errors are root mean squares, not the largest distance."""
+        """Whether errors are root-mean-square distances, not the largest one."""
         return self.error is ErrorMeasure.RMS
 
     @property
     def has_unmatched(self) -> bool:
-        """Whether some compared runs have unmatched points."""
+        """Whether any run has points that do not match those of the reference."""
         return any(
             row.error is not None and row.error.unmatched for row in self.applicable
         )

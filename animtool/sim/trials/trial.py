@@ -62,7 +62,7 @@ class Setting:
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """The points at one time."""
+    """The points of a run at one time."""
 
     points: FloatArray  # (N, 3) [m]
     # Point ids, ascending (N,); None if constant.
@@ -72,7 +72,7 @@ class Snapshot:
 
 
 class Figure(StrEnum):
-    """A measured quantity of a run besides its points."""
+    """A scalar quantity measured in a run in addition to its points."""
 
     STRETCH = "stretch"  # largest spring elongation over its rest length [1]
     DEPTH = "depth"  # largest penetration of cloth [m]
@@ -104,19 +104,19 @@ class TrialOutcome:
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps
     snapshots: Sequence[Snapshot]  # points at the times reached
-    status: Status = Status.OK  # how it ended
-    reason: str = ""  # why it stopped, empty on success
+    status: Status = Status.OK  # how the run ended
+    reason: str = ""  # why the run stopped; empty on success
     # The largest stable step at the end [s]: 0 if none, infinite if all, None if
     # unknown.
     stable_step: float | None = None
     # Energies at these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
     bytes: int = 0  # size of the output; 0 without one
-    # Other figures of the setting.
+    # Additional measured figures of the run.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     # The setting's error, if measured directly instead of from snapshots.
     error: PointDistances | None = None
-    worst: str = ""  # location of that error
+    worst: str = ""  # location of the largest error
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +130,7 @@ class Trial:
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
     # Candidates for the reference: each a method with successively halved steps. The
-    # first one that works is used.
+    # first one whose runs succeed is used.
     references: Callable[[], list[list[Setting]]]
     # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]
@@ -186,7 +186,7 @@ class PointDistances:
     json_keys: ClassVar[str] = "largest rms median apart=unmatched angle?"
 
     def error(self, measure: ErrorMeasure, reach: float) -> float:
-        """Return the error [m], rotations included.
+        """Return the distance [m] that counts as the error, rotations included.
 
         Args:
             measure: Distance that counts as the error.
@@ -265,7 +265,7 @@ def _rms(values: FloatArray) -> float:
 
 
 def points_extent(snapshots: Sequence[Snapshot]) -> float:
-    """Return the diagonal of the bounding box of all points [m]."""
+    """Return the diagonal of the bounding box of the points at all times [m]."""
     point_arrays = [snapshot.points for snapshot in snapshots if len(snapshot.points)]
     if not point_arrays:
         return 0.0
@@ -275,7 +275,7 @@ def points_extent(snapshots: Sequence[Snapshot]) -> float:
 
 
 def max_instance_extent(snapshots: Sequence[Snapshot]) -> float:
-    """Return the largest extent of instances from their points, at any time [m]."""
+    """Return the largest extent of an instance from its point, over all times [m]."""
     return max((snapshot.reach for snapshot in snapshots), default=0.0)
 
 

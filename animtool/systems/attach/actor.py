@@ -58,7 +58,7 @@ class PosePaths:
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
     def of(self, steps: int) -> PosePath:
-        """Return the poses at both ends of each of some steps."""
+        """Return the poses at the start and end of each of ``steps`` equal steps."""
         if steps not in self._by_steps:
             self._by_steps[steps] = interpolate_poses(
                 self.rig, self.before, self.after, steps
@@ -79,7 +79,7 @@ class CollisionSurroundings(NamedTuple):
     world: WorldTransforms  # joint transforms
     time: float  # end of the frame [s]
     solids: Sequence[ClosedSurface]  # closed surfaces, such as skins
-    layers: Sequence[ClosedSurface]  # other cloth
+    layers: Sequence[ClosedSurface]  # cloth of other attachments
 
 
 class AttachmentActor:
@@ -96,7 +96,7 @@ class AttachmentActor:
         world: Colliders | None = None,
         layers: Sequence[Sheet] = (),
     ) -> None:
-        """Start at rest in a pose, at its scale; a frame has a duration [s].
+        """Start with all particles at rest in a pose, at the scale of the pose.
 
         ``layers`` are cloth surfaces that are simulated before this attachment.
         """
@@ -183,14 +183,14 @@ class AttachmentActor:
         return np.asarray(self.grid.state.motion[0])
 
     def set_motion(self, motion: FloatArray, piercings: IntArray | None = None) -> None:
-        """Set positions and velocities of the particles ``(2, N, 3)`` [m, m/s]."""
+        """Set the positions and velocities of the particles ``(2, N, 3)`` [m, m/s]."""
         state = self.grid.state
         new_piercings = state.passages if piercings is None else piercings
         state = replace(state, motion=motion, passages=new_piercings)
         self.grid = replace(self.grid, state=state)
 
     def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
-        """Set the motion of its cloth collider over a frame."""
+        """Set the motion of the attachment's own cloth collider over a frame."""
         if self.sheet is not None:
             motion = self.sheet.motion
             assert isinstance(motion, ClothMotion)
@@ -205,7 +205,7 @@ class AttachmentActor:
     def advance_frame(
         self, paths: PosePaths, frame: int, steering: CycleSteering | None = None
     ) -> None:
-        """Advance by a frame; frame 0 is the first of the take."""
+        """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
         cells = self._springs.cells
         motion = paths.of(cells)
@@ -233,7 +233,7 @@ class AttachmentActor:
         self.seconds += time.perf_counter() - start_seconds
 
     def surroundings(self) -> CollisionSurroundings:
-        """Return the surfaces around it at the end of the frame."""
+        """Return the surfaces around the attachment at the end of the frame."""
         solids = [*self._skin_solids, *self._colliders.solids(self._time)]
         layers = [
             ClosedSurface(layer.points(self._time), layer.triangles(self._time))
@@ -263,11 +263,11 @@ class AttachmentActor:
         self._move_sheet((0.0, 0.0), self.positions)
 
     def set_target(self, pose: LocalPose) -> None:
-        """Set the animated positions from a pose, and keep the state."""
+        """Set the animated positions from a pose; the simulated state is unchanged."""
         self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
 
     def teleport(self, paths: PosePaths) -> None:
-        """Advance over a teleport: all particles move rigidly with the carrier."""
+        """Advance over a teleport: all particles move rigidly with their joint."""
         motion = paths.of(1)
         self.target = self.body.targets(motion)[-1]
         shift, rotation = _joint_motion(motion.world, self.body.carrier)

@@ -23,7 +23,7 @@ from animtool.systems.attach.poses import PosePath
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AttachedBody(ABC):
-    """An attachment of a rig as particles.
+    """An attachment of a rig, modelled as particles.
 
     Attributes:
         name: Name in the rig.
@@ -48,7 +48,7 @@ class ChainBody(AttachedBody):
 
     joints: IntArray  # joint indices, from the root on ``(C,)``
     tip: FloatArray  # end of the last bone, in the frame of its joint ``(3,)`` [m]
-    # Whether nothing follows the rotation of the last joint: it has no tip, and no
+    # Whether nothing follows the rotation of the last joint, which has no tip and no
     # joint, skin, collider or strands attached to it.
     has_free_tip: bool = False
 
@@ -139,7 +139,7 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
 
 
 def _has_free_tip(rig: Rig, joint: int) -> bool:
-    """Return whether nothing follows the rotation of a chain's last joint."""
+    """Return whether no joint, tip or surface follows a chain's last joint."""
     name = rig.joints[joint].name
     skin_joints = {n for mesh in rig.meshes if mesh.skin for n in mesh.skin.joints}
     attach_joints = {collider.joint for collider in rig.colliders}
@@ -152,9 +152,9 @@ def _has_free_tip(rig: Rig, joint: int) -> bool:
 
 
 def _bone_end(rig: Rig, joints: list[int]) -> FloatArray:
-    """Return the end of a chain's last bone, in the frame of its joint.
+    """Return the end of a chain's last bone, in the frame of the last joint.
 
-    It is the tip of the joint, or its first child, or a copy of the bone before it.
+    This is the tip of the joint, else its first child, else a copy of the bone before.
     """
     last = rig.joints[joints[-1]]
     if last.tips:

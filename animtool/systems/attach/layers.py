@@ -13,13 +13,13 @@ from animtool.sim.colliders import Sheet
 class ClothMotion:
     """Points of simulated cloth over the last simulated frame.
 
-    They are linear within the frame, and constant before and after it.
+    Points move linearly within the frame, and are constant before and after it.
     """
 
     faces: IntArray  # triangles ``(T, 3)``
     begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
-    end: FloatArray  # points at its end ``(N, 3)`` [m]
-    times: tuple[float, float] = (0.0, 0.0)  # of start and end [s]
+    end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
+    times: tuple[float, float] = (0.0, 0.0)  # start and end of the frame [s]
 
     def points(self, t: float) -> FloatArray:
         """Return the points at a time [s] ``(N, 3)`` [m]."""
@@ -32,11 +32,11 @@ class ClothMotion:
         return self.begin + fraction * (self.end - self.begin)
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return the triangles ``(T, 3)``; they are constant."""
+        """Return the constant triangles ``(T, 3)``."""
         return self.faces
 
     def forget(self, t: float) -> None:
-        """Do nothing: only the last frame is stored."""
+        """Do nothing, as only the last frame is stored."""
 
 
 def cloth_sheet(

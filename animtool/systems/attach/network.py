@@ -33,7 +33,7 @@ def _no_rows(columns: int) -> IntArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Network:
-    """Particles of an attachment at bind, and the springs between them."""
+    """The particles of an attachment at bind time, and the springs between them."""
 
     points: FloatArray  # bind positions ``(N, 3)`` [m]
     pinned: IntArray  # points that follow the animation ``(P,)``, ascending
@@ -101,7 +101,7 @@ class Network:
 def max_pin_hops(network: Network) -> int:
     """Return the largest number of springs from a pinned particle to any other.
 
-    Without pinned particles it is counted from the first.
+    Without pinned particles, springs are counted from the first particle.
 
     >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2

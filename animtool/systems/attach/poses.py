@@ -33,7 +33,7 @@ class LocalPose:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PosePath:
-    """World transforms and shape weights at K even times between two frames."""
+    """World transforms and shape weights at K evenly spaced times in one frame."""
 
     world: WorldTransforms  # joint transforms
     # Shape weights ``(K, S)`` [1]; None without shapes.
@@ -68,7 +68,7 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
 def interpolate_poses(
     rig: Rig, before: LocalPose, after: LocalPose, steps: int
 ) -> PosePath:
-    """Return a character at even times between two poses.
+    """Return the poses of a character at evenly spaced times between two poses.
 
     Local rotations are interpolated by slerp and other values linearly, as for motion
     blur.
@@ -105,7 +105,7 @@ def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
 def extrapolate_roots(
     rig: Rig, first: LocalPose, second: LocalPose, frames: float
 ) -> LocalPose:
-    """Return the pose some frames before the first, at the speed of the roots."""
+    """Extrapolate the pose ``frames`` before the first, with constant root velocity."""
     translations = first.translations.copy()
     roots = np.array(rig.roots)
     step = second.translations[roots] - first.translations[roots]
@@ -117,15 +117,15 @@ def extrapolate_roots(
 class CycleShift:
     """Displacement of a character over one cycle, along the ground."""
 
-    shift: FloatArray  # ``(3,)`` [m], after the rotation
-    rotation: FloatArray  # about the up axis, at the world's origin ``(4,)``
+    shift: FloatArray  # translation after the rotation ``(3,)`` [m]
+    rotation: FloatArray  # rotation about the up axis through the origin ``(4,)``
 
 
 def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
-    It is zero if the first root returns to its start. Else the step from the last frame
-    to the next cycle has the mean speed of both ends.
+    The travel is zero if the first root returns to its start. Otherwise, the
+    step from the last frame to the next cycle has the mean speed of both ends.
     """
     root = rig.roots[0]
     first, second, second_last, last = (pose.translations[root] for pose in poses)
@@ -146,7 +146,7 @@ def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> Cycl
 
 
 def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
-    """Return a pose moved by the travel of one cycle."""
+    """Return a pose transformed by the travel of one cycle."""
     translations, rotations = pose.translations.copy(), pose.rotations.copy()
     roots = np.array(rig.roots)
     translations[roots] = (
@@ -159,7 +159,7 @@ def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:
 def seam_weights(frames: int, seam_fraction: float = SEAM_FRACTION) -> FloatArray:
     """Return the weight of the seam correction for each frame ``(F,)``.
 
-    It increases from 0 to 1 over a fraction of the cycle, at its end.
+    The weight increases from 0 to 1 over a fraction of the cycle, at its end.
 
     >>> seam_weights(8).round(3).tolist()
     [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.5]

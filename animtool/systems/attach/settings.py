@@ -124,7 +124,7 @@ class SimulateOptions:
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files that are written besides the take."""
+        """Files that are written in addition to the take."""
         return (self.save,) if self.save else ()
 
 
@@ -202,7 +202,7 @@ def option_checks(options: SimulateOptions) -> OptionChecks:
 
 
 def _check_names(options: SimulateOptions) -> None:
-    """Raise SIM030 if no attachment is named, or one is named twice."""
+    """Raise SIM030 if no attachment is named, or any is named twice."""
     if not options.what:
         message = "what names no attachment of the rig"
         raise OptionError(Fault("SIM030", message, hint="write what: [cape]"))
@@ -213,7 +213,7 @@ def _check_names(options: SimulateOptions) -> None:
 
 
 def _check_range(options: SimulateOptions, name: str) -> None:
-    """Raise if a number is outside the range of its option."""
+    """Raise if the value of an option is out of range."""
     faults = [fault for fault in range_faults(options) if fault.where == name]
     if faults:
         raise OptionError(faults)

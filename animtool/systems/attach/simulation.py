@@ -72,12 +72,12 @@ class AttachState:
 class SavedFrame:
     """Saved states of attachments at one frame."""
 
-    frame: float  # its time code
-    states: Mapping[str, AttachState]  # by the attachment's name
+    frame: float  # time code of the frame
+    states: Mapping[str, AttachState]  # states by attachment name
 
 
 def state_name_and_clock(body: AttachedBody, frame: float) -> tuple[str, StateClock]:
-    """Return the name of an attachment's saved state, and its clock."""
+    """Return the name and the clock of an attachment's saved state."""
     return f"{frame!r}/{body.name}", StateClock(body.kind, frame, 1.0)
 
 
@@ -88,7 +88,7 @@ class LoopClosure:
     repeats: int  # number of repeats
     residual: float  # distance between end and start of the last repeat [m]
     tolerance: float  # requested tolerance [m]
-    is_steered: bool  # whether it was steered to the last cycle
+    is_steered: bool  # whether the cycle was steered towards the cycle before
 
 
 @dataclass(slots=True)
@@ -97,7 +97,7 @@ class _AttachmentFrames:
 
     simulated: list[FloatArray]
     targets: list[FloatArray]
-    # Surroundings in a cycle, which is measured after its seam is blended.
+    # Surroundings in a cycle, for contact measurement after the seam is blended.
     surroundings: list[CollisionSurroundings] = field(default_factory=list)
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
     motions: list[FloatArray] = field(default_factory=list)
@@ -216,7 +216,7 @@ class AttachSimulation:
         return time_codes(self._start + first * self._step, self._step, count)
 
     def _begin(self, pose: LocalPose, next_pose: LocalPose) -> None:
-        """Create the actors, let them settle, and advance to the first frame."""
+        """Create the actors, let them settle, and advance them to the first frame."""
         options, rate = self.options, float(self._rate)
         preroll_frames = math.ceil(options.preroll * rate)
         extrapolates = PreRoll(options.lead) is PreRoll.EXTRAPOLATE
@@ -326,7 +326,7 @@ class AttachSimulation:
                 self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:
-        """Return a cycle whose attachments end as they start."""
+        """Return a cycle in which all attachments end in the state they start in."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
         if count == 1:
@@ -389,10 +389,10 @@ class AttachSimulation:
     def _simulate_cycle(
         self, poses: list[LocalPose], last_frames: list[_AttachmentFrames]
     ) -> list[_AttachmentFrames]:
-        """Simulate a cycle once; return its frames except the last.
+        """Simulate one cycle, and return all of its frames except the last.
 
-        With ``last_frames`` it is steered to the last cycle, which ended where this one
-        starts.
+        With ``last_frames``, this cycle is steered towards the last cycle, which ended
+        at the start of this one.
         """
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
         codes = self._codes(self._prepended_frames, len(poses)).tolist()
@@ -422,7 +422,7 @@ class AttachSimulation:
     def _blend(
         self, block: Motion, codes: FloatArray, rows: list[_AttachmentFrames]
     ) -> Motion:
-        """Return a motion with simulated values blended over animated ones."""
+        """Return a motion with simulated values blended over animated values."""
         options = self.options
         weights = weights_at(options.weight, codes, options.interpolation)
         if self.resumed is not None:
@@ -448,7 +448,7 @@ class AttachSimulation:
         targets: FloatArray,
         weights: FloatArray,
     ) -> FloatArray:
-        """Return chain rotations that fit simulated points ``(F, C, 4)``."""
+        """Return chain rotations that aim bones at simulated points ``(F, C, 4)``."""
         animated = rotations[:, body.joints]
         simulated = chain_rotations(self.rig, body.joints, rotations, targets, points)
         interpolated = so3.slerp(animated, simulated, weights[:, None])
@@ -484,7 +484,7 @@ def _first_block_of_two(blocks: Iterator[Motion]) -> Iterator[Motion]:
 
 
 def _moved_to_start(motion: FloatArray, travel: CycleShift) -> FloatArray:
-    """Return the end state of a cycle, moved back to its start."""
+    """Return the end state of a cycle, transformed back by the travel of the cycle."""
     rotation = so3.conjugate(travel.rotation)
     return move_rigidly(motion, -so3.rotate(rotation, travel.shift), rotation)
 
@@ -496,7 +496,7 @@ def _blend_points(
     targets: FloatArray,
     weights: FloatArray,
 ) -> Motion:
-    """Return a motion with simulated points blended over animated ones."""
+    """Return a motion with simulated points blended over animated points."""
     values = points
     if (weights != 1).any():
         weight = weights[:, None, None]

@@ -31,14 +31,14 @@ MIN_CLEARANCE = 1 / 4
 class SkinSurface:
     """A skinned mesh whose borders are closed by triangle fans."""
 
-    mesh: CharacterMesh  # deforms its V points
-    triangles: IntArray  # counter-clockwise from outside ``(T, 3)``; middles from V on
+    mesh: CharacterMesh  # prepared mesh of V points
+    triangles: IntArray  # counter-clockwise ``(T, 3)``; border centres from V on
     border_points: IntArray  # points at borders ``(P,)``
-    borders: IntArray  # border index of each of them ``(P,)``
+    borders: IntArray  # border index of each border point ``(P,)``
     joints: BoolArray  # mask of joints with skin weight ``(J,)``
 
     def points(self, path: PosePath) -> FloatArray:
-        """Return the points and border middles ``(K, V + B, 3)`` [m]."""
+        """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
         weights = None
         if path.weights is not None:
             weights = self.mesh.weights(path.weights)
@@ -140,9 +140,9 @@ def triangulate_capped(
 
 
 def skin_margin(edge: float, radius: float) -> float:
-    """Return the distance between cloth and skins beyond the radius [m].
+    """Return the margin between cloth and skins in addition to the radius [m].
 
-    Long edges need it: they cut into a round limb even if their ends are outside.
+    Long edges need a margin: they cut into a round limb even with both ends outside.
 
     >>> round(skin_margin(0.04, 0.005), 6), skin_margin(0.01, 0.005)
     (0.005, 0.0)
@@ -176,7 +176,7 @@ class SkinContacts:
         margin: float,
         depenetration: float,
     ) -> None:
-        """Set up the constants of all frames."""
+        """Store the skins and the contact settings that all frames share."""
         self._skins = skins
         self._kernels: list[Any] = []
         self._has_distinct_points: list[
@@ -189,7 +189,7 @@ class SkinContacts:
     ) -> list[FloatArray]:
         """Return offsets of the contact distance for each skin ``(N,)`` [m].
 
-        They are measured in the first pose of a path.
+        Distances are measured in the first pose of a path.
         """
         search_distance = radius + self._contact_settings[2]
         solids = [

@@ -83,7 +83,7 @@ def check_motion(motion: FloatArray) -> None:
 
 
 def cells_and_substeps(steps: int) -> tuple[int, int]:
-    """Return the cells of a frame, and the steps in each, for at least some steps.
+    """Return the cells of a frame and the steps per cell, at least ``steps`` in total.
 
     >>> cells_and_substeps(3), cells_and_substeps(10), cells_and_substeps(46)
     ((3, 1), (5, 2), (8, 6))
@@ -97,13 +97,13 @@ def cells_and_substeps(steps: int) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CycleSteering:
-    """A motion over a frame that particles are pulled to."""
+    """A motion over one frame to which particles are pulled."""
 
     motions: FloatArray  # states at the start and end ``(2, 2, N, 3)`` [m, m/s]
     weight: float  # strength of the pull, from 0 to 1
 
     def path(self, count: int, duration: float) -> FloatArray:
-        """Return positions at even times over a duration ``(count + 1, N, 3)`` [m]."""
+        """Return positions at evenly spaced times ``(count + 1, N, 3)`` [m]."""
         u = (np.arange(count + 1) / count)[:, None, None]
         (x0, v0), (x1, v1) = self.motions
         ends = x0 + u * u * (3 - 2 * u) * (x1 - x0)
@@ -147,9 +147,9 @@ class AttachedSprings:
     def with_steering(
         self, path: FloatArray, steering: CycleSteering
     ) -> tuple[AttachedSprings, FloatArray]:
-        """Return springs that are also pulled to another motion, and their targets.
+        """Return springs with additional pulls to another motion, and their targets.
 
-        One pull replaces both. Its target is the mean of the animated particles
+        A single pull replaces both. The target is the mean of the animated particles
         ``(K, N, 3)`` [m] and that motion, weighted by stiffness.
         """
         settings, options = self._settings, self._settings.options
@@ -198,14 +198,14 @@ class AttachedSprings:
         colliders: CellColliders,
         character_colliders: tuple[int, int],
     ) -> TimeGrid:
-        """Return the grid a frame later.
+        """Return the time grid one frame later.
 
         Args:
             grid: State at the start of the frame.
-            path: Animated particles at the ends of its cells ``(K, N, 3)`` [m].
+            path: Animated particles at the ends of the frame's cells ``(K, N, 3)`` [m].
             colliders: Colliders in these cells.
             character_colliders: First index and count of the rigid colliders of the
-                character. Of strands, only particles collide with them.
+                character. Only the particles of strands collide with these.
         """
         min_substeps, previous_strain = self.substeps, grid.stretch
         if self._network.strands:

@@ -35,7 +35,7 @@ UNRESOLVED_DEPTH = 1e-3
 
 
 def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
-    """Return the shortest rotations from directions to others ``(F, 4)``.
+    """Return the shortest rotations from directions to other directions ``(F, 4)``.
 
     Directions are ``(F, 3)``.
     Identity if either has no length; 180° about a perpendicular axis if they are
@@ -114,7 +114,7 @@ def _parent_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray
 def _clamp_to_limits(
     joint: Joint, local: FloatArray, fallback: FloatArray
 ) -> FloatArray:
-    """Return rotations within the joint limits ``(F, 4)``; fallback if fixed."""
+    """Return rotations clamped to joint limits ``(F, 4)``; ``fallback`` if fixed."""
     rest_rotation = np.array(joint.rotation)
     rotation = so3.multiply(so3.conjugate(rest_rotation), local)
     if joint.type is JointType.PIN:
@@ -136,7 +136,7 @@ def capsule_distances(
 ) -> FloatArray:
     """Return signed distances of points ``(N, 3)`` from a capsule ``(N,)`` [m].
 
-    Its ends are ``(2, 3)`` [m].
+    The ends of the capsule are ``(2, 3)`` [m].
     """
     axis = ends[1] - ends[0]
     square = float((axis * axis).sum())
@@ -153,7 +153,7 @@ def bind_depths(
 ) -> FloatArray:
     """Return signed distances of points from capsules at bind ``(C, N)`` [m].
 
-    They are at most 0.
+    Distances are at most 0.
     Capsules may be thicker than the body, so that points on the body start inside. They
     may stay that deep.
     """
@@ -181,7 +181,7 @@ class CharacterColliders:
 
         Radii ``(C,)`` [m] have the scale of the character. Depths, at most 0, are the
         allowed signed distances from capsules ``(C, N)`` and each skin ``(N,)`` [m].
-        Layers are other cloth.
+        Layers are cloth of other attachments.
         """
         self._capsules, self._radius = capsules, radius
         self._world = world = Colliders(()) if world is None else world
@@ -209,9 +209,9 @@ class CharacterColliders:
     def depths(
         self, world: WorldTransforms, points: FloatArray, t: float
     ) -> FloatArray:
-        """Return depths of points beyond the allowed ones ``(N,)`` [m].
+        """Return penetration depths of points beyond the allowed depths ``(N,)`` [m].
 
-        They are those in the deepest collider at a time [s]; below 0 is outside.
+        Depths are in the deepest collider at a time [s]; below 0 is outside.
         """
         depths = collider_depths(self._world, points, t)
         radii, allowed_depths = self._sizes[:, 6], self._allowed_depths + self._radius
@@ -230,7 +230,7 @@ class CharacterColliders:
     ) -> CellColliders:
         """Return kernel arguments for the cells between K poses.
 
-        ``skins`` are kernel surfaces in motion. Without any collider it returns None.
+        ``skins`` are kernel surfaces in motion. Returns None without any collider.
         """
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()

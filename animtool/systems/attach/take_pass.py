@@ -107,12 +107,12 @@ class AttachReport:
     steps: int  # steps per frame
     stretch: float  # largest strain of a spring [1]
     aimed: float  # target strain [1]
-    contacts: int  # most particles in contact at once
-    unresolved: int  # most particles left inside colliders
-    passed: int  # most particles through the cloth
-    cut: int  # most pairs of edges through each other
+    contacts: int  # maximum number of particles in contact at one time
+    unresolved: int  # maximum number of particles left inside colliders
+    passed: int  # maximum number of particles that pass through the cloth
+    cut: int  # maximum number of edge pairs that pass through each other
     depth: PeakValue  # largest depth in a skin or a capsule [m]
-    pierced: PeakValue  # most intersecting pairs of an edge and a triangle
+    pierced: PeakValue  # maximum number of intersecting pairs of edge and triangle
     strain: PeakValue  # largest strain of a cloth side [1]
     strain_99: PeakValue  # largest 99th percentile of strain [1]
     jumps: int  # number of teleports
@@ -120,12 +120,12 @@ class AttachReport:
 
 
 def attachment_reports(simulation: AttachSimulation) -> list[AttachReport]:
-    """Return the result of each attachment so far."""
+    """Return the result of each attachment up to the current frame."""
     return [_report(actor) for actor in simulation.actors]
 
 
 def _report(actor: AttachmentActor) -> AttachReport:
-    """Return the result of an attachment so far."""
+    """Return the result of an attachment up to the current frame."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
     if grid.stretch > STRAIN_TOLERANCE * target_strain:
@@ -246,7 +246,7 @@ def _contact_warnings(report: AttachReport) -> list[Fault]:
 
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
-    """Return how well a cycle closed: a note, or a warning (SIM130, SIM133)."""
+    """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
     message = (
         f"{names}: the cycle was simulated {counted(loop_closure.repeats, 'time')}; "
     )
@@ -274,8 +274,8 @@ def simulate(
     """Simulate attachments of a rig through a take, block by block.
 
     Chains rotate their joints. Cloth and strands get points, which are written as point
-    caches. They also collide with cloth that is named before them and has
-    self-contact; that cloth is not affected.
+    caches. Cloth and strands also collide with earlier named cloth that has
+    self-contact, without affecting that cloth.
 
     Args:
         stream: The take.
@@ -377,7 +377,7 @@ def has_effect(options: SimulateOptions) -> bool:
 
 
 def _check(options: SimulateOptions) -> None:
-    """Raise all faults of the options."""
+    """Raise all faults of the options together."""
     faults: list[Fault] = []
     for name, check in option_checks(options).items():
         if name == "what" and not options.what:

@@ -55,7 +55,7 @@ class Agents(Groups):
         starts: Start positions, x and z ``(N, 2)`` [m].
         speeds: Preferred speeds ``(N,)`` [m/s].
         max_speeds: Maximum speeds ``(N,)`` [m/s].
-        yielding: How far an agent gives way to those it touches ``(N,)`` [1].
+        yielding: Weight with which an agent yields to those it touches ``(N,)`` [1].
         delays: Time from the start until they begin to walk ``(N,)`` [s].
         groups: Index of the group, -1 for none ``(N,)``.
         lateral_offsets: Position in the group, to the left of its centre ``(N,)`` [m].
@@ -78,7 +78,7 @@ class Agents(Groups):
 
     @cached_property
     def heights(self) -> FloatArray:
-        """Height of each agent ``(N,)`` [m]."""
+        """Body height of each agent ``(N,)`` [m]."""
         return self.per_individual([one.height for one in self.entries])
 
 
@@ -88,7 +88,7 @@ class AgentMotion:
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]
-    headings: FloatArray  # about y, 0 is along z (N,) [rad]
+    headings: FloatArray  # angles about y; 0 is along z (N,) [rad]
 
 
 def build_agents(
@@ -154,7 +154,7 @@ def build_agents(
 def _without_overlaps(
     agents: Agents, has_points: Sequence[bool]
 ) -> tuple[Agents, list[Fault]]:
-    """Return agents moved until they do not overlap at the start.
+    """Return agents moved apart until they do not overlap at the start.
 
     Agents whose positions are from a file are reported.
     """

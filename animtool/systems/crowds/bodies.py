@@ -71,12 +71,12 @@ class AgentBodies(Footing):
 
     @cached_property
     def trunk(self) -> Trunk:
-        """Joints that rotate the shoulders."""
+        """Trunk joints that rotate the shoulders."""
         return Trunk.of(self.gaits.walker.skeleton)
 
     @cached_property
     def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
-        """Rotations of the animated joints: of each gait, and of the idle clip."""
+        """Local rotations of the animated joints: of each gait and of the idle clip."""
         gaits = self.gaits
         return [
             gait.rotations[:, self.animated] for gait in gaits.moving
@@ -105,7 +105,7 @@ class AgentBodies(Footing):
         )
 
     def blend(self, paces: FloatArray) -> Blend:
-        """Return gait weights and blended steps, at speeds and yaw rates ``(N, 3)``."""
+        """Return gait weights and blended steps for speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
         speeds, yaw_rates, left_speeds = (
             paces[:, 0] / self.scales,
@@ -150,7 +150,7 @@ class AgentBodies(Footing):
         dt: float,
         is_hit: BoolArray | None = None,
     ) -> BodyState:
-        """Return bodies after a step [s], in which feet may lift and land.
+        """Return the bodies after a step [s], in which feet may lift off and land.
 
         ``is_hit`` is a mask of agents that were hit in the step ``(N,)``.
         """
@@ -384,7 +384,7 @@ class AgentBodies(Footing):
         footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
-        """Lift, swing and land one foot of each body, in place."""
+        """Lift, swing and land foot ``k`` of each body, in place."""
         begin = (phases - 0.5 * k) % 1.0
         end = begin + phase_change
         stance_end = blend.stance_fractions[:, k]

@@ -114,7 +114,7 @@ class AgentCast:
 
     @property
     def rigs(self) -> list[Rig]:
-        """Rig of each agent."""
+        """The rig of each agent, in agent order."""
         rigs = [self.groups[0].cast.rig] * len(self.order)
         for group in self.groups:
             for i in group.agents.tolist():
@@ -164,9 +164,9 @@ class AgentCast:
         """Return the characters as a frame.
 
         Args:
-            state: State of their bodies.
+            state: State of the bodies of all agents.
             motion: Motion of the agents.
-            heights: Heights of the ground below them ``(N,)`` [m].
+            heights: Heights of the ground below the agents ``(N,)`` [m].
             placement: Frame of the ground, and world velocities of agents ``(N, 3)``
                 [m/s].
             is_visible: Mask of visible agents ``(N,)``.
@@ -263,5 +263,5 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
 
 
 def _flat_ground(points: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return heights 0 and normals along y."""
+    """Return the heights and normals of flat ground: height 0, normals along y."""
     return np.zeros(len(points)), np.tile([0.0, 1.0, 0.0], (len(points), 1))

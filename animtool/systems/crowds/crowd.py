@@ -60,11 +60,11 @@ class CrowdState:
 
     points: FloatArray  # x and z (N, 2) [m]
     velocities: FloatArray  # x and z (N, 2) [m/s]
-    headings: FloatArray  # about up, 0 is along z (N,) [rad]
+    headings: FloatArray  # angles about up; 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # largest overlap of two agents so far [m]
-    bodies: BodyState | None  # None without bodies
-    falls: Falls | None  # None if nobody can fall
+    bodies: BodyState | None  # body states; None without bodies
+    falls: Falls | None  # falls so far; None if no agent can fall
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ class Crowd:
         start_points: x and z at the start ``(N, 2)`` [m].
         cast: Bodies of the agents; None if they are points or meshes.
         fall_simulator: Ragdolls of falling agents; None if nobody can fall.
-        meshes: Distinct meshes that populations show.
+        meshes: Distinct meshes by which populations are displayed.
         mesh_of_population: Index of the mesh of each population.
     """
 
@@ -182,9 +182,9 @@ class Crowd:
     def _add_falls(
         self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
     ) -> Falls:
-        """Return falls with more agents ``(K,)``, which fall from the start of a step.
+        """Return falls with agents ``(K,)`` added that fall from the start of a step.
 
-        Their velocities are those of continued walking; colliders move the bodies.
+        The bodies start with walking velocities, and are moved by colliders.
         """
         assert self.cast is not None
         assert self.fall_simulator is not None
@@ -205,7 +205,7 @@ class Crowd:
     def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
         """Return the shoulder yaws of agents ``(N,)`` [rad].
 
-        Agents shown as points or meshes have none; fallen ones keep their space.
+        Agents shown as points or meshes have yaw 0; fallen agents keep their space.
         """
         if state.bodies is None:
             return np.zeros(len(self.agents))
@@ -298,7 +298,7 @@ class Crowd:
     def _fallen_poses(
         self, falls: Falls | None
     ) -> dict[int, tuple[FloatArray, FloatArray]]:
-        """Return local translations and rotations of fallen agents, by agent."""
+        """Return local translations and rotations of fallen agents, by agent index."""
         if falls is None or self.fall_simulator is None:
             return {}
         return {

@@ -46,7 +46,7 @@ CYCLE_REPEATS = 3
 
 
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
-    """Return takes on a rig as gaits, by name."""
+    """Convert takes on a rig to gaits, by name."""
     walker = Walker.of(rig)
     moving_gaits: list[Gait] = []
     idle_gaits: list[Gait] = []
@@ -88,7 +88,7 @@ def headings_of(rotations: FloatArray) -> FloatArray:
 
 
 def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
-    """Return the kind of a clip (moves, stands, reacts), and its gait."""
+    """Classify a clip (moves, stands or reacts), and return it as a gait."""
     world = take.motion.world(walker.rig)
     hips = middle_of_hips(walker.skeleton, world.positions)
     fps = float(take.clock.rate)
@@ -163,7 +163,7 @@ class CyclePath:
 
 
 def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatArray:
-    """Return integrals of velocity in a rotating frame, as matrices ``(K, 2, 2)``."""
+    """Return matrices ``(K, 2, 2)`` that integrate a velocity in a rotating frame."""
     end = heading + turning * frames
     if abs(turning) < 1e-9:
         cosine, sine = np.cos(heading) * frames, np.sin(heading) * frames
@@ -176,7 +176,7 @@ def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatA
 
 
 def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
-    """Return the second of three cycles as a gait; None unless it has two steps."""
+    """Return the second of three cycles as a gait; None if it lacks two clear steps."""
     translations, rotations, _ = take.motion.dense()
     world = forward_kinematics(walker.rig, translations, rotations)
     length, fps = take.clock.count // CYCLE_REPEATS, float(take.clock.rate)
@@ -219,7 +219,7 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
 
 @dataclass(frozen=True)
 class FootStance:
-    """Frames in which a foot is planted."""
+    """Frames between which a foot is planted."""
 
     lands: int  # first frame
     lifts: int  # frame after the last
@@ -254,7 +254,7 @@ def _build_step(
     k: int,
     stance: FootStance,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return landing, pitches, and swing rotations and lifts of a foot."""
+    """Return a foot's landing pose, pitches, swing rotations and ankle offsets."""
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level_rotations[k], walker.ball_offsets[k]
     stance_frames = np.arange(stance.lands, stance.lifts)
@@ -326,7 +326,7 @@ def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
 
 
 def _uncut_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:
-    """Return a clip as a gait without steps, relative to its first hip position."""
+    """Return a complete clip as a gait without steps, relative to the first hips."""
     _, rotations, _ = take.motion.dense()
     heading = _hip_headings(walker, world)[0]
     to_forward = rotations_about_y(np.array(-heading))

@@ -62,7 +62,7 @@ class Falls:
 
     @staticmethod
     def no_falls(joints: int, bodies: int) -> Falls:
-        """Return an empty record for rigs with at most these joints and bodies."""
+        """Return an empty record, sized for rigs of at most these joints and bodies."""
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joints, 3)),
@@ -79,7 +79,7 @@ _LocalPose = tuple[FloatArray, FloatArray]
 class FallingRagdoll:
     """The ragdoll of a falling agent."""
 
-    rig: Rig  # scaled to the agent, with limits widened to its pose at the fall
+    rig: Rig  # agent-sized rig, with limits widened to the start pose
     ragdoll: Ragdoll
     simulation: RigidSimulation
 
@@ -91,7 +91,7 @@ class FallSimulator:
         rigs: Rig of each agent.
         sizes: Size of each body relative to its rig ``(N,)``.
         frame: Frame of the ground.
-        ground: Terrain that they fall onto.
+        ground: Terrain that the agents fall onto.
         colliders: Other colliders.
         step: Step of the crowd [s].
     """
@@ -147,7 +147,11 @@ class FallSimulator:
         next_poses: Sequence[WorldTransforms],
         dt: float,
     ) -> Falls:
-        """Return falls with more agents; ``next_poses`` are those after a step [s]."""
+        """Return the falls with agents added.
+
+        ``next_poses`` are the poses of the agents after a step [s], to estimate
+        velocities.
+        """
         for agent, pose, next_pose in zip(
             agents.tolist(), poses, next_poses, strict=True
         ):
@@ -194,7 +198,7 @@ class FallSimulator:
     def poses(self, falls: Falls, row: int) -> _LocalPose:
         """Return local translations and rotations of a fallen agent, cached.
 
-        Those of the first joint are in world space. The pose of agents at rest is
+        Transforms of the first joint are in world space. The pose of agents at rest is
         reused.
         """
         agent = int(falls.agents[row])
@@ -266,7 +270,7 @@ class FallSimulator:
 def _step_ragdoll(
     simulation: RigidSimulation, body_states: FloatArray, t: float, dt: float
 ) -> FloatArray:
-    """Return body states ``(B, 14)`` after a step [s], in substeps if they are fast."""
+    """Return body states ``(B, 14)`` after a step [s]; fast bodies take substeps."""
     initial = simulation.initial()
     for substeps in (1, SUBSTEPS):
         states, substep = body_states, dt / substeps
@@ -295,5 +299,5 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
 
 
 def is_at_rest(falls: Falls) -> BoolArray:
-    """Return which falls have come to rest ``(K,)``."""
+    """Return a mask of the falls that have come to rest ``(K,)``."""
     return np.asarray(falls.slow >= REST_TIME)

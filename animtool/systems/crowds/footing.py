@@ -29,7 +29,7 @@ MAX_LANDING_SPEED, MAX_LANDING_YAW_RATE = 2.5, 6.0
 
 
 class Heights(Protocol):
-    """The ground as a height field."""
+    """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
@@ -51,8 +51,8 @@ class BodyState:
     paces: FloatArray
     reacts: FloatArray  # time since a reaction began, -1 without one (N,) [s]
     shoulders: FloatArray  # yaw of the shoulders (N,) [rad]
-    heels: FloatArray  # heel pitch of each foot when it lifted (N, 2) [rad]
-    spans: FloatArray  # fraction of the cycle that remained at each lift (N, 2)
+    heels: FloatArray  # heel pitch of each foot at its last lift-off (N, 2) [rad]
+    spans: FloatArray  # remaining fraction of the cycle at each lift-off (N, 2)
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class Blend:
     weights: FloatArray  # (N, G)
     rate: FloatArray  # cycles per second (N,)
     free_rate: FloatArray  # cycles per second of straight forward motion (N,)
-    stride: FloatArray  # step length relative to that of the gaits (N,)
+    stride: FloatArray  # step length relative to the step length of the gaits (N,)
     stance_fractions: FloatArray  # fraction of the cycle that feet are planted (N, 2)
     steps: FloatArray  # footholds in the frame of the body (N, 2, 3)
 
@@ -138,7 +138,7 @@ class Footing:
     def is_misplaced(
         self, state: BodyState, motion: AgentMotion, blend: Blend
     ) -> BoolArray:
-        """Return which feet are too far from their standing targets ``(N, 2)``."""
+        """Return a mask of the feet too far from their standing targets ``(N, 2)``."""
         offsets = state.places - self.standing_targets(motion, blend)
         distances = np.linalg.norm(offsets[..., :2], axis=2)
         leg = self.gaits.walker.leg * self.scales[:, None]
@@ -148,7 +148,7 @@ class Footing:
     def foot_poses(
         self, state: BodyState, motion: AgentMotion
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return feet in the frames of their bodies ``(N, 2, 4)``, and ground normals.
+        """Return foot poses in body frames ``(N, 2, 4)``, and the ground normals.
 
         Feet are x, y, z and yaw, at the scale of the rig. Also returns the distance of
         each foot from the nearer of its last and next footholds ``(N, 2)``.
@@ -229,7 +229,7 @@ class Footing:
         return detours
 
     def heights(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights and normals of the ground; heights are 0 beyond its edge."""
+        """Return heights and normals of the ground; beyond the edge, heights are 0."""
         heights, normals = self.ground(points)
         return np.where(np.isfinite(heights), heights, 0.0), normals
 
@@ -243,10 +243,10 @@ def limit_landings(
     dt: float,
     foot_index: int,
 ) -> FloatArray:
-    """Return landings ``(N, 3)`` of a foot, limited in their rate of change.
+    """Return landings ``(N, 3)`` of a foot with a limited rate of change.
 
-    ``requested`` are the new landings; feet that just lifted (``was_planted``) get them
-    at once.
+    ``requested`` are the new landings. Feet that have just lifted (``was_planted``) use
+    the new landings without a limit.
     """
     progress = np.where(
         was_planted, 0.0, swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))

@@ -23,7 +23,7 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A biped rig, with the measures of its legs.
+    """A biped rig, with the dimensions of its legs.
 
     Attributes:
         skeleton: Skeleton with y up.
@@ -85,7 +85,7 @@ class Walker:
 def _rest_ground_height(skeleton: RoledSkeleton) -> float:
     """Return the height of the ground below a rig at rest [m].
 
-    It is the height of the lowest joint or bone end, such as a toe.
+    This is the height of the lowest joint or bone end, such as a toe.
     """
     ends = [
         skeleton.positions[joint] + so3.rotate(skeleton.rotations[joint], np.array(tip))
@@ -99,8 +99,8 @@ def _rest_ground_height(skeleton: RoledSkeleton) -> float:
 class Gait:
     """One cycle of a clip: the left foot lands first, the right in the middle.
 
-    It is in the frame of the body: on the ground below the hips, moving at constant
-    speed along z and constant yaw rate.
+    Values are in the frame of the body: on the ground below the hips, moving at
+    constant speed along z and constant yaw rate.
 
     Attributes:
         rotations: Local rotations of joints ``(P, J, 4)``.
@@ -156,7 +156,7 @@ class Gaits:
 
 
 def swing_progress(fraction: FloatArray) -> FloatArray:
-    """Return the smoothed progress of a foot over its swing."""
+    """Return the smoothed progress of a foot over a swing, from 0 to 1."""
     return fraction**3 * (10 - 15 * fraction + 6 * fraction * fraction)
 
 

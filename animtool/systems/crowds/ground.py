@@ -77,7 +77,7 @@ class Terrain:
 
     @property
     def is_plane(self) -> bool:
-        """Whether it is a plane at height 0."""
+        """Whether the terrain is a plane at height 0."""
         return not len(self.triangles)
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -124,7 +124,7 @@ class Terrain:
 
     @cached_property
     def _planes(self) -> tuple[tuple[FloatArray, ...], FloatArray, FloatArray]:
-        """First corners of triangles, both edges from them, 1 / area, and normals."""
+        """First corner, both edges from it, 1 / area, and normal of each triangle."""
         a, b, c = self._nonvertical_triangles.swapaxes(0, 1)
         to_b, to_c = b - a, c - a
         area = to_b[:, 0] * to_c[:, 2] - to_b[:, 2] * to_c[:, 0]
@@ -182,7 +182,7 @@ class Terrain:
         return low, cell_size, counts, faces[order], starts
 
     def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
-        """Return pairs of points and triangles that may overlap as seen from above."""
+        """Return pairs of points and triangles that may overlap seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size
         is_inside = np.all(
@@ -212,7 +212,7 @@ def walkable(
     cell_size: float,
     max_slope: float,
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the heights of grid nodes, and which are walkable ``(R, C)``.
+    """Return the heights of grid nodes, and a mask of walkable nodes ``(R, C)``.
 
     Nodes without ground are not walkable, nor those with a slope to a neighbour above
     ``max_slope`` [rad].

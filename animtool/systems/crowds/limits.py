@@ -44,7 +44,7 @@ def _rotations_from_rest(rig: Rig, rotations: FloatArray) -> FloatArray:
 
 
 def _pin_angle(joint: Joint, rotation: FloatArray) -> float:
-    """Return a pin's angle about its axis, unwrapped near its limits [rad]."""
+    """Return the angle of a pin joint, unwrapped to the middle of its limits [rad]."""
     angle = 2 * float(np.arctan2(rotation[:3] @ np.array(joint.axis), rotation[3]))
     limits = joint.limits
     middle = (limits.low + limits.high) / 2 if isinstance(limits, RangeLimit) else 0.0

@@ -113,7 +113,7 @@ class Obstacles:
     def _colliders(
         self, t: float, dt: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions to agents, and closing speeds of each collider."""
+        """Return gap, direction to each agent, and closing speed of each collider."""
         if not self.colliders.rigid:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
@@ -129,7 +129,7 @@ class Obstacles:
     def _doors(
         self, t: float, x: FloatArray
     ) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions and closing speeds of doors that are closed."""
+        """Return gap, direction to each agent, and closing speed of closed doors."""
         doors = []
         for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
@@ -145,7 +145,7 @@ class Obstacles:
         return doors
 
     def _edges(self, x: FloatArray) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Return gaps, directions and closing speeds of the edge of the ground."""
+        """Return gap, direction to each agent, and closing speed of ground edges."""
         if self.edge_grid is None:
             return []
         gaps, directions = self.edge_grid.edges(x)
@@ -207,7 +207,7 @@ def navigation_grids(
     goals: FloatArray,
     t: float,
 ) -> tuple[NavGrid | None, NavGrid | None]:
-    """Return a grid of walkable nodes, and one of nodes on the ground.
+    """Return a grid of walkable nodes, and a grid of all nodes on the ground.
 
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
@@ -297,6 +297,6 @@ def _obstacle_bounds(
 
 
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:
-    """Return which points x and z ``(K, 2)`` are not walkable."""
+    """Return a mask of the points x and z ``(K, 2)`` that are not walkable ``(K,)``."""
     row, column = grid.nearest_nodes(x).T
     return np.asarray(~grid.free[row, column])

@@ -45,12 +45,12 @@ SOLE_SLOPE, SOLE_CLEARANCE = 2.0, 0.02
 
 @dataclass(frozen=True, slots=True)
 class BodyPoses:
-    """Poses of N bodies, in their own frames."""
+    """Poses of N bodies, in the local frame of each body."""
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # positions of the root joint (N, 3) [m]
     lowered: FloatArray  # lowering of the hips (N,) [m]
-    ankle_errors: FloatArray  # distance of ankles from their targets (N, 2) [m]
+    ankle_errors: FloatArray  # distance of each ankle from its target (N, 2) [m]
 
 
 def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
@@ -167,7 +167,7 @@ def _hip_lowering(
 def _move_into_reach(
     walker: Walker, joints: FloatArray, goals: FloatArray, is_swinging: BoolArray
 ) -> FloatArray:
-    """Return ankle goals ``(N, 2, 3)``, with those of swinging feet in reach.
+    """Return ankle goals ``(N, 2, 3)``, moved into reach for swinging feet.
 
     Feet that are moved towards the hips are also raised.
     """
@@ -232,7 +232,7 @@ def _missing_clearance(
     ankle_offsets: FloatArray,
     foothold_distances: FloatArray,
 ) -> FloatArray:
-    """Return how far swinging soles are below the required height ``(K,)`` [m].
+    """Return the depths of swinging soles below the required height ``(K,)`` [m].
 
     ``foothold_distances`` are those to the nearest foothold ``(K,)`` [m].
     """
@@ -256,7 +256,7 @@ def _swing_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(K, 4)`` and ankle offsets ``(K, 3)`` of swinging feet.
 
-    They are those of foot ``k`` of the bodies in which it swings. Swings start at the
+    These are for foot ``k`` of the bodies in which it swings. Swings start at the
     pose of the last stance, as feet may lift earlier than in the gait.
     """
     swings = np.clip(state.swings[is_swinging, k], 0.0, 1.0)
@@ -404,7 +404,7 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
 
 
 def _tilt_rotations(normals: FloatArray) -> FloatArray:
-    """Return rotations from y to normals ``(N, 3)``, limited to `MAX_TILT`."""
+    """Return rotations from y to normals ``(N, 3)``, clamped to `MAX_TILT`."""
     axis = np.cross(UP, normals)
     lengths = np.linalg.norm(axis, axis=1)
     angle = np.minimum(np.arctan2(lengths, normals[:, 1]), MAX_TILT)

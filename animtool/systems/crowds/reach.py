@@ -38,7 +38,7 @@ MAX_CYCLE_RATE = 2.5
 
 @dataclass(frozen=True)
 class LegReach:
-    """Reach of the legs of a rig, from its thigh positions in gaits.
+    """Reach of the legs of a rig, computed from the thigh positions in gaits.
 
     Attributes:
         gaits: Gaits of the rig.
@@ -53,14 +53,14 @@ class LegReach:
 
     @staticmethod
     def of(gaits: Gaits) -> LegReach:
-        """Return the leg reach of a rig with some gaits."""
+        """Return the leg reach of the rig of the given gaits."""
         walking = tuple(_gait_thighs(gaits, gait) for gait in gaits.moving)
         return LegReach(gaits, walking, _gait_thighs(gaits, gaits.idle).mean(axis=0))
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing_weights: FloatArray
     ) -> FloatArray:
-        """Return the thigh joints of bodies above level ground ``(N, 2, 3)``."""
+        """Return the thigh positions of bodies above level ground ``(N, 2, 3)``."""
         rows = phases * PHASE_COUNT
         thighs = np.zeros((len(phases), 2, 3))
         for weight, gait_thighs in zip(weights.T, self.gait_thighs, strict=True):
@@ -80,7 +80,7 @@ class LegReach:
 
         Args:
             k: Leg: 0 left, 1 right.
-            thighs: Positions of its thigh joint ``(N, 3)``.
+            thighs: Positions of the thigh joint of that leg ``(N, 3)``.
             feet: Position x, y, z and heading of the foot ``(N, 4)``.
             pitches: Heel pitch of the foot ``(N,)`` [rad].
         """
@@ -117,7 +117,7 @@ class LegReach:
 
 @dataclass(frozen=True)
 class Stances:
-    """Feet of N bodies, with pitches now and at lift-off.
+    """Feet of N bodies, with heel pitches now and at lift-off.
 
     Attributes:
         begins: Phase of each foot, from its landing ``(N, 2)``.
@@ -181,12 +181,12 @@ def step_rates(
 def _rate_for_margin(
     margin: FloatArray, min_margin: float, speed: FloatArray
 ) -> FloatArray:
-    """Return the inverse of the time until a margin is used up ``(N,)`` [1/s]."""
+    """Return the inverse of the time in which a margin is used up ``(N,)`` [1/s]."""
     return np.asarray(np.maximum(speed, 0.0) / np.maximum(margin, min_margin))
 
 
 def _gait_thighs(gaits: Gaits, gait: Gait) -> FloatArray:
-    """Return the thigh joints over a gait ``(P, 2, 3)`` [m]."""
+    """Return the positions of the thigh joints over a gait ``(P, 2, 3)`` [m]."""
     rig = gaits.walker.rig
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips

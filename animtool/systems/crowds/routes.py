@@ -75,7 +75,7 @@ class NavGrid:
         return np.asarray(distances.min(axis=1), np.float64)
 
     def facing_border(self, point: FloatArray) -> IntArray:
-        """Return border nodes on the sides that face a point outside the grid."""
+        """Return the border nodes on the sides that face a point outside the grid."""
         indices = np.arange(self.free.size).reshape(self.free.shape)
         border = [np.zeros(0, np.int64)]
         for axis, edges in enumerate((indices, indices.T)):
@@ -222,7 +222,7 @@ class FlowField:
         return np.asarray(unit_vectors / np.where(lengths > 0, lengths, 1.0))
 
     def _has_line_of_sight(self, points: FloatArray, targets: FloatArray) -> BoolArray:
-        """Return which nearby targets ``(K, 2)`` are in line of sight."""
+        """Return a mask of nearby targets ``(K, 2)`` in line of sight ``(K,)``."""
         grid = self.grid
         offset = targets - points
         distances = np.linalg.norm(offset, axis=1)
@@ -282,5 +282,5 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
 
 
 def flow_fields(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
-    """Return the flow fields to several goals."""
+    """Return the flow field to each of the goals."""
     return [flow_field(grid, goal) for goal in goals]

@@ -28,7 +28,7 @@ NEGLIGIBLE_YAW = 0.02
 
 
 def shoulder_vectors(headings: FloatArray, shoulders: FloatArray) -> FloatArray:
-    """Return vectors along the shoulders; their length grows with yaw to 1 ``(N, 2)``.
+    """Return vectors along the shoulders, with length yaw / `MAX_YAW` ``(N, 2)``.
 
     Headings and shoulder yaws are ``(N,)`` [rad].
     """
@@ -55,7 +55,7 @@ def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> Flo
 
 @dataclass(frozen=True)
 class Trunk:
-    """Joints that rotate the shoulders: spine joints, and neck joints against them."""
+    """Joints that rotate the shoulders: spine joints, and opposite neck joints."""
 
     spine: tuple[int, ...]
     neck: tuple[int, ...]  # neck and head joints
@@ -73,7 +73,7 @@ class Trunk:
 
     @property
     def joints(self) -> IntArray:
-        """All joints that it rotates."""
+        """All joints that the trunk rotates: spine and neck."""
         return np.array([*self.spine, *self.neck], np.int64)
 
     def rotate(

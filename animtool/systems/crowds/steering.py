@@ -58,7 +58,7 @@ class Steering:
     goals: Sequence[CrowdGoalModel]
     goal_points: FloatArray
     queue_spacings: FloatArray
-    grid: NavGrid | None  # None without obstacles
+    grid: NavGrid | None  # walkable grid; None without obstacles
 
     @cached_property
     def flow_fields(self) -> list[FlowField]:
@@ -67,7 +67,7 @@ class Steering:
 
     @cached_property
     def _route_plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
-        """Goals of each agent's route, number, and whether it repeats or leaves."""
+        """Each agent's goal indices, goal count, and whether it repeats or leaves."""
         populations = self.agents.entries
         names = [goal_indices.name for goal_indices in self.goals]
         max_length = max(
@@ -108,7 +108,7 @@ class Steering:
     def targets(
         self, progress: Progress, goal_indices: IntArray, x: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Return each agent's target ``(N, 2)`` [m], and which agents queue."""
+        """Return each agent's target ``(N, 2)`` [m], and a mask of queuing agents."""
         if not len(self.goal_points):
             return x, np.zeros(len(x), np.bool_)
         positions = self._reachable_goals(goal_indices, x)
@@ -140,7 +140,7 @@ class Steering:
         return positions, is_queued
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
-        """Return the goal that each agent can reach ``(N, 2)`` [m]; else ``x``."""
+        """Return each agent's reachable goal position, else ``x`` ``(N, 2)`` [m]."""
         positions = np.where(
             (goal_indices >= 0)[:, None], self.goal_points[goal_indices], x
         )

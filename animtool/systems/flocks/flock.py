@@ -140,7 +140,7 @@ def _look_rotations(
 def mesh_indices(
     members: Members, mesh_ranges: IntArray, phases: FloatArray
 ) -> IntArray:
-    """Return the mesh of each member, by its species and animation phase ``(N,)``.
+    """Return the mesh index of each member, by species and animation phase ``(N,)``.
 
     ``mesh_ranges`` has the first mesh and the number of meshes of each species
     ``(S, 2)``.
@@ -156,7 +156,7 @@ class FlockState:
     """State of the members of a flock."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    heading: MemberHeadings | None  # None if points are shown
+    heading: MemberHeadings | None  # orientations; None if members are shown as points
 
 
 @dataclass(frozen=True)
@@ -225,7 +225,7 @@ class FlockForces(SecondOrder):
 
 
 def build(spec: FlocksModel, context: SimContext) -> Flock:
-    """Build the flock of a spec, with members apart and outside of colliders.
+    """Build the flock of a spec; members start apart and outside of colliders.
 
     Raises:
         OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM060).

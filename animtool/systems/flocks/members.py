@@ -37,7 +37,7 @@ MIN_REPORTED_MOVE = 4e-3
 
 @dataclass(frozen=True)
 class Members(Groups):
-    """N members of several species, with their start."""
+    """N members of all species, with start positions and velocities."""
 
     noun: ClassVar[str] = "member"
     species_data: Sequence[Mapping[str, Any]]  # resolved keys of each species
@@ -115,7 +115,7 @@ class Members(Groups):
         return points, [warning("SIM124", message, hint)]
 
     def separation_notices(self, points: FloatArray, overlap: float) -> list[Fault]:
-        """Return warnings about members that were moved apart, to ``(N, 3)``.
+        """Return warnings about members that were moved apart to ``points`` ``(N, 3)``.
 
         One is about members with positions from a file that were moved, the other about
         the remaining overlap [m] (SIM147).
@@ -204,7 +204,7 @@ def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:
-    """Yield species that are too large for the domain, or see too far."""
+    """Yield a problem for each species too large, or seeing too far, for the domain."""
     min_side = min(domain.size)
     for species in spec.species:
         radius, label = species.radius, "its radius"

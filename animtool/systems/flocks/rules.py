@@ -24,10 +24,10 @@ _NO_INTERACTION = (0.0, 0.0)
 
 @dataclass(frozen=True, slots=True)
 class FlockRule:
-    """A rule of one species towards others, as kernel arguments."""
+    """A rule of one species towards other members, as kernel arguments."""
 
     members: Indices | None  # members that follow the rule (M,); None for all
-    others: Indices | None  # members that they see; None for all
+    others: Indices | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
     cosine: float  # cosine of half the angle of view
     nearest: int  # number of nearest neighbours; 0 for all
@@ -81,7 +81,7 @@ def build_rules(members: Members) -> list[FlockRule]:
 def _build_flocking_rule(
     species: SpeciesModel, subjects: Indices | None, mates: Indices | None
 ) -> FlockRule:
-    """Return the rule of a species towards its own kind and those it joins."""
+    """Return the rule of a species towards members of this and of joined species."""
     vision, repulsion = species.vision, species.repulsion
 
     def clamp_radius(radius: float | None) -> float:
@@ -101,7 +101,7 @@ def _build_flocking_rule(
 
 
 def _has_effect(rule: FlockRule) -> bool:
-    """Return whether a rule has members and a weight."""
+    """Return whether a rule has any members and a nonzero weight."""
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
     counts = [
         len(indices) for indices in (rule.members, rule.others) if indices is not None
@@ -110,7 +110,7 @@ def _has_effect(rule: FlockRule) -> bool:
 
 
 def _member_indices(members: Members, species: Sequence[int]) -> Indices | None:
-    """Return the members of some species ``(M,)``; None for all species."""
+    """Return the member indices of the given species ``(M,)``; None for all species."""
     if len(species) == len(members.entries):
         return None
     index_ranges = [
@@ -136,7 +136,7 @@ def max_pairs(count: int) -> float:
 def rule_accelerations(
     rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
-    """Return accelerations towards and away from members in sight ``(N, 3)`` [m/s²].
+    """Return the accelerations of all flocking rules ``(N, 3)`` [m/s²].
 
     Positions [m] and velocities [m/s] are ``(N, 3)``.
     """

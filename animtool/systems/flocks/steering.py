@@ -50,7 +50,7 @@ def goal_accelerations(
 
 
 def _shorten_by_radius(vectors: FloatArray, radius: float) -> FloatArray:
-    """Return vectors ``(N, 3)`` shortened by a radius [m]; shorter ones are 0."""
+    """Return vectors ``(N, 3)`` shortened by a radius [m], to length 0 at least."""
     if not radius:
         return vectors
     lengths = np.linalg.norm(vectors, axis=1)[:, None]
@@ -145,7 +145,7 @@ def limit_steering(
 def _limit_turning(
     requested: FloatArray, v: FloatArray, rows: slice, max_rate: float
 ) -> FloatArray:
-    """Return accelerations with a limited turn rate [rad/s]."""
+    """Return accelerations whose turn rate is at most ``max_rate`` [rad/s]."""
     speeds = np.linalg.norm(v[rows], axis=1)[:, None]
     directions = v[rows] / np.maximum(speeds, _TINY_LENGTH)
     parallel = (requested[rows] * directions).sum(axis=1)[:, None] * directions
@@ -171,7 +171,7 @@ def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
 def limit_displacements(
     members: Members, before: FloatArray, after: FloatArray, h: float
 ) -> FloatArray:
-    """Return positions ``(N, 3)`` [m] that members can reach in a time [s]."""
+    """Return new positions ``(N, 3)`` [m], limited to the reach in a time ``h`` [s]."""
     max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
     offsets = after - before
     lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)

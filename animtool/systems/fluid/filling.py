@@ -112,7 +112,7 @@ def _fill_motion(
 
 
 def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
-    """Refuse a fill that is wholly inside a collider, with their distances [m]."""
+    """Raise SIM064 for a fill inside a solid collider or outside a container."""
     c = int(np.argmax((gaps < 0).all(axis=1)))
     collider, collider_name = _collider_at(c, colliders)
     if collider.container:
@@ -126,7 +126,7 @@ def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
 
 
 def _collider_at(c: int, colliders: Colliders) -> tuple[Collider, str]:
-    """Return a collider by its number in samples, and its name."""
+    """Return the collider of a row of samples, and its name."""
     bodies = [shape for system in colliders.bodies for shape in system.colliders]
     collider = [*colliders, *bodies][c]
     return collider, repr(collider.name) if collider.name else f"colliders[{c}]"
@@ -300,7 +300,7 @@ class Nozzle:
     def _released_layers(
         self, times: FloatArray, end: float, gravity: FloatArray
     ) -> FloatArray:
-        """Return layers released at some times, moved until ``end`` ``(2, K M, 3)``."""
+        """Return layers released at ``times``, advanced to ``end`` ``(2, K M, 3)``."""
         poses, earlier_poses = (
             self._poses.at_times(times),
             self._poses.at_times(times - VELOCITY_INTERVAL),
@@ -334,7 +334,7 @@ def is_clear(
     t: float,
     spacing: float,
 ) -> Any:
-    """Return which points ``(M, 3)`` are far enough from particles and colliders."""
+    """Return a mask of points ``(M, 3)`` clear of particles and colliders ``(M,)``."""
     from scipy.spatial import cKDTree
 
     is_free = np.ones(len(points), bool)

@@ -59,10 +59,12 @@ _NO_PARTICLES = np.zeros((2, 0, 3))
 class FluidState:
     """State of N fluid particles at the end of a step."""
 
-    ids: IntArray = field(metadata=growing())  # ascending (N,)
-    motion: FloatArray = field(metadata=growing(1))  # [m], then [m/s] (2, N, 3)
+    ids: IntArray = field(metadata=growing())  # particle ids, ascending (N,)
+    # Positions [m], then velocities [m/s] (2, N, 3).
+    motion: FloatArray = field(metadata=growing(1))
     births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
-    pressures: FloatArray = field(metadata=growing())  # means over a step (N,) [Pa]
+    # Mean pressures over a step (N,) [Pa].
+    pressures: FloatArray = field(metadata=growing())
     made: int = 0  # number of particles born so far
     held: int = 0  # number of particles not emitted so far, for lack of room
     sound: float = 0.0  # speed of sound [m/s]
@@ -205,7 +207,7 @@ class Fluid:
     ) -> tuple[FluidState, Sequence[Wrenches]]:
         """Return the state after a step, in the substeps that compression requires.
 
-        Without a list of notices it is a trial, which does not suggest a shorter step.
+        Without a list of notices, this is a trial that does not suggest a shorter step.
         """
         speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
         max_acceleration = float(np.linalg.norm(accelerations, axis=1).max())
@@ -274,7 +276,7 @@ class Fluid:
         sound_speed: float,
         substeps: int,
     ) -> PressureResult:
-        """Return the state after substeps; sheets collide a few times in between."""
+        """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
         collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
         substep, pressures, compression = (
@@ -338,7 +340,7 @@ class Fluid:
         )
 
     def _has_energy_gain(self, state: FluidState) -> bool:
-        """Return whether energy grew without a source."""
+        """Return whether the energy of a closed system grew beyond the tolerance."""
         total, kinetic, has_all_potentials = self._energy(state)
         if not has_all_potentials or not self._conserves_energy:
             return False
@@ -359,7 +361,7 @@ class Fluid:
         min_ratio: float,
         notices: list[Fault] | None,
     ) -> None:
-        """Stop because the step is too long; suggest a shorter one."""
+        """Raise SIM102 because the step is too long; suggest a shorter one."""
         step = None
         if notices is not None and min_ratio < MAX_SHORTENING:
             step = self._find_stable_step(state, t, dt, min_ratio)
@@ -373,9 +375,9 @@ class Fluid:
     def _find_stable_step(
         self, state: FluidState, t: float, dt: float, min_ratio: float
     ) -> float | None:
-        """Return a shorter step that works from a state [s]; None if none does.
+        """Return a shorter step that succeeds from a state [s]; None if none does.
 
-        It is more than ``min_ratio`` times shorter.
+        The step is shorter by a factor above ``min_ratio``.
         """
         steps = (
             floor_to_two_digits(dt / (min_ratio * divisor)) for divisor in STEP_DIVISORS
@@ -385,7 +387,7 @@ class Fluid:
         )
 
     def _is_stable_step(self, state: FluidState, t: float, step: float) -> bool:
-        """Return whether the first steps of a length [s] succeed."""
+        """Return whether the first steps of length ``step`` [s] succeed."""
         try:
             for k in range(TRIAL_STEPS):
                 time = t + k * step
@@ -397,7 +399,7 @@ class Fluid:
         return True
 
     def _stop(self, code: str, t: float, reason: str, hint: str) -> None:
-        """Stop with a fault code and a reason."""
+        """Stop the simulation: raise a fault code with a reason."""
         verb = "blew up" if code == "SIM102" else "collapsed"
         message = f"{self._spec.name} {verb} at {t:g} s: {reason}"
         raise StoppedError([Fault(code, message, hint=hint)])
@@ -410,7 +412,7 @@ class Fluid:
         return state if is_kept.all() else self._select(state, is_kept)
 
     def _select(self, state: FluidState, is_selected: BoolArray) -> FluidState:
-        """Return a state with some of its particles."""
+        """Return a state with the selected particles only."""
         remaining = replace(
             state,
             ids=state.ids[is_selected],
@@ -472,7 +474,7 @@ class Fluid:
         return state
 
     def _quantities(self, state: FluidState, t: float) -> Quantities:
-        """Return the quantities that particles can be coloured by."""
+        """Return the quantities by which particles can be coloured, by name."""
         points = np.ascontiguousarray(state.motion[0])
         return {
             "age": lambda: t - state.births,
@@ -529,4 +531,4 @@ class PressureResult:
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]
     compression: float
-    wrenches: Sequence[Wrenches]  # on bodies of each system
+    wrenches: Sequence[Wrenches]  # impulses on the bodies of each system

@@ -109,7 +109,7 @@ class Substeps:
         return sound or self._spec.spacing / dt
 
     def substep_count(self, dt: float, max_speed: float, sound: float) -> float:
-        """Return the number of substeps of a step; infinite if it overflows."""
+        """Return the number of substeps of a step; infinite on numerical overflow."""
         spec = self._spec
         rates = [sound / spec.spacing, max_speed / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))

@@ -36,7 +36,7 @@ def build_surface(
     velocities: FloatArray,
     primvars: Mapping[str, Any],
 ) -> MeshFrame:
-    """Return the surface mesh of particles ``(N, 3)``; its faces change by frame.
+    """Return the surface mesh of particles ``(N, 3)``; the topology differs by frame.
 
     Each vertex has the velocity and primvars of the nearest particle.
     """
@@ -98,7 +98,7 @@ def density_field(
 ) -> FloatArray:
     """Return the fluid fraction at the nodes of a grid.
 
-    It is the sum of H. Wendland's C2 function over particles ``(N, 3)``; 1 in fluid.
+    This is the sum of Wendland's C2 kernel over particles ``(N, 3)``; 1 in fluid.
     """
     nodes = np.floor((points - grid_origin) / cell).astype(np.int64)
     cell_range = int(np.ceil(radius / cell))

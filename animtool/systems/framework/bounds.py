@@ -23,7 +23,7 @@ ARRAY_UNITS = {
 
 
 def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
-    """Raise if a frame contains a number out of bounds (SIM102)."""
+    """Raise if any number of a frame is out of bounds (SIM102)."""
     primvars = {f"primvars:{key}": values for key, values in _primvars(frame)}
     arrays = {
         array_name: getattr(frame, array_name, None) for array_name in ARRAY_UNITS
@@ -42,7 +42,7 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
 
 
 def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
-    """Raise if a point of a frame is not finite (SIM102).
+    """Raise if any point of a frame is not finite (SIM102).
 
     Field velocities may be undefined between frames, and are not checked.
     """

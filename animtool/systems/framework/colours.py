@@ -55,7 +55,7 @@ class ColourModel(FileModel):
     )
 
     def faults(self, names: Sequence[str], code: str) -> list[Fault]:
-        """Return faults, for a kind with some quantities."""
+        """Return the faults of the keys, given the names of available quantities."""
         if self.by not in names:
             message = f"unknown quantity {excerpt(self.by)}"
             return [
@@ -80,7 +80,7 @@ class Colouring:
 
     @staticmethod
     def of(model: ColourModel, quantities: Quantities) -> Colouring:
-        """Return the colouring of a model; its default range is of the first state."""
+        """Return the colouring of a model; its default range is from the quantities."""
         is_palette = model.by == "species"
         ramp = np.array(
             model.ramp or (DEFAULT_PALETTE if is_palette else DEFAULT_RAMP), np.float64

@@ -120,7 +120,7 @@ class SceneUnits:
 
     @property
     def is_default(self) -> bool:
-        """Whether no number needs conversion."""
+        """Whether the units are metres and degrees, so that no number is converted."""
         return self.length == self.angle == 1.0
 
     def factor(self, unit: str) -> float:
@@ -141,7 +141,7 @@ class SceneUnits:
     def convert(
         self, model: Model, joint_type: str = "", weight_unit: str = ""
     ) -> Model:
-        """Return an entry with its specified numbers in metres and degrees.
+        """Return an entry with its specified numbers converted to metres and degrees.
 
         Args:
             model: The entry; nested entries are converted too.
@@ -167,7 +167,7 @@ class SceneUnits:
     def _convert_value(
         self, value: Any, unit: str, joint_type: str, *, timed: bool
     ) -> Any:
-        """Return the value of a key in metres and degrees, also of nested entries."""
+        """Convert the value of a key, also nested entries, to metres and degrees."""
         if isinstance(value, FileModel):
             return self.convert(value, joint_type, unit)
         if isinstance(value, dict):
@@ -198,9 +198,9 @@ class SceneUnits:
         return converted
 
     def _convert_central(self, options: Mapping[str, Any]) -> float:
-        """Return the strength of a central force in metres.
+        """Return the strength of a central force, converted to metres.
 
-        It is the acceleration at one metre, instead of at one length unit.
+        The strength is the acceleration at one metre, instead of at one length unit.
         """
         exponent = options.get("power", -2.0)
         exponent = exponent if isinstance(exponent, (int, float)) else -2.0
@@ -209,7 +209,7 @@ class SceneUnits:
     def convert_pass_options(
         self, name: str, options: Mapping[str, Any]
     ) -> dict[str, Any]:
-        """Return the specified options of a pass in metres."""
+        """Return the specified options of a pass, converted to metres."""
         units = PASS_UNITS.get(name, {})
         return {
             key: self._scale_numbers(value, units.get(key, ""))
@@ -217,7 +217,7 @@ class SceneUnits:
         }
 
     def _scale_numbers(self, value: Any, unit: str) -> Any:
-        """Return numbers, also in nested lists, converted from a unit."""
+        """Convert numbers, also in nested lists, from a unit."""
         factor = self.factor(unit) if unit else 1.0
         if factor == 1.0 or isinstance(value, bool):
             return value
@@ -228,7 +228,7 @@ class SceneUnits:
         return value
 
     def array_factor(self, description: str | None) -> float:
-        """Return the factor for arrays of a key, from the unit in its description."""
+        """Return the factor for arrays of a key, from the unit in the description."""
         units = _BRACKETS.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 

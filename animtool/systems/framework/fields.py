@@ -163,7 +163,7 @@ class RecordModel(FileModel):
     makes: ClassVar[str]  # record class as ``module:class``; it checks its values
 
     def record(self, parts: Mapping[str, Any]) -> Checked:
-        """Return the record, from the values that were read for its keys."""
+        """Return the record built from the values that were read for the keys."""
         record_class: Any = load_object(self.makes)
         record: Checked = record_of(record_class, self, **parts)
         return record

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True)
 class Groups:
-    """N individuals of several entries, such as species, in order.
+    """N individuals, ordered by their entry, such as a species.
 
     Attributes:
         noun: Word for an individual in messages.
@@ -43,7 +43,7 @@ class Groups:
         return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.ends]))
 
     def per_individual(self, values: Sequence[float]) -> FloatArray:
-        """Return values of entries, repeated for their individuals ``(N,)``."""
+        """Return the value of each entry, repeated for all its individuals ``(N,)``."""
         return np.asarray(values, np.float64)[self.kinds]
 
     @cached_property

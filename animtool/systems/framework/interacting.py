@@ -45,7 +45,7 @@ State = TypeVar("State", bound=HasMotion)
 def integrate_step(
     system: SecondOrder, options: IntegrateOptions, begin: float, duration: float
 ) -> FloatArray:
-    """Integrate a system over a duration [s] and return its final state."""
+    """Integrate a system over a duration [s], and return the final state."""
     start = Checkpoint(begin, system.state)
     trajectory = integrate(system, (begin, begin + duration), options, start)
     if trajectory.stats.status is not Status.OK:
@@ -57,7 +57,7 @@ def integrate_step(
 
 
 class StepSystem(SecondOrder, Generic[InteractionSums]):
-    """Interacting bodies during one step, with cached interaction sums.
+    """Interacting bodies during one step as a second-order system, with cached sums.
 
     Args:
         bodies: The interaction.
@@ -165,13 +165,13 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def _state_sums(self, state: State) -> InteractionSums:
-        """Return the sums of a state."""
+        """Return the interaction sums stored in a state."""
 
     @abstractmethod
     def compute_sums(
         self, x: FloatArray, last_sums: InteractionSums
     ) -> InteractionSums:
-        """Return interaction sums at positions ``(N, 3)``, given the last sums."""
+        """Return interaction sums at positions ``(N, 3)``, given the previous sums."""
 
     @abstractmethod
     def _forces(self, sums: InteractionSums) -> FloatArray:
@@ -180,7 +180,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def accelerations_from(
         self, t: float, x: FloatArray, sums: InteractionSums
     ) -> FloatArray:
-        """Return accelerations ``(N, 3)`` at a time of the integrator."""
+        """Return total accelerations ``(N, 3)`` at a time in integrator units."""
         forces = self._forces(sums)
         if self.external_forces:
             forces = forces + self.external_accelerations(t / self._time_scale, x)[0]
@@ -192,11 +192,11 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     ) -> tuple[FloatArray, FloatArray]:
         """Return accelerations ``(N, 3)`` and energies ``(N,)`` by an external force.
 
-        Its position is ``(3,)``, those of the bodies are ``x`` ``(N, 3)``.
+        The position of the force is ``(3,)``; positions of bodies are ``x`` ``(N, 3)``.
         """
 
     def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
-        """Return why positions are hard to integrate; may be empty."""
+        """Return why positions are hard to integrate, as text; may be empty."""
         return ""
 
     @abstractmethod
@@ -205,7 +205,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def _report_values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return the values of a state for the report."""
+        """Return the values of a state for the report, by name."""
 
     def _exchanged_energy(self, state: State, energy: Energy) -> float:  # noqa: ARG002
         """Return the magnitude of energy exchanged with heat baths."""
@@ -213,10 +213,10 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def _suggested_step(self, state: State, t: float) -> float:
-        """Return the step that a message suggests [s]."""
+        """Return the shorter step that an error message suggests [s]."""
 
     def _bath_energy(self, state: State) -> float:  # noqa: ARG002
-        """Return the energy added by a heat bath so far."""
+        """Return the total energy added by a heat bath up to a state."""
         return 0.0
 
     @cached_property
@@ -228,7 +228,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         state: State,
         check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> StepSystem[InteractionSums]:
-        """Return the system of one step from a state."""
+        """Return the second-order system that integrates one step from a state."""
         return StepSystem(self, state.motion, self._state_sums(state), check)
 
     @cached_property
@@ -277,7 +277,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
             self._stop(state, t, f"{message}{initial.total:.4g} {self.unit}")
 
     def _stop(self, state: State, t: float, reason: str) -> None:
-        """Raise SIM102 with a reason."""
+        """Raise SIM102 with a reason and a suggested step."""
         message = f"{self._spec.name} blew up at {t:g} s: {reason}"
         step = min(self._suggested_step(state, t), self._spec.step / 4)
         raise StoppedError([Fault("SIM102", message, hint=f"use step: {step:.2g}")])
@@ -293,7 +293,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         return self._energy(self._initial_state, self._begin)
 
     def _energy_gain(self, state: State, energy: Energy) -> float:
-        """Return the energy gain since the start, without that from heat baths."""
+        """Return the energy gain since the start, excluding energy from heat baths."""
         return energy.total - self._bath_energy(state) - self._initial_energy.total
 
     def _energy_drift(self, state: State, energy: Energy) -> float:
@@ -332,7 +332,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @np.errstate(all="ignore")
     def values(self, state: State, t: float) -> Mapping[str, float]:
-        """Return the finite values for the report."""
+        """Return the finite report values of a state, by name."""
         values = self._report_values(state, t)
         return {key: value for key, value in values.items() if math.isfinite(value)}
 

@@ -87,7 +87,7 @@ class PointMasses(Rows):
 
 
 def normal_samples(u: FloatArray) -> FloatArray:
-    """Return normal random numbers from uniform ones in [0, 1), of the same shape."""
+    """Return standard normal samples by inverting uniform samples in [0, 1)."""
     from scipy.special import ndtri
 
     # The normal quantile of 0 is infinite.
@@ -95,7 +95,10 @@ def normal_samples(u: FloatArray) -> FloatArray:
 
 
 def random_directions(u: FloatArray) -> FloatArray:
-    """Return uniform directions ``(N, 3)`` from random numbers in [0, 1) ``(N, 2)``."""
+    """Return uniform unit vectors ``(N, 3)`` from uniform samples ``(N, 2)``.
+
+    The samples are in [0, 1).
+    """
     y = 2 * u[:, 0] - 1
     horizontal, angle = np.sqrt(np.maximum(1 - y**2, 0.0)), 2 * np.pi * u[:, 1]
     return np.stack([horizontal * np.sin(angle), y, horizontal * np.cos(angle)], axis=1)
@@ -117,7 +120,7 @@ def check_distinct(
         code: Code of the fault.
         where: Key of the fault.
         hint: What to do.
-        reason: Why they must not coincide.
+        reason: Why the points must not coincide.
     """
     order = np.lexsort(points.T)
     coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)

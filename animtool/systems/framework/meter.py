@@ -27,22 +27,22 @@ VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
 @dataclass(frozen=True, slots=True)
 class PeakValue:
-    """The largest value over all frames, with its frame and position."""
+    """The largest value over all frames, and the frame and position where it occurs."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
     frame: float | None = None  # time code; None for a system, or without a value
     point: int | None = None  # particle index; of an edge, the first
-    at: tuple[float, float, float] | None = None  # its position [m]
+    at: tuple[float, float, float] | None = None  # position of the point [m]
     time: float | None = None  # time of a system [s]
 
     @property
     def when(self) -> str:
-        """Frame or time as text."""
+        """Frame or time of the peak, as text."""
         return f"{self.time:.3g} s" if self.frame is None else f"frame {self.frame:g}"
 
     @property
     def text(self) -> str:
-        """Frame and position as text."""
+        """Frame, point and position of the peak, as text."""
         if self.point is None or self.at is None:
             return "nowhere"
         position = ", ".join(f"{value:.3g}" for value in self.at)
@@ -55,13 +55,13 @@ class ClosedSurface:
 
     points: FloatArray  # ``(P, 3)`` [m]
     triangles: IntArray  # counter-clockwise from outside ``(T, 3)``
-    # Kernel surface of these triangles, if no two of its points coincide.
+    # Kernel surface of the triangles, if it exists and no two points coincide.
     kernel: Any = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredSurface:
-    """Particles, triangles and edges of a surface that are measured."""
+    """The particles, triangles and edges of a surface at which contact is measured."""
 
     free_particles: IntArray  # free particles ``(M,)``
     triangles: IntArray  # ``(T, 3)``
@@ -75,8 +75,9 @@ class ContactMeter:
 
     seconds: bool = False  # whether frames are times in [s], as for systems
     start: float | None = None  # first measured time of a system [s]
-    depth: PeakValue = field(default_factory=PeakValue)  # in a skin or a collider [m]
-    # Intersecting pairs of an edge and a triangle, with itself and with skins.
+    # Largest depth in a skin or a collider [m].
+    depth: PeakValue = field(default_factory=PeakValue)
+    # Largest number of intersecting edge-triangle pairs, with itself and with skins.
     pierced: PeakValue = field(default_factory=PeakValue)
     strain: PeakValue = field(default_factory=PeakValue)  # largest strain of a side [1]
     strain_99: PeakValue = field(
@@ -139,7 +140,7 @@ class ContactMeter:
         points: FloatArray,
         point: int,
     ) -> PeakValue:
-        """Return the larger of a peak and a value of a frame."""
+        """Return the peak, or a new peak if the frame's value is larger."""
         if not value > peak.value:
             return peak
         x, y, z = points[point].tolist()
@@ -148,13 +149,13 @@ class ContactMeter:
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
-        """Peaks for a report, by name."""
+        """Peak values for a report, by name."""
         names = ("depth", "pierced", "strain", "strain_99")
         return {name: asdict(getattr(self, name)) for name in names}
 
     @property
     def text(self) -> str:
-        """Peaks as text; empty without contact and strain."""
+        """Peaks of depth and strain as text; empty without contact and strain."""
         phrases = []
         if self.depth.value > ROUNDING:
             depth = f"{length_text(self.depth.value, 2)} deep in what it touches"

@@ -1,4 +1,4 @@
-"""Runs of a simulation in steps of equal length, sampled at any time."""
+"""Runs of a simulation in steps of equal length, sampled at arbitrary times."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ STEP_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ReachedState(Generic[State]):
-    """A state and its number of steps."""
+    """A state, and the number of steps from the start to it."""
 
     steps: int
     state: State
@@ -49,7 +49,7 @@ class EntryRun:
         name: Name of the entry.
         run: Run of the entry and of all entries joined to it.
         simulation: View of the entry; for a single entry the simulation itself.
-        reports_steps: Whether it reports warnings of steps, as the first of joined
+        reports_steps: Whether it reports the warnings of steps, as the first of joined
             entries does.
     """
 
@@ -66,11 +66,11 @@ class EntryRun:
         self._was_empty: bool | None = None  # None before the first frame
 
     def at(self, t: float) -> Frame:
-        """Return the frame at a time [s] not before the last requested one.
+        """Return the frame at a time [s]; requested times must not decrease.
 
         Raises:
             OptionError: The time is before the last one (SIM002).
-            ToleranceError: It blew up (SIM102), or the method failed.
+            ToleranceError: The simulation diverged (SIM102), or the method failed.
         """
         frame: Frame = self.simulation.frame(*self.run.sample(t))
         check_bounds(self.name, frame, t, self.run.step_length)
@@ -85,7 +85,7 @@ class EntryRun:
     def body_colliders(
         self, restitution: float, friction: float, *, two_way: bool
     ) -> BodyColliders:
-        """Return its rigid bodies as colliders of other systems."""
+        """Return the rigid bodies of the entry as colliders of other systems."""
         assert isinstance(self.simulation, RigidSystem)
         return self.run.add_observer(
             BodyColliders(
@@ -94,14 +94,14 @@ class EntryRun:
         )
 
     def body_carriers(self) -> TiedBodies:
-        """Return its rigid bodies as carriers of particles of other systems."""
+        """Return the rigid bodies of the entry as carriers for other systems."""
         run, simulation = self.run, self.simulation
         bodies = TiedBodies(run, simulation, run.begin, run.step_length)
         run.add_observer(bodies)
         return bodies
 
     def surface(self) -> SystemSurface:
-        """Return its surface as a collider of other systems."""
+        """Return the surface of the entry as a collider of other systems."""
         return self.run.add_observer(SystemSurface(self.run, self.simulation))
 
     @property
@@ -131,7 +131,7 @@ class EntryRun:
 
 
 class SimulationRun(EntryRun):
-    """Runs a simulation in steps of constant length, and samples it at any time.
+    """Runs a simulation in constant steps, and samples it at arbitrary times.
 
     Steps do not depend on the requested times: a sample between two steps takes a
     partial step that is discarded. The frame rate of an output thus does not change the
@@ -180,7 +180,7 @@ class SimulationRun(EntryRun):
         self._many_steps = None if stepper is None else stepper.steps
 
     def sample(self, t: float) -> tuple[Any, float]:
-        """Return the state at a time [s], and its time; times must not decrease."""
+        """Return the state at a time [s], and that time. Times must not decrease."""
         if t == self._last_time:
             return self.last_sample
         steps = self.advance(t)
@@ -203,10 +203,10 @@ class SimulationRun(EntryRun):
         return self.last_sample
 
     def pull(self, t: float, bodies: object) -> tuple[Wrenches, float, float] | None:
-        """Return the impulses on bodies by attached particles in a step.
+        """Return the impulses that attached particles apply to bodies in a step.
 
-        The step is the one at a time [s]. Also returns its start and end [s]; None
-        without a pull.
+        The step is the one that contains the time [s]. Also returns the start and end
+        of the step [s]; returns None without a pull.
         """
         steps = self.advance(t)
         start = self.step_time(steps)
@@ -265,7 +265,7 @@ class SimulationRun(EntryRun):
         return self._step_until(self._with_pushes(state), t)[0]
 
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
-        """Return a state with pushes applied, as the next step starts from it."""
+        """Return a state with pushes applied, from which the next step starts."""
         is_current = state.steps == self.state.steps
         return (
             self.apply_pushes()
@@ -274,7 +274,7 @@ class SimulationRun(EntryRun):
         )
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
-        """Queue impulses on its bodies at a time [s]."""
+        """Queue impulses on the bodies at a time [s]."""
         if (
             wrenches.impulses.any()
             and t > self.begin + STEP_TOLERANCE * self.step_length
@@ -282,7 +282,7 @@ class SimulationRun(EntryRun):
             self._queued_pushes.append((t, pusher_index, wrenches))
 
     def apply_pushes(self) -> ReachedState[Any]:
-        """Return the last state with all pushes until then applied.
+        """Return the last state with all pushes until that time applied.
 
         Pushers are advanced to the same time first, so that the result does not depend
         on the requested times.
@@ -312,18 +312,18 @@ class SimulationRun(EntryRun):
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
-        """Register bodies of other systems that this one pushes."""
+        """Register bodies of other systems that this simulation pushes."""
         self._pushed_bodies = bodies
         for system in bodies:
             system.register_pusher(self)
 
     def register_pusher(self, pusher: Pusher) -> int:
-        """Register a system that pushes its bodies; return the index of the pusher."""
+        """Register a system that pushes the bodies; return the index of the pusher."""
         self._pushers.append(pusher)
         return len(self._pushers) - 1
 
     def add_puller(self, bodies: TiedBodies, puller: Any) -> None:
-        """Register a system whose particles are attached to its bodies."""
+        """Register a system whose particles are attached to the bodies."""
         self._pullers.append((bodies, puller))
 
     def add_observer(self, observer: Observer) -> Observer:
@@ -344,7 +344,7 @@ class SimulationRun(EntryRun):
         return self.begin + steps * self.step_length
 
     def past_state(self, t: float, *, with_pushes: bool = False) -> tuple[Any, float]:
-        """Return a past or the current state at a time [s], and its time.
+        """Return the current or a past state at a time [s], and that time.
 
         Times before the start return the first state. With ``with_pushes``, pushes
         until then are applied.
@@ -362,7 +362,7 @@ class SimulationRun(EntryRun):
         return sampled.state, max(t, time)
 
     def forget(self) -> None:
-        """Drop past states that no observer needs."""
+        """Discard past states that no observer needs."""
         assert self._past_states is not None
         t = min(observer.earliest_time for observer in self._observers)
         if t == -math.inf:

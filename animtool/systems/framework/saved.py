@@ -174,7 +174,7 @@ class SavedStates:
 
 
 def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
-    """Return whether numbers are in the bounds of a state; -1 is a missing count."""
+    """Return whether saved numbers are in bounds; a count may be -1 if missing."""
     if template.dtype.kind == "f":
         # The precision of a file may differ from that of a state.
         with np.errstate(over="ignore"):
@@ -189,19 +189,19 @@ def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
 class _FieldMetadata:
     """Metadata of state fields by name, from `growing`, `later` and `added`."""
 
-    axes: dict[str, int] = field(default_factory=dict)  # `growing`
+    axes: dict[str, int] = field(default_factory=dict)  # fields marked `growing`
     later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
-    added: set[str] = field(default_factory=set)  # `added`
+    added: set[str] = field(default_factory=set)  # fields marked `added`
 
     def starts_as_none(self, name: str) -> bool:
-        """Return whether an array is in a field that starts as None."""
+        """Return whether an array belongs to a field that starts as None."""
         return any(f"{name}.".startswith(f"{prefix}.") for prefix in self.later)
 
 
 def _collect_metadata(
     state: Any, metadata: _FieldMetadata, prefix: str = "", axis: int | None = None
 ) -> None:
-    """Collect the metadata of a state's fields, also of nested records."""
+    """Collect the metadata of a state's fields, nested records included."""
     if axis is not None:
         metadata.axes[prefix] = axis
     state_fields = fields(state) if is_dataclass(state) else ()
@@ -246,7 +246,7 @@ def _fields_by_name(state: Any) -> dict[str, Any]:
 def _restore(
     template: Any, arrays: _Arrays, metadata: _FieldMetadata, prefix: str = ""
 ) -> Any:
-    """Return a state with the structure of a template, from arrays."""
+    """Restore a state with the structure of a template from arrays by name."""
     if prefix in metadata.later:
         return _read_missing(arrays, metadata.later[prefix], prefix)
     if template is None:

@@ -37,8 +37,8 @@ State_contra = TypeVar("State_contra", contravariant=True)
 class Diagnostics:
     """Energy, warnings and report values of a state."""
 
-    energy: Energy | None = None  # None if it is not conserved
-    values: Mapping[str, Any] = field(default_factory=dict)  # for the report
+    energy: Energy | None = None  # energy; None if it is not conserved
+    values: Mapping[str, Any] = field(default_factory=dict)  # report values by name
     notices: Sequence[Fault] = ()  # warnings so far
     if_empty: Sequence[Fault] = ()  # more warnings, if no frame had a point
     steps: int | None = None  # method steps so far; None is one per step
@@ -63,11 +63,11 @@ class SimContext:
     """What a kind needs to build a simulation.
 
     Attributes:
-        begin: Time of its first step [s].
+        begin: Time of the first step [s].
         last: Last requested time [s].
-        colliders: Colliders of its entry: shapes, characters, meshes of files, and
+        colliders: Colliders of the entry: shapes, characters, meshes of files, and
             surfaces of other systems, at any time of a step.
-        parts: Data read for the keys of its entry, by key; a list for a list of
+        parts: Data read for the keys of the entry, by key; a list for a list of
             entries. It has forces, emitter shapes, shapes and arrays (`FieldKind`), a
             `Collider` for an entry with a shape, the record of a `RecordModel`, and a
             nested mapping for other models, with ``poses`` of placed ones. Plain values
@@ -120,7 +120,7 @@ class Simulation(Protocol[State]):
     def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
         """Return a new state, a step [s] after a time [s].
 
-        Also returns impulses on bodies of other systems, if it collides with any.
+        Also returns impulses on bodies of other systems, if there are any.
         """
 
     def frame(self, state: State, t: float) -> Frame:
@@ -132,15 +132,15 @@ class Simulation(Protocol[State]):
 
 @runtime_checkable
 class ManySteps(Protocol[State]):
-    """A simulation that takes many steps at once, equal to single steps."""
+    """A simulation that takes many steps in one call, equal to single steps."""
 
     def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
-        """Return a new state, a number of full steps [s] after a time [s]."""
+        """Return the state after ``count`` full steps [s] from a time [s]."""
 
 
 @runtime_checkable
 class Joined(Protocol[State_contra]):
-    """A simulation of several joined entries."""
+    """A simulation of several joined scene entries."""
 
     @property
     def views(self) -> Sequence[SystemView[State_contra]]:
@@ -164,7 +164,7 @@ class Resumed(Protocol[State_contra]):
     """A simulation with additional checks of resumed states."""
 
     def incompatibility(self, state: State_contra, t: float) -> str:
-        """Return why it cannot resume from a state; empty if it can."""
+        """Return why the simulation cannot resume from a state; empty if it can."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,19 +183,19 @@ class Tried(Protocol):
     """A simulation that provides the settings of its work-precision table."""
 
     def trial_settings(self) -> TrialSettings:
-        """Return settings around the configured one."""
+        """Return the settings to compare, around the configured setting."""
 
 
 # Metadata of fields of a state, so that it can be saved and resumed.
 
 
 def growing(axis: int = 0) -> dict[str, Any]:
-    """Mark a field whose arrays grow along an axis, together with all others."""
+    """Mark a field whose arrays grow along an axis, in step with all such fields."""
     return {"grows": axis}
 
 
 def later(*records: type[Any]) -> dict[str, Any]:
-    """Mark a field that starts as None and later has a number or a record.
+    """Mark a field that starts as None and is a number or a record later.
 
     ``np.ndarray`` allows an array.
     """
@@ -203,12 +203,12 @@ def later(*records: type[Any]) -> dict[str, Any]:
 
 
 def added() -> dict[str, Any]:
-    """Mark a field that older state files lack; it then keeps its initial value."""
+    """Mark a field that older state files lack; it keeps its initial value then."""
     return {"added": True}
 
 
 class StoppedError(ToleranceError):
-    """Raised if a method cannot continue; has its statistics, if known."""
+    """Raised if a method cannot continue; holds the run's statistics, if known."""
 
     def __init__(self, faults: Sequence[Fault], stats: Stats | None = None) -> None:
         super().__init__(faults)

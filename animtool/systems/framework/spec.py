@@ -93,7 +93,7 @@ class SystemSpec(FileModel):
         return {name: count for name, count in counts.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return faults of conflicting keys, with the key as ``where``.
+        """Return the faults of conflicting keys, with the key as ``where``.
 
         ``parts`` is the data read for the keys, as in a `SimContext`.
         """
@@ -109,7 +109,7 @@ class SystemSpec(FileModel):
         yield from ()
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
-        """Return the record of the entry and its faults, when the file is read.
+        """Return the record and the faults of the entry when the file is read.
 
         A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
@@ -148,8 +148,8 @@ class Member:
     name: str
     kind: str
     spec: Any
-    parts: Mapping[str, Any]  # data read for its keys, by key
-    record: Any = None  # record built by its spec
+    parts: Mapping[str, Any]  # data read for the keys of the entry, by key
+    record: Any = None  # record built by the spec of the entry
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +158,7 @@ class PinnedPoints:
 
     where: str  # location in the scene entry
     carrier: Any  # carrier, for `SimContext.poses`
-    # Maps carrier poses to positions in its frame ``(P, 3)`` [m].
+    # Maps carrier poses to point positions in the carrier's frame ``(P, 3)`` [m].
     local_positions: Callable[[Any], FloatArray]
 
 
@@ -182,4 +182,4 @@ class EntryRecord(Protocol):
         """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[Member]) -> Sequence[Fault]:
-        """Return faults of joins with other systems, each with its key."""
+        """Return the faults of joins with other systems, with the key of each join."""

@@ -27,13 +27,13 @@ class ObservedRun(Protocol):
         """Drop past states that no observer needs."""
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
-        """Queue impulses on its bodies at a time [s]."""
+        """Queue impulses on the bodies of the run at a time [s]."""
 
     def register_pusher(self, pusher: Pusher) -> int:
-        """Register a system that pushes its bodies; return the index of the pusher."""
+        """Register a system that pushes the bodies; return the index of the pusher."""
 
     def add_puller(self, bodies: Any, puller: Any) -> None:
-        """Register a system whose particles are attached to its bodies."""
+        """Register a system whose particles are attached to the bodies."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class RigidSystem(Protocol):
 
     @property
     def shared(self) -> SystemBodies:
-        """Names, masses and shapes of its bodies."""
+        """Names, masses and shapes of the bodies."""
 
     def initial(self) -> Any:
         """Return the state at the time of the first step."""
@@ -87,10 +87,10 @@ class RigidSystem(Protocol):
         """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
-        """Return a state with impulses applied to its bodies."""
+        """Return a state with impulses applied to the bodies."""
 
     def push_to(self, state: Any, target: Any) -> Wrenches:
-        """Return the impulses that change a state to another at the same time."""
+        """Return the impulses that change one state to another at the same time."""
 
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
@@ -105,11 +105,11 @@ class RigidSystem(Protocol):
 class HasCollisionSurface(Protocol):
     """A simulation whose collision surface differs from its frame."""
 
-    radius: float  # half its thickness [m]
+    radius: float  # collision radius: half the thickness of the surface [m]
     closed: bool  # whether collisions are from outside only
 
     def surface(self, state: Any, t: float) -> MeshFrame:
-        """Return its surface; unchanged topology returns the same index array."""
+        """Return the collision surface; equal topology returns the same index array."""
 
 
 # Default half thickness of a surface [m].
@@ -120,7 +120,7 @@ Observed = TypeVar("Observed")
 
 
 class _RecentSamples(Generic[Observed]):
-    """Caches samples at the last requested times."""
+    """Caches the samples at the most recently requested times."""
 
     def __init__(self, past_state: Callable[[float], Observed]) -> None:
         self._sample = past_state
@@ -163,11 +163,11 @@ class SystemSurface(_StateObserver):
         self._indices = self._faces = np.zeros((0, 3), np.int64)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points of the surface ``(N, 3)`` [m] at a time [s]."""
         return self._frames(t).points
 
     def triangles(self, t: float) -> IntArray:
-        """Return its triangles ``(T, 3)``; the same array while unchanged."""
+        """Return the triangles ``(T, 3)``; the same array while unchanged."""
         frame = self._frames(t)
         if frame.indices is not self._indices:
             self._indices = frame.indices
@@ -222,7 +222,7 @@ class BodyColliders(_StateObserver):
     ) -> FloatArray:
         """Return inverse effective masses ``(K,)`` [1/kg] at a time [s].
 
-        They are those of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors
+        Masses are of bodies ``(K,)`` at points ``(K, 3)`` [m], along unit vectors
         ``(K, 3)``.
         """
         state, _ = self._states(t)
@@ -241,10 +241,10 @@ class BodyColliders(_StateObserver):
         return self._simulation.inertias(state)
 
     def register_pusher(self, pusher: Pusher) -> None:
-        """Register a pusher."""
+        """Register a system that pushes the bodies."""
         if self.count:
             self._pusher_index = self._run.register_pusher(pusher)
 
     def push(self, t: float, wrenches: Wrenches) -> None:
-        """Queue impulses on its bodies at a time [s] for the next step."""
+        """Queue impulses on the bodies at a time [s], for the next step."""
         self._run.push(t, self._pusher_index, wrenches)

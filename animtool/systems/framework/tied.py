@@ -34,8 +34,8 @@ class TiedBodies(BodyColliders):
     """Rigid bodies of a simulation run that carry particles.
 
     Attributes:
-        step: Step of their simulation [s].
-        begin: Time of their first step [s].
+        step: Step of the simulation of the bodies [s].
+        begin: Time of the first step of that simulation [s].
     """
 
     def __init__(
@@ -47,7 +47,7 @@ class TiedBodies(BodyColliders):
         self._start_state: Any = simulation.initial()
 
     def body_index(self, carrier: BodyCarrier) -> int:
-        """Return the index of a body; raise SIM162 if its name is unknown."""
+        """Return the index of a carrier's body; raise SIM162 if the name is unknown."""
         names = list(self.system.shared.names)
         if carrier.body in names:
             return names.index(carrier.body)
@@ -88,7 +88,7 @@ class TiedBodies(BodyColliders):
         self._run.add_puller(self, pusher)
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
-        """Return a state at a time [s] within a step, with the pull applied."""
+        """Return a state at a time [s] within a step, with the puller's impulses."""
         pull = puller.pull(t, self)
         if pull is None:
             return state
@@ -149,12 +149,12 @@ class TiedStep:
         return self.duration * float(np.linalg.norm(spins, axis=1).max(initial=0.0))
 
     def subcell(self, state: Any, t: float, dt: float) -> TiedStep:
-        """Return the bodies from a given state over a time within the step [s]."""
+        """Return the bodies over a part ``dt`` [s] of the step, from a given state."""
         end_state = self._simulation.step(state, t, dt)
         return TiedStep(self._simulation, state, end_state, t, t + dt)
 
     def push_to(self, state: Any) -> Wrenches:
-        """Return the impulses at the end of the step that lead to a given state."""
+        """Return the impulses that change the step's end state to a given state."""
         return self._simulation.push_to(self._end_state, state)
 
     def point_velocities(
@@ -177,13 +177,13 @@ class TiedStep:
         return moment
 
     def wrenches(self, pulls: FloatArray) -> Wrenches:
-        """Return impulses and moments ``(count, 6)`` of pulls as wrenches."""
+        """Convert impulses and moments ``(count, 6)`` of pulls to wrenches."""
         impulses = pulls.copy()
         impulses[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
         return Wrenches(impulses, self._pull_time * impulses)
 
     def pushed(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:
-        """Return the end state after impulses, and poses of all bodies ``(B, 7)``."""
+        """Return the end state with impulses applied, and all body poses ``(B, 7)``."""
         state = self._simulation.pushed(self._end_state, wrenches)
         return state, self._simulation.body_poses(state, self._t1)
 

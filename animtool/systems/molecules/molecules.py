@@ -77,12 +77,15 @@ class Interactions:
         return -float(per_charge * (self._charges**2).sum())
 
     def reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return the positions of the neighbour list that is valid at points."""
+        """Return the reference positions of a neighbour list that is valid at ``x``."""
         squares = ((x - before) ** 2).sum(axis=1)
         return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
 
     def acting(self, x: FloatArray, reference: FloatArray) -> AtomForces:
-        """Return forces on atoms ``(N, 3)`` [nm], with the list of other positions."""
+        """Return the forces on atoms, with the neighbour list of ``reference``.
+
+        Both positions are ``(N, 3)`` [nm].
+        """
         if self._neighbour_list is None or self._neighbour_list[0] is not reference:
             max_pairs = MAX_NEIGHBOURS * len(x)
             try:
@@ -161,7 +164,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self._max_frequency = math.sqrt(8 * max(rates))
 
     def begin(self) -> None:
-        """Check the initial state, and set colour ranges from it."""
+        """Check the initial state, and set colour ranges from that state."""
         start, refusals = self.initial(), Refusals()
         with refusals.collect():
             self._check_numbers(start)
@@ -208,7 +211,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return state.acting, state.reference
 
     def compute_sums(self, x: FloatArray, last_sums: ListedForces) -> ListedForces:
-        """Return forces on atoms ``(N, 3)`` [nm], and the positions of their list."""
+        """Return the forces on atoms, and their neighbour list's reference positions.
+
+        All positions are ``(N, 3)`` [nm].
+        """
         list_positions = self._interactions.reference(x, last_sums[1])
         return self._interactions.acting(x, list_positions), list_positions
 
@@ -320,7 +326,7 @@ def thermostat_factor(
     kinetic: float,
     degrees_of_freedom: int,
 ) -> float:
-    """Return the factor on velocities in a thermostat step.
+    """Return the velocity scale factor of one thermostat step.
 
     Reference: G. Bussi, D. Donadio, M. Parrinello, Canonical sampling through velocity
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.

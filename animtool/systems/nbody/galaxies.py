@@ -1,4 +1,4 @@
-"""Galaxies in equilibrium, and two on an orbit.
+"""Galaxies in equilibrium, and encounters of two galaxies on an orbit.
 
 Discs are exponential with a vertical sech² profile; spheroids have the profile of
 Hernquist or Plummer. Circular velocities are those of all components; velocities are
@@ -86,7 +86,7 @@ class MassProfile:
 
 
 def _integral_to_end(values: FloatArray, r: FloatArray) -> FloatArray:
-    """Return integrals from each radius to the last one (trapezoidal rule)."""
+    """Return the integrals from each radius to the last, by the trapezoidal rule."""
     steps = (values[1:] + values[:-1]) / 2 * np.diff(r)
     return np.append(np.cumsum(steps[::-1])[::-1], 0.0)
 
@@ -100,7 +100,7 @@ _MASS_FRACTIONS: dict[str, Callable[[Any], Any]] = {
 
 
 def enclosed_mass(component: SpheroidModel | DiscModel, r: FloatArray) -> FloatArray:
-    """Return the mass of a spheroid or disc within radii [kg]."""
+    """Return the enclosed mass of a spheroid or disc at radii [kg]."""
     mass_fraction = _MASS_FRACTIONS[getattr(component, "profile", "exponential")]
     scaled_radii = np.minimum(r / component.radius, component.cutoff)
     return np.asarray(
@@ -126,7 +126,7 @@ def surface_density(disc: DiscModel, r: FloatArray | float) -> FloatArray:
 
 
 def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
-    """Return the bodies of each galaxy of a spec, in its start position."""
+    """Return the bodies of each galaxy of a spec at the start positions."""
     constant, softening = spec.gravity_constant, spec.softening
     galaxies = [build_galaxy(galaxy, constant, softening) for galaxy in spec.galaxies]
     starts = [
@@ -149,7 +149,7 @@ def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> PointMasses:
-    """Return the bodies of a galaxy about its centre, those of the halo last."""
+    """Return the bodies of a galaxy about its centre; those of the halo are last."""
     profile = MassProfile(galaxy, constant, softening)
     components = []
     if galaxy.nucleus:
@@ -218,7 +218,10 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
 def disc_velocities(
     disc: DiscModel, profile: MassProfile
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return radial, azimuthal and vertical dispersions, and mean rotation ``(R,)``."""
+    """Return radial, azimuthal and vertical velocity dispersions, and mean rotation.
+
+    All four are at the radii of the profile ``(R,)`` [m/s].
+    """
     r, circular = profile.r, profile.circular_velocities
     angular_velocity = circular / r
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2

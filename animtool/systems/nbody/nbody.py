@@ -58,7 +58,7 @@ class NbodyState:
 
 
 class CloseEncounterError(Exception):
-    """Raised if two bodies come too close for a step; has time, positions, rates."""
+    """Raised if two bodies come too close for a step; holds time, positions, rates."""
 
 
 def _check_closest_pair(
@@ -111,7 +111,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def __init__(
         self, spec: NbodyModel, context: SimContext, body_sets: Sequence[PointMasses]
     ) -> None:
-        """Start with the bodies of each entry, those of galaxies last."""
+        """Start with the bodies of each entry; bodies of galaxies are last."""
         super().__init__(spec, context, "attractors")
         self._has_fixed_steps = self._integrator.control is StepControl.FIXED
         self._max_phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
@@ -167,11 +167,11 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
     def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
-        """Return the pair with the fastest orbit, for messages."""
+        """Return the pair of bodies with the fastest orbit, as text for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
     def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
-        """Return the mass [kg] of the pair with the fastest orbit, and its distance."""
+        """Return the mass [kg] and a description of the pair with the fastest orbit."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
         squares = ((x - x[i]) ** 2).sum(axis=1)
         cubes = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
@@ -185,7 +185,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
         """Return the state after a step [s].
 
-        It takes substeps if two bodies come too close for one step.
+        The step is split into substeps if two bodies come too close for one step.
         """
         substeps = self._substeps_for(state.pulls.rates, dt)
         encounter = CloseEncounterError(t, state.motion[0], state.pulls.rates)
@@ -214,7 +214,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         raise self._encounter_error(dt, *encounter.args)
 
     def _substeps_for(self, rates: FloatArray, dt: float) -> int:
-        """Return the substeps that resolve the closest pair, a power of two."""
+        """Return the substep count that resolves the closest pair, a power of two."""
         if not self._has_fixed_steps or not len(rates):
             return 1
         # A state from a file may hold any rates.

@@ -119,7 +119,7 @@ class GalaxyModel(PlacementModel):
 
     @property
     def hidden_count(self) -> int:
-        """Number of bodies at the end that are not written."""
+        """Number of bodies at the end of the galaxy that are not written."""
         return self.halo.count if self.halo and not self.shows_halo else 0
 
 

@@ -72,14 +72,14 @@ class Births:
 @inherits_docs
 @dataclass(frozen=True)
 class Emitter(Emission, Checked):
-    """Emits particles; their number depends on time alone.
+    """Emits particles; the number emitted depends on time alone.
 
     The position, direction, speed and lifetime of a particle are random functions of
     its index, so that they do not depend on the step or the frame rate of an output.
 
     Attributes:
         place: Emitter shape in local space.
-        poses: World poses of its frame over time.
+        poses: World poses of the emitter's frame over time.
     """
 
     code: ClassVar[str] = "SIM021"
@@ -149,7 +149,7 @@ class Emitter(Emission, Checked):
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities of particles born at once ``(N, 3)``."""
+        """Return positions and velocities ``(N, 3)`` of particles all born at ``t``."""
         burst = replace(self, rate=0.0, bursts=[(t, count)])
         return burst.sample_births(burst.births(t, None, t, count))[:2]
 
@@ -178,7 +178,7 @@ class Emitter(Emission, Checked):
     def _in_world(
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return positions and velocities in the world, with inherited velocity."""
+        """Return world positions and velocities, including the inherited velocity."""
         if len(self.poses.sample_times) == 1:
             pose = self.poses.rows[0]
             return (
@@ -199,7 +199,7 @@ class Emitter(Emission, Checked):
         return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return invalid options by name, each with a message."""
+        """Return the names of invalid options, each with a message."""
         problems = [("place", message) for message in self.place.faults()]
         problems += [("poses", message) for message in self.poses.faults()]
         problems += super().problems()

@@ -17,12 +17,12 @@ PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
 
 class _RangeChecked:
-    """Checks a shape by the ranges that its fields declare."""
+    """Base of shapes that are checked against the declared ranges of their fields."""
 
     __slots__ = ()
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return [fault.message for fault in range_faults(self, ENTRY_RANGE_MESSAGE)]
 
 
@@ -107,7 +107,7 @@ class MeshSurface:
     """Emits from the surface of a mesh, along its normals.
 
     Attributes:
-        mesh: Its triangles.
+        mesh: Triangles that particles are emitted from.
     """
 
     mesh: Mesh
@@ -134,7 +134,7 @@ class MeshSurface:
         return points, normals[faces] / areas[faces, None]
 
     def faults(self) -> list[str]:
-        """Return messages about invalid values."""
+        """Return a message for each invalid value."""
         return self.mesh.faults()
 
 

@@ -115,7 +115,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
         return np.array(modes) if modes else None
 
     def suspect(self, t: float, state: FloatArray) -> str:
-        """Return which particle has the largest acceleration."""
+        """Return which particle has the largest acceleration, as text."""
         magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
         return (
             f"particle {int(self.particles.ids[np.argmax(magnitudes)])} has the "
@@ -158,7 +158,7 @@ def particle_energies(
 ) -> tuple[FloatArray, bool]:
     """Return kinetic and potential energies ``(2, N)`` [J].
 
-    Also returns whether all forces have a potential; others are left out.
+    Also returns whether all forces have a potential; forces without one are left out.
     """
     x, v = state
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
@@ -197,7 +197,7 @@ def advance_births(
     t0: float,
     t1: float,
 ) -> FloatArray:
-    """Return newborn particles at the end of the step in which they are born.
+    """Return new particles at the end of the step in which they are born.
 
     Each starts at its birth time, so that streams have no clumps. Births are always
     integrated by the classical Runge-Kutta method, and do not act on other particles
@@ -230,7 +230,7 @@ def _integrate_births(
     birth_states: FloatArray,
     durations: FloatArray,
 ) -> FloatArray:
-    """Return particles after their first partial step, by a Runge-Kutta step."""
+    """Advance new particles by their first partial step, by classical Runge-Kutta."""
     h = durations[:, None]
 
     def rate(fraction: float, state: FloatArray) -> FloatArray:
@@ -250,7 +250,7 @@ def _integrate_births(
 
 
 class DivergenceCheck:
-    """Detects particles with non-finite states or too much energy.
+    """Detects divergence: particles with non-finite states or too much energy.
 
     The energy of a particle is relative to that when it was first observed. Births and
     removals are thus no gains, and a slow divergence accumulates over many steps.

@@ -15,7 +15,7 @@ from animtool.systems.particles.simulation import ParticleRunState, ParticleSimu
 
 @dataclass(frozen=True, slots=True)
 class ParticleFrame(PointsFrame):
-    """Particles at one time.
+    """The particles of a simulation at one time.
 
     Attributes:
         ids: ``(N,)``, ascending.
@@ -34,7 +34,7 @@ class ParticleFrame(PointsFrame):
 
 
 class ParticleRun(SimulationRun):
-    """A particle simulation in fixed steps, sampled at any time.
+    """A particle simulation in fixed steps, sampled at arbitrary times.
 
     Attributes:
         state: State at the end of the last full step.
@@ -62,14 +62,14 @@ class ParticleRun(SimulationRun):
 
     @property
     def contacts(self) -> Contacts | None:
-        """Contacts of the last step; None before it.
+        """Contacts of the last step; None before the first step.
 
-        They do not include particles born in the step.
+        Contacts do not include particles born in the step.
         """
         return self._particles.contacts
 
     def at(self, t: float) -> ParticleFrame:
-        """Return the particles at a time [s], which may not decrease.
+        """Return the particles at a time [s]; times must not decrease.
 
         Raises:
             OptionError: Time runs backwards (SIM002).

@@ -38,7 +38,7 @@ class KillRegion:
     region: Collider
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return which points ``(N, 3)`` are in the region at a time [s]."""
+        """Return a mask ``(N,)`` of points in the region at a time [s]."""
         distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 
@@ -136,6 +136,6 @@ def _record_faults(
 
 
 def _table_name(force: Force) -> str:
-    """Return the name of a force in `FORCES`, or that of its class."""
+    """Return the name of a force in `FORCES`, or the class name if it has none."""
     kind = type(force).__name__
     return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)

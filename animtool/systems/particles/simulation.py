@@ -364,7 +364,7 @@ class ParticleSimulation:
         return PointsFrame(particles.ids, points, velocities, particles.radii, ages)
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
-        """Return the energy if it is conserved, and warnings."""
+        """Return the energy if it is conserved, and warnings about the motion."""
         empty_warning = self._empty_notice(t)
         return Diagnostics(
             self._energy(state, t),
@@ -405,7 +405,7 @@ class ParticleSimulation:
         return warning("SIM188", message, hint + "particles exist in the range")
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
-        """Return the energy of a state; None if it is not conserved."""
+        """Return the energy of a state; None if the system does not conserve energy."""
         system, forces = self._system(state), self.setup.forces
         if isinstance(system, ParticleFlow) or self.colliders.active:
             return None

@@ -116,7 +116,7 @@ class ParticlesModel(ForcedSpec):
         )
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return faults of keys, also combined (SIM001, SIM004, SIM005, SIM024)."""
+        """Return faults of keys and combinations (SIM001, SIM004, SIM005, SIM024)."""
         try:
             self.setup(parts).check()
         except OptionError as error:

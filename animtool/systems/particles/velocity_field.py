@@ -78,7 +78,7 @@ def evaluate_expressions(
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:
-    """Return which of the expressions x, y, z are invalid, each with a reason."""
+    """Return the invalid expressions of x, y and z by axis, each with a reason."""
     from animtool.core.names import nearest
 
     faults = []

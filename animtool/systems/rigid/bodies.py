@@ -43,7 +43,7 @@ class CollisionShapes:
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """All bodies of a system: N are dynamic, the others kinematic.
+    """All bodies of a system: N dynamic bodies; all others are kinematic.
 
     Attributes:
         kinds: Body kind of each entry of the file.
@@ -69,7 +69,7 @@ class RigidBodies:
     def from_models(
         models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
     ) -> RigidBodies:
-        """Return the bodies of the models of a spec, with their copies."""
+        """Return the bodies described by the models of a spec, copies included."""
         kinds: list[BodyKind] = []
         names, of, is_dynamic, poses = [], [], [], []
         used_names: set[str] = set()
@@ -111,7 +111,7 @@ class RigidBodies:
 
     @cached_property
     def releases(self) -> FloatArray:
-        """Release times of kinematic bodies ``(B,)`` [s]; -infinity for none."""
+        """Release times of kinematic bodies ``(B,)`` [s]; -infinity without one."""
         times = [kind.model.release for kind in self.kinds]
         times_by_kind = [-np.inf if time is None else time for time in times]
         return np.array(times_by_kind, np.float64)[self.kind_of_body]
@@ -175,9 +175,9 @@ class RigidBodies:
         )
 
     def kinematic_state(self, dynamic_index: int, t: float, dt: float) -> FloatArray:
-        """Return the state of a dynamic body that is still kinematic ``(14,)``.
+        """Return the state of a body that is not released yet ``(14,)``.
 
-        Its velocities are those of the step [s] before.
+        The velocities are averages over the step [s] before ``t``.
         """
         i = int(self.dynamic[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
@@ -252,7 +252,7 @@ class RigidBodies:
 
     @cached_property
     def collision_shapes(self) -> CollisionShapes:
-        """Collision shapes of all bodies; those of meshes are convex hulls."""
+        """Collision shapes of all bodies; mesh shapes are convex hulls."""
         rows = [
             (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
             for i, k in enumerate(self.kind_of_body.tolist())
@@ -337,7 +337,7 @@ def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
 
 
 def collider_shape(shape: Shape) -> Shape:
-    """Return a shape as a collider; of a mesh, its convex hull."""
+    """Return a shape as a collider; for a mesh, its convex hull."""
     if not isinstance(shape, Mesh):
         return shape
     points, counts, corners = core_mesh(core_of(shape))
@@ -345,7 +345,7 @@ def collider_shape(shape: Shape) -> Shape:
 
 
 def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
-    """Return poses over time with a fixed offset in their frame."""
+    """Return poses over time, with a fixed offset in the local frame."""
     if not at.any() and rotation[3] == 1:
         return poses
     rows = poses.rows
@@ -357,13 +357,13 @@ def offset_poses(poses: Poses, at: FloatArray, rotation: FloatArray) -> Poses:
 
 
 def _first_indices(counts: Sequence[int]) -> IntArray:
-    """Return the start index of each group of a count, and the total."""
+    """Return the start index of each group from the group sizes, and the total."""
     return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
 
 
 @contextmanager
 def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
-    """Locate faults raised in the context at an entry."""
+    """Context manager that locates faults raised inside it at an entry."""
     try:
         yield
     except OptionError as error:

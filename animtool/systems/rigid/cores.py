@@ -45,7 +45,7 @@ class SolidProperties:
 
     volume: float  # [m³]
     centre: FloatArray  # (3,) [m]
-    inertia: FloatArray  # about the centre (3, 3) [m⁵]
+    inertia: FloatArray  # inertia about the centre of mass (3, 3) [m⁵]
 
     def transformed(self, at: FloatArray, rotation: FloatArray) -> SolidProperties:
         """Return the properties after a rotation and a translation."""
@@ -57,9 +57,9 @@ class SolidProperties:
 def combine_solids(
     solids: Sequence[SolidProperties], densities: Sequence[float]
 ) -> SolidProperties:
-    """Return several solids as one, with its mass [kg] as volume.
+    """Return the combined mass properties of solids, with the mass [kg] as volume.
 
-    Its inertia is in [kg m²].
+    The inertia of the result is in [kg m²].
     """
     masses = np.array(
         [
@@ -78,7 +78,7 @@ def combine_solids(
 
 
 def core_of(shape: Shape) -> ConvexCore:
-    """Return the convex core of a shape; of a mesh, its hull."""
+    """Return the convex core of a shape; for a mesh, its convex hull."""
     match shape:
         case Sphere():
             return ConvexCore(np.array([shape.centre], np.float64), [], shape.radius)
@@ -131,7 +131,7 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
 
 
 def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
-    """Return the mass properties of a shape of density 1; of a mesh's hull."""
+    """Return the mass properties of a shape of density 1; for a mesh, of its hull."""
     match shape:
         case Sphere(radius=r):
             volume = 4 / 3 * np.pi * r**3
@@ -170,7 +170,7 @@ def _capsule_properties(shape: Capsule) -> SolidProperties:
 
 
 def enclosed_solid(triangles: FloatArray) -> SolidProperties:
-    """Return the mass properties of the volume in triangles ``(T, 3, 3)``.
+    """Return the mass properties of the volume enclosed by triangles ``(T, 3, 3)``.
 
     Eberly (2002), "Polyhedral mass properties (revisited)", in the sums of Blow and
     Binstock (2004).
@@ -189,7 +189,7 @@ def enclosed_solid(triangles: FloatArray) -> SolidProperties:
 
 
 def is_convex(mesh: Mesh, hull_properties: SolidProperties) -> bool:
-    """Return whether a closed mesh has the same volume as its hull."""
+    """Return whether a closed mesh is convex: equal in volume to its hull."""
     points, triangles = mesh.weld()
     volume = abs(enclosed_solid(points[triangles]).volume)
     return (
@@ -199,7 +199,7 @@ def is_convex(mesh: Mesh, hull_properties: SolidProperties) -> bool:
 
 
 def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
-    """Return points, corner counts and corners of a mesh that shows a core."""
+    """Return points, corner counts and corners of a display mesh of a core."""
     if core.faces:
         counts = np.array([len(face) for face in core.faces])
         return core.points, counts, np.concatenate(core.faces).astype(np.int64)

@@ -44,7 +44,7 @@ JacobianFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Positions and velocities after a step without contact.
+    """Positions and velocities of bodies after a step without contacts.
 
     Attributes:
         points: Positions ``(N, 3)`` [m].
@@ -124,7 +124,7 @@ def _substep(
     acceleration: FloatArray,
     jacobians: tuple[FloatArray, FloatArray],
 ) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
-    """Return positions and velocities after a substep, and their error ``(N,)``.
+    """Take one exponential Runge-Kutta substep; return the motion and errors ``(N,)``.
 
     Vectors have six elements: a position, and a velocity times the substep.
     """
@@ -176,7 +176,7 @@ def _inertia_factors(
     dt: float,
     v: FloatArray,
 ) -> FloatArray:
-    """Return mass factors for which impulses have the effect of the free flight."""
+    """Return mass factors that make impulses match the damped free flight."""
     # Equal for linear drag.
     z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)

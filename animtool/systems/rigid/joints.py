@@ -57,7 +57,7 @@ class Joints:
     parameters_at: Callable[[float], FloatArray] | None = None
 
     def subset(self, indices: IntArray) -> Joints:
-        """Return some of the joints, by index."""
+        """Return the joints with the given indices."""
         index_list = indices.tolist()
         return replace(
             self,
@@ -89,7 +89,7 @@ class Joints:
 
 
 def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
-    """Concatenate several sets of joints."""
+    """Concatenate sets of joints into one set."""
     return Joints(
         np.concatenate([joints.rows for joints in joint_sets]),
         np.concatenate([joints.numbers for joints in joint_sets]),
@@ -106,7 +106,7 @@ def concatenate_joints(joint_sets: Sequence[Joints]) -> Joints:
 def check_joints(
     models: Sequence[RigidJointModel], bodies: Sequence[BodyModel]
 ) -> None:
-    """Raise SIM061 for joints that are invalid for any poses of the bodies."""
+    """Raise SIM061 for joints that are invalid regardless of the body poses."""
     models_by_name = {body.name: body for body in bodies}
     refusals = Refusals()
     for i, model in enumerate(models):
@@ -143,7 +143,7 @@ def check_joints(
 
 
 def _body_model(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyModel:
-    """Return the model of a body by name, also of a copy such as ``crate[2]``."""
+    """Return the model of a body or of a copy such as ``crate[2]`` by name."""
     if name not in bodies and name.rpartition("[")[0] not in bodies:
         refuse_unknown(name, list(bodies), key)
     return bodies.get(name) or bodies[name.rpartition("[")[0]]
@@ -156,7 +156,7 @@ def build_joints(
 ) -> Joints:
     """Return the joints of a spec, once `check_joints` has passed.
 
-    It raises SIM061 for joints that are invalid for the poses of the bodies.
+    Raises SIM061 for joints that are invalid for the poses of the bodies.
     """
     rows, numbers, anchors, parent_bodies, pairs, breaks = [], [], [], [], [], []
     notices: list[Fault] = []
@@ -220,7 +220,7 @@ def build_joints(
 def subset_joints(
     joints: Joints, all_bodies: RigidBodies, bodies: RigidBodies
 ) -> tuple[Joints, IntArray]:
-    """Return the joints of a subset of dynamic bodies, and their indices.
+    """Return the joints of a subset of dynamic bodies, and their original indices.
 
     Joints between two bodies outside the subset have no effect, and are left out.
 
@@ -323,7 +323,7 @@ def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
 
 
 def relative_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame relative to a pose ``(7,)``."""
+    """Return a frame relative to a pose in the same space ``(7,)``."""
     inverse = so3.conjugate(pose[3:])
     origin = so3.rotate(inverse, frame[:3] - pose[:3])
     return np.concatenate([origin, so3.multiply(inverse, frame[3:])])
@@ -400,7 +400,7 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
 
 
 def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
-    """Return the speed of a motor [rad/s] or [m/s]; 0 without one."""
+    """Return the speed of a joint motor [rad/s] or [m/s]; 0 without a motor."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
@@ -424,7 +424,7 @@ def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> 
 def _distance_warnings(
     bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
-    """Return a warning if a joint is far from its body (SIM127)."""
+    """Return a warning if a joint is far from the body that it moves (SIM127)."""
     kind, pose = (
         bodies.kinds[bodies.kind_of_body[body]],
         bodies.poses[body].at(bodies.begin),

@@ -58,7 +58,8 @@ class BodyKind:
     """Properties that all copies of a body share, in the frame of the body."""
 
     model: BodyModel
-    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]  # with origin and rotation
+    # Shapes, each with its origin and rotation.
+    shapes: Sequence[tuple[Shape, FloatArray, FloatArray]]
     cores: Sequence[ConvexCore]
     mass: float  # [kg]
     centre: FloatArray  # centre of mass (3,) [m]
@@ -76,7 +77,7 @@ class BodyKind:
         )
 
     def core_at_centre(self, core: ConvexCore) -> ConvexCore:
-        """Return a core in the frame of the principal axes."""
+        """Return a core in the frame of the centre of mass and principal axes."""
         to_principal = so3.conjugate(self.axes)
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
@@ -180,7 +181,7 @@ def _body_shapes(
 
 
 def _convex_pieces(mesh: Mesh) -> list[tuple[Shape, ConvexCore]]:
-    """Return the convex pieces of a mesh; empty if its hull is used instead."""
+    """Return the convex decomposition of a mesh; empty to use the hull instead."""
     return list(convex_pieces(mesh)) if is_available() else []
 
 
@@ -236,7 +237,7 @@ def _mass_properties(
 
 
 def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return principal moments ``(3,)``, and their axes as a quaternion ``(4,)``.
+    """Return principal moments ``(3,)``, and principal axes as a quaternion ``(4,)``.
 
     Inertias that are diagonal up to rounding keep the axes of the frame.
     """
@@ -258,7 +259,7 @@ def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
 def _display_mesh(
     display_shapes: Sequence[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]],
 ) -> MeshFrame:
-    """Return the mesh that shows a body; decomposed meshes keep their own faces."""
+    """Return the display mesh of a body; decomposed meshes keep their faces."""
     points, counts, corners, first_index = [], [], [], 0
     for mesh, core, origin, rotation in display_shapes:
         shape_points, shape_counts, shape_corners = core_mesh(core)
@@ -287,7 +288,7 @@ def check_motion_keys(model: BodyModel) -> None:
 
 
 def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
-    """Yield keys that contradict how a body moves."""
+    """Yield a problem for each key that contradicts how a body moves."""
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
             message = f"{model.name!r} is dynamic, so it cannot have {key}"

@@ -51,7 +51,7 @@ class StepForces:
     def unexpected_contacts(
         self, velocities: FloatArray, is_constrained: BoolArray
     ) -> BoolArray:
-        """Return which bodies had contacts that were not expected ``(N,)``.
+        """Return a mask of the bodies with unexpected contacts ``(N,)``.
 
         Only bodies with a large mass factor are considered.
         """
@@ -70,13 +70,13 @@ class StepForces:
         )
 
     def required_substeps(self, substeps: int, is_constrained: BoolArray) -> int:
-        """Return the substeps needed to repeat a step."""
+        """Return the number of substeps with which to repeat a step."""
         assert self.flight is not None
         return substeps_for_inertias(substeps, self.flight.mass_factors[is_constrained])
 
 
 def substeps_for_inertias(substeps: int, inertias: FloatArray) -> int:
-    """Return the number of substeps for mass factors, at least that given."""
+    """Return the substep count that the mass factors need, at least ``substeps``."""
     max_factor = float(inertias.max(initial=1.0))
     if not max_factor > MAX_INERTIA_RATIO:
         return substeps
@@ -97,7 +97,7 @@ class StepForceSolver:
     def free_flight(
         self, t: float, dt: float, body_states: FloatArray
     ) -> Flight | None:
-        """Return the motion of bodies without contacts; None under constant forces."""
+        """Return the free flight of all bodies; None if forces are constant."""
         if not self._forces.is_variable:
             return None
         push_accelerations = self._forces.push_wrenches(t, dt, body_states)[:, :3]
@@ -121,8 +121,8 @@ class StepForceSolver:
         """Return the mean forces of a step.
 
         Bodies constrained by contacts or joints ``(N,)`` get the initial force and a
-        larger mass, as the force would decrease with their velocity. Others get the
-        mean force of their free flight.
+        larger mass, as the force would decrease with their velocity. All other bodies
+        get the mean force of their free flight.
         """
         if flight is None:
             with np.errstate(all="ignore"):
@@ -142,7 +142,7 @@ class StepForceSolver:
         is_constrained: BoolArray,
         flight: Flight,
     ) -> StepForces:
-        """Return the forces of a step with a free flight."""
+        """Return the mean forces of a step that reproduce the free flight."""
         x, v = body_states[:, :3], body_states[:, 7:10]
         is_heavier = is_constrained & (flight.mass_factors > 1 + MIN_FACTOR_CHANGE)
         inertias = np.where(is_heavier, flight.mass_factors, 1.0)
@@ -173,7 +173,7 @@ class StepForceSolver:
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
-        """Return the substeps that resolve oscillating and spinning bodies."""
+        """Return the substep count that resolves oscillating and spinning bodies."""
         oscillation_rates, spin_rates = self._rates(t, dt, body_states)
         oscillation_steps = (
             float(oscillation_rates.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
@@ -203,7 +203,7 @@ class StepForceSolver:
         body_states: FloatArray,
         is_constrained: BoolArray,
     ) -> int:
-        """Return the substeps for bodies constrained by contacts or joints ``(N,)``."""
+        """Return the substep count for bodies constrained by contacts or joints."""
         if not is_constrained.any():
             return substeps
         substep = dt / substeps

@@ -141,7 +141,7 @@ def _world_frame(body: FloatArray, local_frame: FloatArray) -> FloatArray:
 
 
 def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
-    """Return the joints of each closed loop, without dangling branches."""
+    """Return the joint indices of each closed loop, without dangling branches."""
     joint_bodies = [
         (row[1] if row[1] >= 0 else body_count, row[2]) for row in rows.tolist()
     ]
@@ -178,7 +178,7 @@ def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
 def _constraint_rows(
     row: IntArray, frame: FloatArray, centres: FloatArray, size: float
 ) -> tuple[list[tuple[int, int, FloatArray]], list[tuple[int, int, FloatArray]]]:
-    """Return the constrained and the free directions of a joint.
+    """Return Jacobian rows of the constrained and of the free directions of a joint.
 
     Each row has the second and the first body, and factors ``(2, 6)`` on their velocity
     and scaled spin.
@@ -243,7 +243,7 @@ def _null_space(
 def _remaining_motion(
     free_rows: Sequence[tuple[int, int, FloatArray]], null_space: FloatArray
 ) -> float:
-    """Return the largest relative motion that a joint still has."""
+    """Return the largest relative motion of a joint within the null space."""
     body_count = len(null_space) // 6
     return float(
         np.linalg.norm(

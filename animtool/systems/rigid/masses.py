@@ -18,7 +18,7 @@ from animtool.systems.rigid.kind import BodyKind, principal_inertia
 def with_rig_masses(
     rig: Rig, world: WorldTransforms, joints: IntArray, kinds: Sequence[BodyKind]
 ) -> list[BodyKind]:
-    """Return body kinds with the masses of the rig.
+    """Return body kinds with their masses replaced by those of the rig.
 
     A mass is added to the body of its joint, or of the next ancestor that has a body.
     Bodies without a mass in the rig are unchanged.

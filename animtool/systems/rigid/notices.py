@@ -44,7 +44,7 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
 def depth_notices(
     state: RigidState, bounding_radius: float, shape_names: Callable[[], Sequence[str]]
 ) -> Iterator[Fault]:
-    """Yield warnings about penetration at the start and later (SIM126, SIM123).
+    """Yield warnings about penetration at the start or later (SIM126, SIM123).
 
     ``bounding_radius`` is the smallest of all bodies [m]. ``shape_names`` returns the
     names of all shapes.

@@ -21,7 +21,7 @@ RELEASE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class BodyPhase:
-    """Dynamic bodies and intact joints between two releases or breaks.
+    """The dynamic bodies and intact joints between two releases or breaks.
 
     Attributes:
         phase_index: Index of the phase; contacts of other phases refer to other shapes.
@@ -49,7 +49,7 @@ class BodyPhase:
         return bool(self.is_free.all())
 
     def full_shape_indices(self, indices: IntArray) -> IntArray:
-        """Return indices of shapes and colliders in the full system."""
+        """Convert shape and collider indices to those of the full system."""
         clipped_indices = np.minimum(indices, len(self.shapes) - 1)
         collider_indices = indices - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
@@ -69,7 +69,7 @@ class BodyPhase:
 
 
 class BodyPhases:
-    """Phases of a system; each is built when it is first used.
+    """Phases of a system, each built on first use.
 
     Args:
         bodies: Bodies after all releases.
@@ -198,9 +198,9 @@ class BodyPhases:
 def kinematic_states(
     bodies: RigidBodies, dynamic_indices: IntArray, t: float, dt: float
 ) -> FloatArray:
-    """Return states of bodies that are still kinematic ``(H, 14)`` at a time [s].
+    """Return the states of bodies not yet released ``(H, 14)`` at a time [s].
 
-    Their velocities are those of the step [s] before.
+    The velocities are averages over the step [s] before ``t``.
     """
     rows = np.zeros((len(dynamic_indices), 14))
     for row, dynamic_index in zip(rows, dynamic_indices.tolist(), strict=True):

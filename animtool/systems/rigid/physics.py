@@ -229,7 +229,7 @@ def _body_model(keys: dict[str, Any], origin: str, entry_key: str) -> BodyModel:
 
 
 def collider_shape_of(shape: PhysicsShape) -> Shape:
-    """Return the collider shape of a UsdPhysics shape, in its own frame."""
+    """Return the collider shape of a UsdPhysics shape, in the frame of the shape."""
     match shape.kind:
         case "sphere":
             return Sphere(shape.size[0])

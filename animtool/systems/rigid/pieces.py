@@ -1,4 +1,4 @@
-"""Convex decomposition of meshes, by coacd if installed."""
+"""Convex decomposition of meshes by the package coacd, if it is installed."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def is_available() -> bool:
 
 
 def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
-    """Return convex pieces of a mesh, deterministically; empty for open meshes.
+    """Return the convex decomposition of a mesh, deterministic; empty if it is open.
 
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
@@ -45,7 +45,7 @@ def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
 def _decompose(
     point_bytes: bytes, corner_bytes: bytes
 ) -> list[tuple[Mesh, ConvexCore]]:
-    """Return convex pieces of points and triangles, cached."""
+    """Return the cached convex decomposition of points and triangles."""
     import coacd
 
     points = np.frombuffer(point_bytes, np.float64).reshape(-1, 3)
@@ -79,7 +79,7 @@ def mesh_solid(mesh: Mesh) -> SolidProperties:
 
 
 def excess_volume(mesh: Mesh, cores: Sequence[ConvexCore]) -> float:
-    """Return the volume of pieces beyond that of the mesh, relative to it [1]."""
+    """Return the excess volume of the pieces, relative to the mesh volume [1]."""
     volume = mesh_solid(mesh).volume
     return sum(_core_volume(core) for core in cores) / volume - 1
 

@@ -207,7 +207,7 @@ def _rest_frames(
 
 
 def movable_root(rig: Rig, joint: int) -> int:
-    """Return the joint that moves a root body: the nearest free joint, or the root."""
+    """Return the nearest free joint at or above a joint; without one, the root."""
     ancestors = rig.upwards(joint)
     free_joints = (k for k in ancestors if rig.joints[k].type is JointType.FREE)
     return next(free_joints, ancestors[-1])

@@ -158,7 +158,7 @@ def ragdoll_transforms(
 def _frame_on_body(
     rig: Rig, body: int, joint: int, translations: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return the frame of a joint relative to the body that carries it ``(7,)``.
+    """Return the frame of a joint relative to a descendant body ``(7,)``.
 
     Local transforms are ``(J, 3)`` [m] and ``(J, 4)``.
     """

@@ -37,7 +37,7 @@ class RigidState:
         pressing: Number of contact points with a force.
         awake: Number of bodies that are awake.
         residual: Change of velocities in the last iteration [m/s].
-        follows: Largest step that resolves the drive with the fastest oscillation [s].
+        follows: Largest step that resolves the fastest oscillating drive [s].
         swinging: Joint of that drive; -1 is none.
     """
 
@@ -56,7 +56,7 @@ class RigidState:
 
 
 class RigidStates:
-    """Properties of states of rigid bodies, for other simulations (`RigidSystem`).
+    """Computes body quantities from states, for other simulations (`RigidSystem`).
 
     Attributes:
         bodies: The bodies of the simulation.
@@ -128,7 +128,7 @@ class RigidStates:
         return replace(state, motion=motion)
 
     def push_to(self, state: RigidState, target: RigidState) -> Wrenches:
-        """Return the impulses that change a state to another."""
+        """Return the impulses that change one state to another."""
         before, after, masses = state.motion, target.motion, self.bodies.masses[:, None]
         rotation_vector = so3.log(
             so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7]))

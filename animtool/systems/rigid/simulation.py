@@ -104,7 +104,7 @@ class RigidSimulation(RigidStates):
         forces: Sequence[Force] = (),
         static: Sequence[Collider] = (),
     ) -> None:
-        """Start at a time [s]; ``static`` colliders follow those of bodies."""
+        """Start at a time [s]; ``static`` colliders come after those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
         self._phases = BodyPhases(
@@ -158,7 +158,7 @@ class RigidSimulation(RigidStates):
         return ""
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
-        """Return the state after a step [s], in as many substeps as it needs."""
+        """Return the state after a step [s], with as many substeps as are required."""
         substeps = self._force_solver.required_substeps(t, dt, state.motion)
         if self._forces.is_variable:
             is_constrained = self._is_constrained(state, t, dt)
@@ -209,7 +209,7 @@ class RigidSimulation(RigidStates):
         return self._phases.phase(self._phases.phase_index(t, dt), is_broken)
 
     def _is_constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
-        """Return which bodies have contacts or joints, or are asleep ``(N,)``."""
+        """Return a mask of bodies with contacts or joints, or asleep ``(N,)``."""
         is_constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.is_variable:
             return is_constrained
@@ -296,7 +296,7 @@ class RigidSimulation(RigidStates):
         )
 
     def _check(self, motion: FloatArray, t: float) -> None:
-        """Raise SIM102 if a state is not finite or far too large."""
+        """Raise SIM102 if a state is not finite or out of bounds."""
         is_finite = np.abs(motion[:, :10]).max(axis=1, initial=0.0) <= MAX_POSITION
         is_finite &= np.abs(motion[:, 10:13]).max(axis=1, initial=0.0) <= MAX_MOMENTUM
         if is_finite.all():
@@ -329,7 +329,7 @@ class RigidSimulation(RigidStates):
     def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
-        """Return times and loads of breaks ``(K, 3)``, and impulses of all joints."""
+        """Return break times and loads ``(K, 3)``, and the impulses of all joints."""
         all_impulses = impulses
         if len(phase.intact_joints) < len(self.joints.rows):
             all_impulses = np.zeros_like(state.held)
@@ -346,7 +346,7 @@ class RigidSimulation(RigidStates):
     def _wake_sleepers(
         self, motion: FloatArray, step_forces: StepForces, t: float, dt: float
     ) -> FloatArray:
-        """Return body states ``(N, 14)``, awake where forces change."""
+        """Return body states ``(N, 14)``; sleeping bodies wake where forces change."""
         is_asleep = motion[:, 13] >= self._spec.sleep.time
         if not is_asleep.any():
             return motion
@@ -398,7 +398,7 @@ class RigidSimulation(RigidStates):
         )
 
     def is_free(self, t: float) -> BoolArray:
-        """Return which bodies are dynamic from a time [s] on ``(count,)``."""
+        """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
         return self._phases.is_free(t, self._spec.step)
 
     @cached_property
@@ -411,7 +411,7 @@ class RigidSimulation(RigidStates):
         )
 
     def energy(self, state: RigidState) -> Energy:
-        """Return the kinetic energy, and the potential of conservative forces."""
+        """Return kinetic energy, and potential energy of conservative forces."""
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         moments = bodies.moments
@@ -445,7 +445,7 @@ class RigidSimulation(RigidStates):
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
-        """Return the names of the bodies of shapes, then those of colliders."""
+        """Return the body name of each shape, followed by the collider names."""
         bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
         names += [

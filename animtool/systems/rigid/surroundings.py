@@ -39,7 +39,7 @@ class BodyForces:
     def step_wrenches(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return forces [N] and torques [N m] of a step ``(N, 6)``.
 
-        Those of `forces` are evaluated at the start of the step.
+        The fields `forces` are evaluated at the start of the step.
         """
         wrenches, x, v = (
             self.push_wrenches(t, dt, body_states),
@@ -53,7 +53,7 @@ class BodyForces:
     def push_wrenches(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return forces and torques of pushes in a step ``(N, 6)``.
 
-        They are evaluated for the orientations in the middle of the step, so that the
+        Pushes are evaluated for the orientations in the middle of the step, so that the
         energy of bodies that swing under a push does not drift.
         """
         wrenches = np.zeros((len(body_states), 6))
@@ -115,7 +115,7 @@ class BodyForces:
     def has_changed(
         self, forces: FloatArray, t: float, dt: float, body_states: FloatArray
     ) -> BoolArray:
-        """Return for which bodies the force differs in the next step ``(N,)``."""
+        """Return a mask of the bodies whose force changes in the next step ``(N,)``."""
         next_wrenches = self.step_wrenches(t + dt, dt, body_states)
         magnitudes = np.linalg.norm(forces, axis=1)
         return np.asarray(
@@ -176,7 +176,7 @@ class StepColliders:
     """Colliders of a step, in the kernel's layout.
 
     Attributes:
-        colliders: All of them.
+        colliders: All colliders of the step.
         first: Index of the first collider of a kinematic body.
     """
 
@@ -216,7 +216,7 @@ def _end_points(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatAr
 def _rigid_collider(sheet: Sheet, t: float, end: float) -> Collider:
     """Return a surface as a collider with the shape at the start of a step.
 
-    It moves with the rigid motion that fits the surface's points best (Kabsch, 1976).
+    The pose follows the least-squares rigid motion of the points (Kabsch, 1976).
     """
     start_points, end_points = _end_points(sheet, t, end)
     collider = sheet.collider(start_points, sheet.motion.triangles(t))

@@ -196,7 +196,7 @@ def _frame_index(
 def _start_notices(
     ragdoll: Ragdoll, colliders: Colliders, mass: float | None
 ) -> list[Fault]:
-    """Return warnings about a mass in grams, and bodies wholly inside colliders.
+    """Return warnings about a mass in grams, and about bodies inside colliders.
 
     ``mass`` [kg] is the requested one (SIM126, SIM200).
     """
@@ -240,11 +240,11 @@ def _notices(
     fall_transforms: tuple[FloatArray, FloatArray],
     first_frame: float,
 ) -> list[Fault]:
-    """Return the notices of a run, with the joint that exceeds its limits most.
+    """Return the notices of a run, including the joint that exceeds its limits most.
 
     Args:
         ragdoll: The ragdoll.
-        run: Its simulation.
+        run: The simulation run of the ragdoll.
         fall_transforms: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of
             all joints in the fall.
         first_frame: First frame of the fall.
@@ -283,7 +283,7 @@ def _notices(
 
 
 def _check(options: RagdollOptions, option: str = "") -> None:
-    """Raise the faults of all options, or of one."""
+    """Raise the faults of all options, or of the named option only."""
     faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
     if faults:
         raise OptionError(faults)

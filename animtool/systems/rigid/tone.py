@@ -30,7 +30,7 @@ _FINGER_NAMES = re.compile(
 def with_finger_capsules(
     rig: Rig, world: WorldTransforms, capsules: JointCapsules
 ) -> JointCapsules:
-    """Return the capsules of a rig, with those of fingers added to its hands.
+    """Return the capsules of a rig, with finger capsules added to the hands.
 
     A hand is a joint that has capsules, has no descendants with capsules, and from
     which fingers branch off.
@@ -84,7 +84,7 @@ def with_finger_capsules(
 
 
 def _joint_chain(children: dict[int, list[int]], joint: int) -> list[int]:
-    """Return a joint and its descendants, up to the first branch."""
+    """Return a joint and its descendants up to the first branching joint."""
     chain = [joint]
     while len(children.get(chain[-1], ())) == 1:
         chain.append(children[chain[-1]][0])

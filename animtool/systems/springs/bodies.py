@@ -93,7 +93,7 @@ class BodyEntry:
 
 
 def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
-    """Build a rope; return None if it has faults."""
+    """Build a rope; return None if the keys have faults."""
     if not 2 <= model.count <= MAX_PARTICLES:
         message = f"a rope has 2 to {MAX_PARTICLES} particles, not {model.count}"
         entry.report_fault("SIM050", message, "count")
@@ -121,7 +121,7 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
 
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
-    """Build strands; return None if they have faults."""
+    """Build strands; return None if the keys have faults."""
     points = entry.parts["points"]
     if points is not None and not (
         points.ndim == 3
@@ -146,7 +146,7 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
 
 
 def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
-    """Build a sheet or mesh of cloth; return None if it has faults."""
+    """Build a sheet or mesh of cloth; return None if the keys have faults."""
     if model.mesh is not None:
         reason = "applies to a sheet, but this is a mesh"
         _report_unused_keys(
@@ -192,7 +192,7 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
 
 
 def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
-    """Build cloth from a polygon mesh; return None if it has faults."""
+    """Build cloth from a polygon mesh; return None if the mesh has faults."""
     mesh = entry.parts["mesh"]
     if mesh is None:
         return None
@@ -219,7 +219,7 @@ def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
 def _area_fractions(
     points: FloatArray, counts: IntArray, indices: IntArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return each point's fraction of the area ``(N,)``, and faces without area."""
+    """Return each point's fraction of the total area ``(N,)``, and zero-area faces."""
     starts = np.cumsum(counts) - counts
     centres = np.add.reduceat(points[indices], starts) / counts[:, None]
     next_corners = directed_edges(counts, indices)[:, 1]
@@ -268,7 +268,7 @@ def _mesh_warnings(
 
 
 def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
-    """Build a block or tetrahedra; return None if they have faults."""
+    """Build a block or tetrahedra; return None if the keys have faults."""
     if model.tetrahedra is not None:
         reason = "applies to a block, but this has tetrahedra"
         _report_unused_keys(entry, model, {"corner", "size", "resolution"}, reason)
@@ -295,7 +295,7 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
 
 
 def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
-    """Build a volume of tetrahedra; return None if it has faults."""
+    """Build a volume of tetrahedra; return None if the arrays have faults."""
     points, cells = (entry.parts["tetrahedra"][name] for name in ("points", "cells"))
     edges = entry.families["structural"]
     if edges is None:
@@ -319,7 +319,7 @@ def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
 
 
 def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
-    """Return what is wrong with arrays of tetrahedra; empty if nothing is."""
+    """Return what is wrong with arrays of tetrahedra; empty if they are valid."""
     if points.ndim != 2 or points.shape[1:] != (3,) or not len(points):
         return f"points have the shape (particles, 3), not {points.shape}"
     if cells.ndim != 2 or cells.shape[1:] != (4,) or not len(cells):
@@ -335,7 +335,7 @@ def _tetrahedra_fault(points: FloatArray, cells: FloatArray) -> str:
 
 
 def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Return each point's fraction of the volume ``(N,)``."""
+    """Return each point's fraction of the total volume ``(N,)``."""
     edge_vectors = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(edge_vectors))
     size = np.ptp(points, axis=0).max()
@@ -345,7 +345,7 @@ def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
 
 
 def _skin_shape(body: Body) -> FaceShape:
-    """Return the surface triangles of a volume, to draw."""
+    """Return the surface triangles of a volume, for display."""
     triangles = body.triangles
     counts = np.full(len(triangles), 3)
     return FaceShape(counts, triangles.ravel(), body.springs, closed=True)

@@ -40,7 +40,7 @@ class Springs(Rows):
 
     @staticmethod
     def none() -> Springs:
-        """Return no springs."""
+        """Return a set without springs."""
         return Springs(np.zeros((0, 2), np.int64), *np.zeros((4, 0)))
 
     def lengths(self, points: FloatArray) -> FloatArray:
@@ -57,7 +57,7 @@ class Body:
     Attributes:
         positions: ``(N, 3)`` [m].
         masses: ``(N,)`` [kg].
-        springs: Between them.
+        springs: Springs between the particles.
         triangles: Corners ``(T, 3)``.
     """
 
@@ -77,10 +77,10 @@ def springs_between(
     """Return springs of a family between particles, at rest in their positions.
 
     Args:
-        ends: Particles to join ``(S, 2)``.
+        ends: Particles that each spring connects ``(S, 2)``.
         family: Stiffness, damping and tear limit.
-        positions: Of particles ``(N, 3)`` [m].
-        masses: ``(N,)`` [kg].
+        positions: Positions of the particles ``(N, 3)`` [m].
+        masses: Masses of the particles ``(N,)`` [kg].
         rest: Rest length ``(S,)`` or one for all [m]; None is the distance times the
             rest factor of the family.
 
@@ -119,7 +119,7 @@ def build_body(
     families: Sequence[tuple[ArrayLike, Family | None]],
     triangles: ArrayLike = (),
 ) -> Body:
-    """Return a body with springs of several families; None families are skipped."""
+    """Return a body with springs of all given families; None families are skipped."""
     points = as_floats(positions, ("N", 3), "positions")
     particle_masses = np.broadcast_to(
         np.asarray(masses, np.float64), len(points)
@@ -231,10 +231,11 @@ class SpringForces:
     inverse_masses: FloatArray  # ``(N,)`` [1/kg], 0 for pinned particles
     drags: FloatArray  # drag per mass and speed ``(N,)`` [1/s]
     springs: Springs
-    triangles: IntArray  # surface that air acts on ``(T, 3)``
+    triangles: IntArray  # triangles on which air acts ``(T, 3)``
     gravity: FloatArray  # ``(3,)`` [m/s²]
-    air_coefficients: tuple[float, float]  # air drag and lift over area and speed²
-    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)  # particles ``(P,)``
+    air_coefficients: tuple[float, float]  # air drag and lift per area and speed²
+    # Indices of the pinned particles ``(P,)``.
+    pinned: IntArray = field(default_factory=NO_PARTICLES.copy)
     target_springs: TargetSprings = NO_TARGETS
 
     def network(self, paths: Paths) -> _kernels.SpringNetwork:

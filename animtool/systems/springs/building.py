@@ -47,7 +47,7 @@ def build(spec: SpringsModel, context: SimContext) -> SpringSimulation:
 
 
 class _SystemBuilder:
-    """Joins the bodies of several entries to one particle system."""
+    """Joins the bodies of all entries into one particle system."""
 
     def __init__(self, spec: SpringsModel, context: SimContext) -> None:
         self._spec, self._context = spec, context
@@ -196,7 +196,7 @@ class _SystemBuilder:
     def _warn_distant_pins(
         self, name: str, carrier: BodyCarrier, bodies: TiedBodies, points: FloatArray
     ) -> None:
-        """Warn about pins that start farther from their body than its size."""
+        """Warn about pins that start farther from a body than the size of the body."""
         gap, size = bodies.surface_distance(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
@@ -223,7 +223,7 @@ class _SystemBuilder:
         return system.starting_at(equilibrium.positions)
 
     def _warn_gap(self, subject: str, gap: float) -> None:
-        """Warn about merged or pinned particles that start apart by a gap [m]."""
+        """Warn about merged or pinned particles that start a gap [m] apart."""
         if gap > MAX_GAP:
             message = (
                 f"{subject} {length_text(gap)} from where they are built: springs "
@@ -245,5 +245,5 @@ def _stands_on_pins(system: SpringSystem) -> bool:
 
 
 def _uses_faces(entry: SpringEntry) -> bool:
-    """Return whether wind acts on the faces of an entry, or they collide."""
+    """Return whether wind acts on the faces of an entry, or the faces collide."""
     return isinstance(entry.spec.air, FaceWindModel) or entry.spec.contact is not None

@@ -16,7 +16,7 @@ MAX_NAMED = 5
 
 
 def excerpt_numbers(numbers: IntArray) -> str:
-    """Return the first of some numbers as text, and how many more there are."""
+    """Return the first few numbers as text, followed by the count of the others."""
     more = len(numbers) - MAX_NAMED
     text = ", ".join(map(str, numbers[:MAX_NAMED].tolist()))
     return f"{text} and {more} more" if more > 0 else text
@@ -101,7 +101,7 @@ def start_notices(body: Body) -> list[Fault]:
 def _faults_by_particle(
     code: str, message: str, particles: IntArray, hint: str | None = None
 ) -> list[Fault]:
-    """Return a fault for each of the first particles of many."""
+    """Return a fault for each of the first few particles, and one for the others."""
     faults = [
         Fault(code, f"particle {i}: {message}", where="body", hint=hint)
         for i in particles[:MAX_NAMED].tolist()
@@ -113,7 +113,7 @@ def _faults_by_particle(
 
 
 def _faults_by_row(message: str, is_invalid: BoolArray | np.bool) -> list[Fault]:
-    """Return a fault (SIM042) for each of the first bad rows."""
+    """Return a fault (SIM042) for each of the first few invalid rows."""
     return [
         Fault("SIM042", message.format(i), where="body")
         for i in np.flatnonzero(is_invalid)[:MAX_NAMED].tolist()
@@ -121,7 +121,7 @@ def _faults_by_row(message: str, is_invalid: BoolArray | np.bool) -> list[Fault]
 
 
 def _particle_faults(particles: IntArray, where: str, count: int) -> list[Fault]:
-    """Return a fault (SIM043) for each of the first unknown particles."""
+    """Return a fault (SIM043) for each of the first few unknown particles."""
     unknown_particles = particles[(particles < 0) | (particles >= count)]
     message = f"unknown particle {{}}: they are 0 to {count - 1}"
     return [
@@ -177,7 +177,7 @@ def tangle_notices(
 ) -> list[Fault]:
     """Return a warning if a surface starts self-intersecting (SIM166).
 
-    Its points are ``(N, 3)`` [m].
+    The points of the surface are ``(N, 3)`` [m].
 
     >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1]])
     >>> points = np.append(points, [[0.2, 0.2, 1], [2, 2, 0]], axis=0)

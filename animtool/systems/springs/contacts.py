@@ -1,4 +1,4 @@
-"""Colliders over cells of time, as kernel arguments."""
+"""Colliders over time cells, as kernel arguments."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ CellColliders: TypeAlias = tuple[Any, ...] | None
 
 @dataclass(frozen=True, slots=True)
 class Cells:
-    """Consecutive cells of time of equal length."""
+    """Consecutive time cells of equal length."""
 
     origin: float  # start time of cell 0 [s]
-    length: float  # of each cell [s]
+    length: float  # length of each cell [s]
     index: int  # index of the first cell
     count: int
 
 
 class PosedColliders(NamedTuple):
-    """Poses of the last C colliders, carried by joints, and skin meshes in motion."""
+    """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
 
-    sizes: FloatArray  # ``(C, 13)`` [m], as kernels have them
+    sizes: FloatArray  # sizes in the layout of kernels ``(C, 13)`` [m]
     poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
     # Signed distances, at most 0, that particles may have from rigid colliders and
     # skin meshes ``(R, N)`` [m].
     depths: FloatArray
-    skins: Sequence[Any]  # kernel surfaces, before those of the world
-    inside: float  # deeper particles stay inside [m]
+    skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
+    inside: float  # depth below which particles stay inside [m]
 
 
 def cell_colliders(
@@ -49,7 +49,7 @@ def cell_colliders(
     cells: Cells,
     posed: PosedColliders | None = None,
 ) -> CellColliders:
-    """Return kernel arguments of colliders for some cells; None without colliders."""
+    """Return kernel arguments of colliders over ``cells``; None without colliders."""
     if not colliders.active and (posed is None or not posed.skins):
         return None
     origin, index, count = cells.origin, cells.index, cells.count

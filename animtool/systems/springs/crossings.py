@@ -105,9 +105,9 @@ def _side_and_diagonal_pairs(shape: FaceShape) -> IntArray:
 
 
 def collider_thickness(collider: Collider) -> float:
-    """Return the thickness of a collider across its length [m]; infinite if unknown.
+    """Return the thickness of a collider across its length [m]; else infinity.
 
-    For a box it is its second-longest side: plates are hit on their face.
+    For a box, this is the second-longest side: plates are hit on a face.
     """
     shape = collider.shape
     if isinstance(shape, Sphere | Capsule):

@@ -30,7 +30,7 @@ class CurveShape:
     """
 
     counts: IntArray  # particles of each curve ``(C,)``
-    width: float  # of the curves [m]
+    width: float  # width of the curves [m]
     springs: Springs  # springs between the particles
 
     @property
@@ -71,8 +71,8 @@ class FaceShape:
 
     counts: IntArray  # corners of each face ``(M,)``
     indices: IntArray  # corners, face by face
-    springs: Springs  # between the particles
-    closed: bool = False  # whether only its outside is visible
+    springs: Springs  # springs between the particles
+    closed: bool = False  # whether only the outside of the surface is visible
 
     @property
     def can_tear(self) -> bool:
@@ -124,7 +124,7 @@ Shape: TypeAlias = CurveShape | FaceShape
 
 
 def _spring_of_pairs(springs: Springs, pairs: IntArray) -> IntArray:
-    """Return the first spring between each pair of particles ``(P,)``, or -1."""
+    """Return the first spring between each pair of particles ``(P,)``; -1 for none."""
     if not len(springs.rest):
         return np.full(len(pairs), -1)
     size = int(max(springs.ends.max(), pairs.max(initial=0))) + 1
@@ -153,7 +153,7 @@ class Tearing:
         indices: Corners, face by face.
         size: Number of points.
         springs: Side springs that ever tear ``(E,)``.
-        ends: Their particles ``(E, 2)``.
+        ends: Particles at both ends of those springs ``(E, 2)``.
         half_edges: Half the rest vector from first to second end ``(E, 3)`` [m].
         rotations: Rotations of particles at tears.
         middles: Face middles.
@@ -226,7 +226,7 @@ class _NeighbourRotations:
 
     particles: IntArray  # ascending ``(P,)``
     owners: IntArray  # row in `particles` for each neighbour ``(K,)``
-    neighbours: IntArray  # particles that stay connected to them ``(K,)``
+    neighbours: IntArray  # particles that stay connected to an owner ``(K,)``
     rest_offsets: FloatArray  # rest vectors to the neighbours ``(K, 3)`` [m]
 
     def rows(self, particles: IntArray) -> IntArray:
@@ -234,7 +234,7 @@ class _NeighbourRotations:
         return np.searchsorted(self.particles, particles)
 
     def sample(self, particles: FloatArray) -> FloatArray:
-        """Return rotations ``(P, 3, 3)`` fitted at particle positions ``(N, 3)``."""
+        """Return rotations ``(P, 3, 3)`` fitted to current positions ``(N, 3)``."""
         neighbour_offsets = (
             particles[self.neighbours] - particles[self.particles[self.owners]]
         )
@@ -251,11 +251,11 @@ class _NeighbourRotations:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Middle:
-    """The middle point of a torn face, once for each run of corners around it."""
+    """Middle points of a torn face: one for each run of corners around the face."""
 
-    corners: IntArray  # of the face ``(C,)``
-    run_of_corner: IntArray  # ``(C,)``
-    springs: IntArray  # between a run and the next, around the face ``(P,)``
+    corners: IntArray  # particles at the corners of the face ``(C,)``
+    run_of_corner: IntArray  # index of the run of each corner ``(C,)``
+    springs: IntArray  # side spring from each run to the next ``(P,)``
     rest_offsets: FloatArray  # from corners to the middle at rest ``(C, 3)`` [m]
 
     def positions(
@@ -403,7 +403,7 @@ def _build_middle(
 
 
 def polar_rotations(covariances: FloatArray, scales: FloatArray) -> FloatArray:
-    """Return the polar rotations of covariances ``(..., 3, 3)`` with some scales."""
+    """Return the rotations of regularised polar decompositions ``(..., 3, 3)``."""
     regularization = ROTATION_REGULARIZATION * scales[..., None, None] * np.eye(3)
     u, _, v = np.linalg.svd(covariances + regularization)
     u[..., -1] *= np.sign(np.linalg.det(u @ v))[..., None]

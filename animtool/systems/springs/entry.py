@@ -72,7 +72,7 @@ class SpringEntry:
 
     @property
     def reads(self) -> list[str]:
-        """Inputs besides its own particles, as text."""
+        """Inputs of the entry in addition to its own particles, as text."""
         reads = [counted(len(self.pins), "pin")] if self.pins else []
         reads += [f"{join.to.system}, joined" for join in self.joins]
         reads += ["the wind"] if self.spec.air is not None else []
@@ -147,7 +147,7 @@ def join_pairs(members: Sequence[Member], starts: IntArray) -> IntArray:
 def read_entry(
     spec: Any, parts: Mapping[str, Any]
 ) -> tuple[SpringEntry | None, list[Fault]]:
-    """Build the record of an entry, None if it has faults; also return all faults."""
+    """Build the record of an entry, or None with faults; also return all faults."""
     entry = BodyEntry(spec, parts)
     entry.families = _families(entry)
     entry.mass = entry.checked_mass("mass", spec.mass)
@@ -203,7 +203,7 @@ def _families(entry: BodyEntry) -> dict[str, Family | None]:
 
 
 def _family(entry: BodyEntry, name: str, model: Any) -> Family:
-    """Return a spring family; replace invalid numbers by one without force."""
+    """Return a spring family; a family with invalid numbers has no force."""
     keys = ("stiffness", "frequency", "axial_stiffness")
     specified = [key for key in keys if getattr(model, key, None) is not None]
     family = record_of(Family, model)
@@ -248,7 +248,7 @@ def _check_solver(spec: SpringsModel) -> None:
 
 
 def _check_wind(entry: BodyEntry) -> None:
-    """Report gusts out of order, and wind faster than the speed limit."""
+    """Report faults of wind: gusts out of order, and speeds above the limit."""
     wind = entry.spec.air
     if wind is None:
         return

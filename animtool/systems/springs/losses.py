@@ -40,7 +40,7 @@ class EnergyLoss:
 
     @property
     def fraction(self) -> float:
-        """Lost energy relative to the largest kinetic energy so far [1]."""
+        """Lost energy as a fraction of the largest kinetic energy so far [1]."""
         if not self._max_kinetic > 0.5 * self.mass * REST_SPEED**2:
             return 0.0
         return max(self._lost_energy, 0.0) / max(self._lost_energy, self._max_kinetic)

@@ -24,15 +24,15 @@ MAX_RATE = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Piercing:
-    """Largest self-piercing counts of a surface at any one time."""
+    """Maximum self-piercing counts of a surface over time."""
 
-    passed: int = 0  # particles through triangles, not yet resolved
-    cut: int = 0  # pairs of edges that passed through each other
-    # Step rate that detects all fast contacts [1/s]; 0 if the rate used did.
+    passed: int = 0  # number of particles through triangles, not yet resolved
+    cut: int = 0  # number of edge pairs that passed through each other
+    # Step rate needed to detect all fast contacts [1/s]; 0 if the current one suffices.
     rate: float = 0.0
 
     def maximum(self, more: Piercing) -> Piercing:
-        """Return the larger of each count."""
+        """Return the element-wise maximum of these counts and those of ``more``."""
         return Piercing(
             max(self.passed, more.passed),
             max(self.cut, more.cut),
@@ -42,7 +42,7 @@ class Piercing:
 
 @dataclass(frozen=True, slots=True)
 class SpringState:
-    """State of springs at the start of a cell of time, sufficient to resume."""
+    """State of springs at the start of a time cell, sufficient to resume."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] ``(2, N, 3)``
     torn: Flags
@@ -63,26 +63,26 @@ class SpringState:
 
 @dataclass(frozen=True, slots=True)
 class TimeGrid:
-    """A motion at a point of its time grid, with counts over the cells so far."""
+    """A spring motion at one point of its time grid, with counts over earlier cells."""
 
     solver: Solver  # active solver
     origin: float  # start time of cell 0 [s]
     cell: float  # length of a cell [s]
     index: int  # index of the next cell
-    state: SpringState  # state at the start of that cell
+    state: SpringState  # state at the start of the current cell
     # Largest strain of xpbd springs beyond their compliance [1].
     stretch: float = 0.0
     steps: int = 0
-    evaluations: int = 0  # evaluations of all spring forces
+    evaluations: int = 0  # number of evaluations of all spring forces
     lost: bool = False  # whether the last cell could not be solved
-    max_contacts: int = 0  # most particles of xpbd in contact at once
-    unresolved: int = 0  # most particles left inside colliders
+    max_contacts: int = 0  # maximum number of xpbd particles in contact at one time
+    unresolved: int = 0  # maximum number of particles left inside colliders
     # Impulse on rigid colliders in the last cells ``(C, 7)``: impulse, moment about the
-    # origin, and the largest mass in contact at once.
+    # origin, and the largest mass in contact at one time.
     pushes: FloatArray = field(default_factory=lambda: np.zeros((0, 7)))
     # Impulses on rigid bodies that carry pins in the last cell, by system.
     tied: tuple[Wrenches, ...] = ()
-    # Largest counts of self-piercing.
+    # Maximum counts of self-piercing over time.
     piercing: Piercing = field(default_factory=Piercing)
 
     @property
@@ -99,7 +99,7 @@ class TimeGrid:
         inside: int,
         pushes: FloatArray,
     ) -> TimeGrid:
-        """Return the grid some cells later, at a new state."""
+        """Return the time grid ``cells`` cells later, with a new state."""
         return replace(
             self,
             index=self.index + cells,

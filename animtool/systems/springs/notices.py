@@ -39,7 +39,7 @@ class _Simulation(Protocol):
 
 
 def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
-    """Return warnings about the motion so far; the one that stopped it last."""
+    """Return warnings about the motion so far, with the reason of a stop last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
         *_step_notices(simulation, stats),
@@ -105,7 +105,7 @@ def _strain_notices(simulation: _Simulation) -> list[Fault]:
 
 
 def _convergence_hint(simulation: _Simulation) -> str:
-    """Return what to change if Newton's method did not converge."""
+    """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
     step = None if unsolved is None else find_solvable_step(system, unsolved)
     ties, hint = system.ties, "use a shorter step"
@@ -128,7 +128,7 @@ def _convergence_hint(simulation: _Simulation) -> str:
 
 
 def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
-    """Return why no solver of ``auto`` is suitable, and alternatives (SIM178)."""
+    """Return a warning that no solver suits ``auto``, with alternatives (SIM178)."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "

@@ -28,10 +28,10 @@ TIME_TOLERANCE = 1e-9
 class Pins:
     """Pinned particles and their positions over time.
 
-    Positions are linear between times and constant outside of them.
+    Positions are interpolated linearly between times and constant outside of them.
 
     Attributes:
-        particles: Their indices ``(P,)``.
+        particles: Indices of the pinned particles ``(P,)``.
         positions: At the times ``(K, P, 3)``, or ``(P, 3)`` if static [m]; None keeps
             the positions of the body.
         times: Ascending ``(K,)`` [s]; None if static.
@@ -48,7 +48,7 @@ class PointTargets:
 
     Attributes:
         particles: Pulled particles ``(A,)``; repeats are allowed.
-        positions: Of the points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
+        positions: Target points at the times ``(K, A, 3)``, or ``(A, 3)`` if static
             [m].
         stiffness: Force over distance, of each or of all [N/m].
         damping: Force over the speed between particle and point, of each or all
@@ -91,7 +91,7 @@ def resample_to_shared_times(
 
 
 def merge_constraints(constraints: Sequence[Constraint]) -> Constraint | None:
-    """Merge pins, or targets, with times into one record; None without any."""
+    """Merge timed pins or targets into one record; None if there are none."""
     if not constraints:
         return None
     names = {field.name for field in fields(constraints[0])} - {"positions", "times"}
@@ -125,7 +125,7 @@ def position_at(path: Path, t: float) -> FloatArray:
 
 
 def max_speed_and_travel(path: Path) -> tuple[float, float]:
-    """Return a path's largest speed [m/s] and distance from its start [m]."""
+    """Return the maximum speed of a path [m/s] and distance from its start [m]."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
@@ -135,7 +135,7 @@ def max_speed_and_travel(path: Path) -> tuple[float, float]:
 
 
 def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
-    """Return positions of a path interpolated at other times ``(K, P, 3)`` [m]."""
+    """Return path positions interpolated at the times ``knots`` ``(K, P, 3)`` [m]."""
     after = np.clip(np.searchsorted(times, knots, "right"), 1, len(times) - 1)
     begin, end = times[after - 1], times[after]
     fraction = np.clip((knots - begin) / (end - begin), 0.0, 1.0)[:, None, None]
@@ -144,7 +144,7 @@ def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatAr
 
 
 class Teleports:
-    """Teleports of pins and targets, which move attached particles along.
+    """Teleports of pins and targets, which move the attached particles as well.
 
     Driven particles ``(H,)`` are those of pins, then those of targets. If one of a
     connected group is faster than the limit [m/s], all driven particles of the group
@@ -183,7 +183,7 @@ class Teleports:
         return int(np.searchsorted(self.times, t + TIME_TOLERANCE, "right"))
 
     def _cells_until_teleports(self, grid: TimeGrid) -> list[int]:
-        """Return the number of cells from a grid to each teleport."""
+        """Return the number of cells from the grid's current cell to each teleport."""
         cells = [
             (t - TIME_TOLERANCE - grid.origin) / grid.cell for t in self.times.tolist()
         ]
@@ -194,7 +194,7 @@ class Teleports:
         return sum(cells <= 0 for cells in self._cells_until_teleports(grid))
 
     def cells_until_next(self, grid: TimeGrid) -> float:
-        """Return the number of cells before the next teleport."""
+        """Return the number of cells from the current cell to the next teleport."""
         return min(
             (c for c in self._cells_until_teleports(grid) if c > 0), default=math.inf
         )
@@ -266,7 +266,7 @@ def _connected_groups(body: Body) -> IntArray:
 
 
 def _teleports_by_group(is_too_fast: BoolArray, groups: IntArray) -> BoolArray:
-    """Return which driven particles teleport ``(K - 1, H)``, with their groups."""
+    """Return a mask of teleports ``(K - 1, H)``, extended to complete groups."""
     _, numbers = np.unique(groups, return_inverse=True)
     group_teleports = np.zeros((len(is_too_fast), numbers.max(initial=-1) + 1), bool)
     row, column = np.nonzero(is_too_fast)

@@ -37,11 +37,11 @@ CARRIER_KEYS = ("joint", "vertex", "prim", "body")
 
 @dataclass(frozen=True, slots=True)
 class Pin:
-    """Particles pinned to a carrier, or pulled to it."""
+    """Particles that are pinned to a carrier, or pulled towards it by springs."""
 
     model: PinModel
-    particles: IntArray  # their indices ``(P,)``
-    carrier: Any = None  # its carrier, for `SimContext.poses`
+    particles: IntArray  # indices of the pinned particles ``(P,)``
+    carrier: Any = None  # carrier of the pin, for `SimContext.poses`
     where: str = "pins"  # location in the scene entry
 
     @property
@@ -91,7 +91,7 @@ PinPoses: TypeAlias = Sequence[tuple[Pin, Poses]]
 class Join:
     """Particles merged with those of another system."""
 
-    particles: IntArray  # their indices ``(P,)``
+    particles: IntArray  # indices of the particles to merge ``(P,)``
     to: JoinedModel
     where: str  # location in the scene entry
 
@@ -130,7 +130,7 @@ def _claim_particles(
     particles: IntArray,
     pin_of_particle: dict[int, PinModel],
 ) -> IntArray:
-    """Return the particles that no earlier pin has, and assign them to a pin.
+    """Assign particles without an earlier pin to this pin, and return them.
 
     Particles that an earlier pin has with other keys are reported as a fault.
     """
@@ -270,7 +270,7 @@ def constraints_of(pins: PinPoses, points: FloatArray) -> list[Pins | PointTarge
 def align_to_pins(pins: PinPoses, points: FloatArray, begin: float) -> FloatArray:
     """Return points ``(N, 3)`` [m] moved rigidly to fit pins with an offset.
 
-    It uses the smallest rotation that fits the pins at the start time [s].
+    The rotation is the smallest that fits the pins at the start time [s].
     """
     offset_pins = [(pin, poses) for pin, poses in pins if pin.offset is not None]
     if not offset_pins:

@@ -112,7 +112,7 @@ class SpringOptions:
         solver: Of `Solver`.
         step: None lets the solver choose the number of steps in each 1/240 s.
         stretch: Strain above which steps are halved [1].
-        growth: Energy gain, relative to the initial and supplied energy, that counts as
+        growth: Energy gain relative to the initial and supplied energy that counts as
             blow-up; not checked for xpbd, nor for implicit solvers with colliders.
         longest: Spring length, in rest lengths, that counts as blow-up.
     """

@@ -57,9 +57,9 @@ def find_rest(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Rest:
-    """Return the static equilibrium with pins as they are at a time.
+    """Return the static equilibrium for pins fixed at their positions at a time [s].
 
-    Minimizes the energy by Newton's method, regularized so that each step lowers it. If
+    Minimizes the energy by Newton's method, regularized to decrease at each step. If
     the first step raises it, particles descend with strong damping for a while, if that
     is cheap. Air is ignored.
 
@@ -103,7 +103,7 @@ def find_rest(
 
 
 def _damped_descent(system: SpringSystem, start: _Configuration) -> _Configuration:
-    """Return the state after damped motion; the start if that takes too many steps.
+    """Return the state after damped motion; the start if it needs too many steps.
 
     Sheets fold during the descent, where Newton's method needs many short steps.
     """
@@ -162,7 +162,7 @@ class _Configuration:
         self.typical_stiffness = float(stiffnesses.max(initial=1.0))
 
     def newton_step(self, regularization: float) -> _Configuration | None:
-        """Return the result of one Newton step; None if it does not descend."""
+        """Take one Newton step; return None if it is not a descent direction."""
         from scipy.sparse import diags_array
         from scipy.sparse.linalg import splu
 

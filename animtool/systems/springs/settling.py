@@ -43,10 +43,10 @@ class XpbdRest:
 def find_xpbd_rest(
     system: SpringSystem, options: SpringOptions, choice: SolverChoice, t: float
 ) -> XpbdRest:
-    """Return springs that start in the rest state of xpbd, near the equilibrium.
+    """Return springs that start in the rest state of xpbd, near static equilibrium.
 
     A step of xpbd visits each spring once, so that long chains hang lower than in
-    equilibrium and would fall at the start. They fall here instead, with velocities
+    equilibrium and would fall at the start. The fall is simulated here, with velocities
     reset whenever the kinetic energy peaks, until they rest. With `auto`, steps are
     halved as long as that reduces the gap.
 
@@ -85,19 +85,19 @@ def find_xpbd_rest(
 
 @dataclass(frozen=True, slots=True)
 class _Descent:
-    """Result of a descent that stops repeatedly."""
+    """Result of a descent with kinetic damping: velocities are repeatedly set to 0."""
 
     rest: FloatArray  # final positions (N, 3) [m]
     speed: float  # speed of the fastest particle [m/s]
     substeps: int  # steps in a cell
-    work: int  # springs times steps so far
+    work: int  # number of springs times steps so far
     gap: float  # largest distance from the start [m]
 
 
 def _descend(
     frozen: SpringSystem, options: SpringOptions, choice: SolverChoice, work: int
 ) -> _Descent:
-    """Return the rest state of springs with frozen pins."""
+    """Return the rest state of springs with frozen pins, by kinetic damping."""
     motion = np.ascontiguousarray(frozen.state)
     state = SpringState(motion, frozen.untorn_flags, choice.substeps, choice.substeps)
     grid = TimeGrid(choice.solver, 0.0, choice.cell, 0, state)
@@ -124,7 +124,7 @@ def _descend(
 
 
 def _with_zero_velocities(state: SpringState) -> FloatArray:
-    """Return the motion of a state with zero velocities."""
+    """Return the positions of a state, with all velocities set to 0 ``(2, N, 3)``."""
     motion = state.motion.copy()
     motion[1] = 0.0
     return motion

@@ -177,7 +177,7 @@ def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
 
 
 def _corner_pairs(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
-    """Return each corner with the one some steps further around its face ``(C, 2)``."""
+    """Return pairs of corners that are ``steps`` apart around a face ``(C, 2)``."""
     starts = np.repeat(np.cumsum(counts) - counts, counts)
     corner_offsets, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
     partners = starts + (corner_offsets + np.repeat(steps, counts)) % np.maximum(
@@ -200,7 +200,7 @@ def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:
 
 
 def _contains_pairs(pairs: IntArray, allowed: IntArray) -> BoolArray:
-    """Return which pairs are among the allowed ones ``(P,)``."""
+    """Return a mask of the pairs that are in ``allowed`` ``(P,)``."""
     size = int(max(pairs.max(initial=0), allowed.max(initial=0))) + 1
     return np.isin(pairs @ [size, 1], allowed @ [size, 1])
 

@@ -119,7 +119,7 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
 def _refine_until(
     simulate_with: Callable[[int], SpringMotion], choice: SolverChoice, error: float
 ) -> SpringMotion:
-    """Return the motion in the longest steps whose estimated error is in bounds."""
+    """Return the motion with the longest steps that keep the error within bounds."""
     coarse = simulate_with(choice.substeps)
     factor = 1 / (HALVING_ERROR_RATIO[choice.solver] - 1)
     substeps, estimate = choice.substeps, np.inf
@@ -146,7 +146,7 @@ def _refine_until(
 def _run_plan(
     plan: SpringPlan, start_grid: TimeGrid, times: FloatArray, progress: Progress
 ) -> SpringMotion:
-    """Return the motion at some times, until the simulation stops."""
+    """Return the motion at the sample times that were reached before a stop."""
     simulation = SpringSimulation(plan, start_grid, float(times[-1]), progress)
     simulation.releases_states = False
     start = ReachedState(start_grid.index, start_grid.state)
@@ -191,7 +191,7 @@ def plan_springs(
     *,
     starts_at_rest: bool,
 ) -> SpringPlan:
-    """Return springs with a solver and steps that meet the requested error.
+    """Return springs with a solver and steps that meet the requested error bound.
 
     With ``starts_at_rest``, xpbd starts in its own rest state.
     """

@@ -1,4 +1,4 @@
-"""Springs as a simulation in cells of time."""
+"""Simulation of springs in time cells."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class SpringPlan:
 
 
 class SpringSimulation:
-    """Simulates springs in cells of time; its counters serve warnings only.
+    """Simulates springs in time cells; counters are used for warnings only.
 
     Attributes:
         grid: Current grid position, with counts over all cells so far.
@@ -134,7 +134,7 @@ class SpringSimulation:
     def step(
         self, state: SpringState, t: float, dt: float
     ) -> SpringState | Stepped[SpringState]:
-        """Return the state a cell later, or within the cell; raise SIM102 or SIM105."""
+        """Return the state after a cell, or within the cell; raise SIM102 or SIM105."""
         if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
         self._set_grid(state, t)
@@ -155,7 +155,7 @@ class SpringSimulation:
         dt: float,  # noqa: ARG002
         count: int,
     ) -> Stepped[SpringState]:
-        """Return the state some cells later, and impulses on other bodies."""
+        """Return the state after ``count`` cells, and impulses on other bodies."""
         self._set_grid(state, t)
         target = self.grid.index + count
         while self.grid.index < target:
@@ -168,7 +168,7 @@ class SpringSimulation:
         return Stepped(self.grid.state, self.wrenches)
 
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
-        """Return impulses on bodies of other systems in the next cell."""
+        """Return the impulses on bodies of other systems in the next cell."""
         grid = self.grid
         self._set_grid(state, t)
         self._advance(1)
@@ -176,7 +176,7 @@ class SpringSimulation:
         return self.wrenches
 
     def _grid_at(self, state: SpringState, t: float) -> TimeGrid:
-        """Return the grid at a time [s], in a state."""
+        """Return the time grid at a time [s], with a given state."""
         index = round((t - self.begin) / self.grid.cell)
         return replace(self.grid, index=index, state=state)
 
@@ -195,7 +195,7 @@ class SpringSimulation:
         return ""
 
     def _after_teleports(self) -> TimeGrid:
-        """Return the grid at the start of the next cell, after its teleports."""
+        """Return the grid at the start of the next cell, with its teleports applied."""
         grid, jumps = self.grid, self.system.teleports
         stage = jumps.cell_stage(grid)
         previous_stage = jumps.cell_stage(replace(grid, index=grid.index - 1))
@@ -214,7 +214,7 @@ class SpringSimulation:
             self._energy_watch.set_system(self.intact_system)
 
     def _advance(self, cells: int) -> None:
-        """Advance by at most some cells; raise if it cannot continue."""
+        """Advance by at most ``cells`` cells; raise if the solver cannot continue."""
         start_grid, self.wrenches = self._after_teleports(), []
         cells = int(min(cells, self.system.teleports.cells_until_next(start_grid)))
         with np.errstate(all="ignore"):
@@ -237,7 +237,7 @@ class SpringSimulation:
         self.wrenches = [*self._contact_wrenches(), *self.grid.tied]
 
     def _stop(self, status: Status, reason: str) -> None:
-        """Stop with a status and raise its warnings as errors."""
+        """Record the status of the stop, and raise the warnings about it as errors."""
         self.status, self.stop_reason = status, reason
         stats = self.stats(self.grid.time)
         # The fault that stopped it comes last and is reported with the frame.
@@ -280,12 +280,12 @@ class SpringSimulation:
 
     @property
     def is_overstrained(self) -> bool:
-        """Whether xpbd strains springs beyond the limit and their compliance."""
+        """Whether xpbd strains springs beyond their limit and compliance."""
         return not self.grid.stretch <= self.options.stretch
 
     @property
     def shortest_step(self) -> float:
-        """Shortest step so far [s]."""
+        """Shortest step taken so far [s]."""
         return self.grid.cell / self._max_substeps
 
     def stats(self, reached: float) -> Stats:
@@ -328,7 +328,7 @@ class SpringSimulation:
 
     @property
     def needs_final_state(self) -> bool:
-        """Whether a surface can tear: its topology must include all later tears."""
+        """Whether a surface can tear: its topology then includes all later tears."""
         return any(view.can_tear for view in self.views)
 
     def set_final_state(self, state: SpringState) -> None:
@@ -386,12 +386,12 @@ class SpringSimulation:
         return system.colliders.active or any(values.any() for values in coefficients)
 
     def trial_settings(self) -> TrialSettings:
-        """Return solvers with several step lengths around their defaults."""
+        """Return the settings to compare: solvers with steps around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
     @property
     def is_overlong(self) -> bool:
-        """Whether springs that cannot tear became very long."""
+        """Whether the strain is excessive in a body whose springs cannot tear."""
         can_tear = np.isfinite(self.system.body.springs.limit).any()
         max_length = MAX_LENGTH_RATIO * (1 + self._initial_stretch)
         return bool(not can_tear and 1 + self.stretch > max_length)
@@ -402,7 +402,7 @@ def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
 
 
 def _interpolate(begin: FloatArray, end: FloatArray, h: float, s: float) -> FloatArray:
-    """Return the state at a fraction of a cell, on the cubic through its ends."""
+    """Interpolate a state in a cell: cubic Hermite positions, linear velocities."""
     (x0, v0), (x1, v1) = begin, end
     slope = x1 - x0
     x = x0 + s * (

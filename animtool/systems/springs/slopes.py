@@ -20,7 +20,7 @@ _Blocks: TypeAlias = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 def mode_bounds(forces: SpringForces) -> FloatArray | None:
-    """Return upper bounds of the fastest modes (ω, ζ) ``(2, 2)``; None without springs.
+    """Return Gershgorin bounds of the fastest modes (ω, ζ) ``(2, 2)``, if any.
 
     By Gershgorin, eigenvalues of the stiffness over √(m m') are at most the largest row
     sum, with all springs of a particle taken as parallel; likewise for the damping. The
@@ -43,7 +43,7 @@ def mode_bounds(forces: SpringForces) -> FloatArray | None:
 def _largest_row_sum(
     forces: SpringForces, spring_values: FloatArray, target_values: FloatArray
 ) -> float:
-    """Return the largest row sum of a mass-weighted spring matrix."""
+    """Return the largest absolute row sum of a mass-weighted spring matrix."""
     weights = forces.inverse_masses
     first, second = forces.springs.ends.T
     geometric_means = np.sqrt(weights[first] * weights[second])
@@ -62,9 +62,9 @@ def acceleration_jacobians(
     x: FloatArray,
     v: FloatArray,
 ) -> Iterator[Matrix]:
-    """Yield sparse Jacobians of accelerations by positions, then by velocities.
+    """Yield the sparse Jacobians of accelerations: by positions, then by velocities.
 
-    Derivatives of springs, targets and drag are exact, those of air are differences.
+    Jacobians of springs, targets and drag are analytic; air uses finite differences.
     Masses ``(N,)`` [kg] are 0 for pinned particles; the wind is ``(1, 3)`` [m/s].
     """
     from scipy.sparse import coo_array
@@ -153,7 +153,7 @@ def _air_blocks(
 def _finite_differences(
     network: _kernels.SpringNetwork, state: FloatArray, variable: int, corner: int
 ) -> FloatArray:
-    """Return derivatives of corner forces by the position or velocity of a corner.
+    """Return the Jacobian of corner forces by central finite differences.
 
     ``(T, 3, 3, 3)``: triangle, corner, force component, position component.
     """

@@ -1,4 +1,4 @@
-"""Solvers of springs: their choice, and their advance over cells of time."""
+"""Solvers of springs: choice of a solver, and steps over time cells."""
 
 from __future__ import annotations
 
@@ -215,7 +215,7 @@ def _choose_cheapest(
 
 
 def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellColliders:
-    """Return kernel arguments of colliders over the next cells."""
+    """Return the kernel arguments of colliders over the next ``count`` cells."""
     cells = Cells(grid.origin, grid.cell, grid.index, count)
     return cell_colliders(system.colliders, system.radius, cells)
 
@@ -223,7 +223,7 @@ def _cell_colliders(system: SpringSystem, grid: TimeGrid, count: int) -> CellCol
 def advance(
     system: SpringSystem, options: SpringOptions, grid: TimeGrid, cells: int
 ) -> TimeGrid:
-    """Advance a motion by some cells with the solver of the grid."""
+    """Advance a motion by ``cells`` cells with the solver of the grid."""
     if system.ties is not None and cells:
         return _advance_tied(system, grid, system.ties)
     network = system.network(system.teleports.cell_stage(grid))
@@ -253,7 +253,7 @@ def _advance_explicit(
     cells: int,
     colliders: CellColliders,
 ) -> TimeGrid:
-    """Advance a motion by some cells of semi-implicit Euler."""
+    """Advance a motion by ``cells`` cells of semi-implicit (symplectic) Euler."""
     state = grid.state
     motion, torn, inside, pushes = _kernels.step_springs(
         network, state.motion, state.torn, grid.origin, grid.index, grid.cell, cells,
@@ -273,7 +273,7 @@ def advance_xpbd(
     max_substeps: int,
     limit: float = 0.0,
 ) -> TimeGrid:
-    """Advance a motion by some cells in steps of xpbd.
+    """Advance a motion by ``cells`` cells of xpbd (extended position-based dynamics).
 
     A cell whose springs are strained beyond the stretch [1] and their compliance is
     repeated with more steps, up to ``max_substeps``. A ``limit`` above 0 clamps the
@@ -308,9 +308,9 @@ def advance_strands(
     character_colliders: tuple[int, int],
     threads: int,
 ) -> TimeGrid:
-    """Advance strands of equal masses by a span [s], each solved directly.
+    """Advance strands of equal masses by a span [s] with a direct solver per strand.
 
-    They follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
+    Strands follow animated particles ``(K, N, 3)`` [m], linear over each cell. Segments
     collide with rigid colliders too, except ``character_colliders``: first index and
     count.
     """
@@ -334,7 +334,7 @@ def advance_strands(
 
 
 def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeGrid:
-    """Advance a motion by a cell together with the bodies that carry its pins.
+    """Advance springs by one cell, coupled to the rigid bodies that carry their pins.
 
     The cell is split into subcells if bodies rotate fast or no solution is found.
     """
@@ -354,7 +354,7 @@ def _advance_tied(system: SpringSystem, grid: TimeGrid, ties: BodyTies) -> TimeG
 def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
     """Return a step that solves a failed cell, with a safety factor [s]; None if none.
 
-    With pins on bodies it is a step of the bodies.
+    With pins on rigid bodies, this is a step of the bodies.
     """
     ties, state = system.ties, grid.state
     if ties is not None:
@@ -387,7 +387,7 @@ def _advance_in_subcells(
     steps: Sequence[TiedStep],
     subcells: int,
 ) -> TimeGrid:
-    """Advance a motion by a cell in subcells, with the bodies after each of them."""
+    """Advance springs and coupled bodies by one cell, split into equal subcells."""
     if subcells == 1:
         return _advance_subcell(system, grid, ties, steps)[0]
     start_state, substeps = grid.state, -(-grid.state.substeps // subcells)
@@ -466,7 +466,7 @@ def _solve_with_pulls(
     colliders: CellColliders,
     tolerance: float,
 ) -> PulledGrid:
-    """Return the grid a cell later, and impulses on pinned particles."""
+    """Return the time grid one cell later, and the impulses on pinned particles."""
     state = grid.state
     (
         motion, before, has_previous, torn, steps, corrections, unsolved, inside,
@@ -491,7 +491,7 @@ def _advance_implicit(
     colliders: CellColliders,
     tolerance: float,
 ) -> TimeGrid:
-    """Advance a motion by some cells of bdf2 or implicit Euler."""
+    """Advance a motion by ``cells`` cells of BDF2 or implicit Euler."""
     state = grid.state
     (
         motion, before, has_previous, torn, steps, corrections, unsolved, inside,

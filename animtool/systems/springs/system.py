@@ -183,7 +183,7 @@ class SpringSystem(SecondOrder):
 
     @property
     def spacing(self) -> float:
-        """Mean rest length of its springs; 1 if all are 0 [m]."""
+        """Mean rest length of the springs [m]; 1 if all rest lengths are 0."""
         rest = self.body.springs.rest
         return float(rest.mean()) if rest.any() else 1.0
 
@@ -227,7 +227,7 @@ class SpringSystem(SecondOrder):
         return self._cached_stage[1]
 
     def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
-        """Return both ends of a cell, and the path knots within it [s]."""
+        """Return both end times of a cell, and the path knots between them [s]."""
         stage_paths = self._stage(stage)
         times = [
             knots
@@ -254,12 +254,12 @@ class SpringSystem(SecondOrder):
         return replace(self.forces, springs=springs).network(paths), pinned, targets
 
     def has_faces(self, particles: IntArray) -> bool:
-        """Return whether any particles are corners of faces, which collide too."""
+        """Return whether any of the particles is a corner of a colliding face."""
         return bool(np.isin(self.body.triangles, particles).any())
 
     @property
     def forces(self) -> SpringForces:
-        """Properties that give the forces, with springs in body order."""
+        """Properties of particles, springs and air that determine the forces."""
         return SpringForces(
             self.inverse_masses, self.drags, self.body.springs, self.body.triangles,
             self.gravity, self.air_coefficients, self.pinned, self.target_springs,
@@ -303,7 +303,7 @@ class SpringSystem(SecondOrder):
 
     @cached_property
     def drags(self) -> FloatArray:
-        """Drag of each particle over mass and speed ``(N,)`` [1/s]."""
+        """Drag rate of each particle: drag force over mass and speed ``(N,)`` [1/s]."""
         return self.drag + self.resistance * self.inverse_masses
 
     @property
@@ -321,16 +321,18 @@ class SpringSystem(SecondOrder):
     def jacobians(
         self, t: float, x: FloatArray, v: FloatArray
     ) -> tuple[Matrix, Matrix] | None:
-        """Return the derivatives of accelerations by positions and velocities."""
+        """Return Jacobians of acceleration with respect to positions and velocities."""
         by_x, by_v = acceleration_jacobians(
             self.forces, self.free_masses, self.wind(t), x, v
         )
         return by_x, by_v
 
     def stiffness(self, t: float, x: FloatArray) -> Matrix:
-        """Return the sparse stiffness matrix: minus force derivatives ``(3 N, 3 N)``.
+        """Return the sparse stiffness matrix: the negative force Jacobian.
 
-        It has springs and targets; rows of pinned particles are 0.
+        The shape is ``(3 N, 3 N)``.
+
+        The matrix includes springs and targets; rows of pinned particles are 0.
         """
         from scipy.sparse import diags_array
 
@@ -359,7 +361,7 @@ class SpringSystem(SecondOrder):
         )
 
     def without_springs(self, is_removed: BoolArray) -> SpringSystem:
-        """Return the system without some springs, by a mask ``(S,)``."""
+        """Return the system without the springs selected by a mask ``(S,)``."""
         result = copy(self)
         result.body = replace(self.body, springs=self.body.springs.select(~is_removed))
         result._cached_stage = None
@@ -368,7 +370,7 @@ class SpringSystem(SecondOrder):
         return result
 
     def starting_at(self, positions: ArrayLike) -> SpringSystem:
-        """Return the system starting at rest in other positions.
+        """Return the system with another start: at rest in the given positions.
 
         Args:
             positions: ``(N, 3)`` [m].
@@ -380,7 +382,7 @@ class SpringSystem(SecondOrder):
         return result
 
     def energy(self, t: float, state: FloatArray) -> Energy:
-        """Return the energy of springs, gravity and motion.
+        """Return the kinetic energy, and the potential energy of springs and gravity.
 
         Moving pins, targets and wind may supply about the kinetic energy of all
         particles at their speed.
@@ -490,7 +492,7 @@ class SpringSystem(SecondOrder):
         return notices + self.teleports.notices()
 
     def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
-        """Return which spring has the largest strain, as text."""
+        """Return which spring has the largest extension, as text."""
         springs = self.body.springs
         if not len(springs.rest):
             return ""

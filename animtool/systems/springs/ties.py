@@ -66,7 +66,7 @@ class BodyTies:
 
 
 class _TrialPull(NamedTuple):
-    """Result of a trial with given velocity changes of the bodies."""
+    """Result of a coupled cell for given velocity changes of the bodies."""
 
     springs_result: Any
     residuals: FloatArray  # residual velocities ``(6 U,)``
@@ -87,13 +87,13 @@ class TiedSolution(NamedTuple):
 
 
 class _SolvedBody(NamedTuple):
-    """A body whose velocity change is solved for."""
+    """A dynamic body whose velocity change is an unknown of the coupled cell."""
 
     carrier: int
     dynamic_index: int  # index among the dynamic bodies
-    ties: Sequence[int]  # indices of its ties
+    ties: Sequence[int]  # indices of the ties of this body
     mass: float
-    inertia: FloatArray  # about the centre, in the world ``(3, 3)`` [kg m²]
+    inertia: FloatArray  # world inertia about the centre of mass ``(3, 3)`` [kg m²]
     inverse_inertia: FloatArray  # inverse inertia, 0 about locked axes
     radius: float  # largest distance from the centre to carried particles [m]
 
@@ -151,16 +151,16 @@ class TiedCell:
 
     @property
     def _scale(self) -> FloatArray:
-        """Displacement over velocity change in a cell ``(6 U,)`` [s, m s]."""
+        """Factors from velocity changes to displacements ``(6 U,)`` [s, m s]."""
         rows = [[1.0] * 3 + [body.radius] * 3 for body in self._solved_bodies]
         return self._h * np.array(rows).reshape(-1)
 
     def solve(
         self, solve_springs: SolveSprings, warm_start: FloatArray | None
     ) -> TiedSolution:
-        """Solve a cell; return the springs and the impulses on bodies.
+        """Solve the coupled cell by Newton's method; return springs and body impulses.
 
-        ``warm_start`` is that of the last cell.
+        ``warm_start`` is the Jacobian and solution of the last cell.
         """
         count = 6 * len(self._solved_bodies)
         if not count:
@@ -229,7 +229,7 @@ class TiedCell:
         steps: FloatArray,
         solve_springs: SolveSprings,
     ) -> FloatArray:
-        """Return the Jacobian of residuals by velocity changes ``(6 U, 6 U)``."""
+        """Return the finite-difference Jacobian of the residuals ``(6 U, 6 U)``."""
         columns = []
         for k, step in enumerate(steps.tolist()):
             shifted = y.copy()
@@ -247,7 +247,7 @@ class TiedCell:
         jacobian: FloatArray,
         solve_springs: SolveSprings,
     ) -> tuple[float, float, _TrialPull | None]:
-        """Return the accepted fraction of a correction, and its result or None.
+        """Return the accepted fraction of a Newton correction, and the result there.
 
         Also returns the size of the next simplified correction [m], which must decrease
         (P. Deuflhard, Newton Methods for Nonlinear Problems, 2004, 3.3).
@@ -268,7 +268,7 @@ class TiedCell:
         return fraction, np.inf, None
 
     def _trial(self, y: FloatArray, solve_springs: SolveSprings) -> _TrialPull:
-        """Return the result of trial velocity changes ``(6 U,)`` of the bodies."""
+        """Return residuals and springs at velocity changes ``(6 U,)`` of bodies."""
         pulls = [np.zeros((carrier.count, 6)) for carrier in self._ties.carriers]
         for body, velocity in zip(self._solved_bodies, y.reshape(-1, 6), strict=True):
             row = pulls[body.carrier][body.dynamic_index]
@@ -304,7 +304,7 @@ class TiedCell:
     def _pull(
         self, index: int, end: Any, end_points: Sequence[FloatArray], pulls: FloatArray
     ) -> FloatArray:
-        """Return impulse and moment on a body by springs and carried masses ``(6,)``.
+        """Return impulse and moment of springs and carried masses on a body ``(6,)``.
 
         The inertia of carried particles is added: springs do not include it.
         """

@@ -22,7 +22,7 @@ STIFF_REFERENCE_SOLVER = Solver.SYMPLECTIC_EULER
 def trial_settings(
     system: SpringSystem, options: SpringOptions, begin: float
 ) -> TrialSettings:
-    """Return solvers with several step lengths around their defaults."""
+    """Return the settings to compare: solvers with steps around their defaults."""
     defaults = replace(options, step=None)
 
     def default_setting(

@@ -38,9 +38,9 @@ class SpringView:
     rows: IntArray  # particle indices in the simulation ``(N,)``
     springs: slice  # spring indices in the simulation
     member_notices: Sequence[Fault]  # warnings about this entry alone
-    is_first: bool  # whether it reports for all joined entries
+    is_first: bool  # whether this entry reports for all joined entries
     _torn_mesh: Tearing | FaceShape | None = None
-    # Number of torn springs, and the intact faces at that number.
+    # Cache: number of torn springs, and the faces intact at that number.
     _intact: tuple[int, IntArray, IntArray] | None = None
     _self_crossings: SelfCrossings | None = None
     # Measured sides and peaks of a surface in contact.
@@ -49,16 +49,16 @@ class SpringView:
 
     @property
     def body(self) -> Any:
-        """Its particles, springs and shape to draw."""
+        """Particles, springs and display shape of the entry."""
         return self.member.record.body
 
     @property
     def can_tear(self) -> bool:
-        """Whether it is a surface whose springs can tear."""
+        """Whether the entry is a surface whose springs can tear."""
         return isinstance(self.body.shape, FaceShape) and self.body.shape.can_tear
 
     def torn(self, state: SpringState) -> BoolArray:
-        """Return the torn flags of its springs ``(S,)``."""
+        """Return the torn flags of the entry's springs ``(S,)``."""
         return self.simulation.system.torn(state.torn)[self.springs]
 
     def prepare_tears(self, last: SpringState) -> None:
@@ -67,7 +67,7 @@ class SpringView:
         self._torn_mesh = shape.torn_shape(self.torn(last), self.body.body.positions)
 
     def frame(self, state: SpringState, t: float) -> Frame:
-        """Return its curves or mesh."""
+        """Return the curves or the mesh of the entry at a state."""
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
         self._count_crossings(points, t)
@@ -140,17 +140,17 @@ class SpringView:
 
     @property
     def radius(self) -> float:
-        """Half its thickness [m]."""
+        """Collision radius: half the thickness of the entry [m]."""
         radius: float = self.member.spec.radius
         return radius
 
     @property
     def closed(self) -> bool:
-        """Whether others collide only with its outside."""
+        """Whether the surface is closed: others collide only with its outside."""
         return getattr(self.body.shape, "closed", False)
 
     def surface(self, state: SpringState, t: float) -> MeshFrame:
-        """Return its intact faces, as a collider of others."""
+        """Return the intact faces of the entry, as a collider for other systems."""
         self.simulation.measure(state, t)
         shape, torn = cast(FaceShape, self.body.shape), self.torn(state)
         torn_count = int(torn.sum())

@@ -37,7 +37,7 @@ class Drag(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.slopes` does."""
         speed = np.linalg.norm(v, axis=1)[:, None]
         directions = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
         isotropic = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
@@ -45,7 +45,7 @@ class Drag(Force):
         return np.zeros_like(isotropic), -isotropic - radial * directions[:, None]
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping coefficient [kg/s]."""
+        """Return the damping coefficient of the force [kg/s]."""
         speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
         return self.linear + 2 * self.quadratic * speed
 
@@ -67,12 +67,12 @@ class Viscosity(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.slopes` does."""
         drag = (6 * np.pi * self.viscosity * particles.radii)[:, None, None] * np.eye(3)
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping coefficient [kg/s]."""
+        """Return the damping coefficient of the force [kg/s]."""
         return 6 * np.pi * self.viscosity * float(particles.radii.max(initial=0.0))
 
 
@@ -92,12 +92,12 @@ class Wind(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.slopes` does."""
         drag = np.broadcast_to(self.drag * np.eye(3), (len(x), 3, 3))
         return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping coefficient [kg/s]."""
+        """Return the damping coefficient of the force [kg/s]."""
         return self.drag
 
 
@@ -125,7 +125,7 @@ class Friction(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the force over velocity, so that friction never reverses motion."""
+        """Return zero, and force over velocity: friction never reverses motion."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         coefficients = (self.deceleration * particles.masses / speed)[
             :, None, None
@@ -133,6 +133,6 @@ class Friction(Force):
         return np.zeros_like(coefficients), -coefficients
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping coefficient [kg/s]."""
+        """Return the damping coefficient of the force [kg/s]."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
         return float((self.deceleration * particles.masses / speed).max(initial=0.0))

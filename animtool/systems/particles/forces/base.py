@@ -50,11 +50,11 @@ class Force(ABC):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force by position and velocity of each particle.
+        """Return the Jacobians of each force with respect to position and velocity.
 
         Both are ``(N, 3, 3)`` [N/m] and [kg/s]; by default from finite differences, and
-        0 for pair forces. They need not be exact: methods are stable if they are about
-        as steep as the force.
+        0 for pair forces. The Jacobians need not be exact: methods are stable if they
+        are about as steep as the force.
         """
         by_position, by_velocity = np.zeros((2, len(x), 3, 3))
         if self.pairs:
@@ -74,22 +74,22 @@ class Force(ABC):
         return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return potential energies ``(N,)`` [J]; None if it has no potential."""
+        """Return potential energies ``(N,)`` [J]; None without a potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
-        """Return the largest stiffness, the force over a displacement [N/m]."""
+        """Return the largest stiffness: force per displacement [N/m]."""
         return 0.0
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return the largest damping coefficient, the force over a speed [kg/s]."""
+        """Return the largest damping coefficient: force per speed [kg/s]."""
         return 0.0
 
     def turning(self, particles: ParticleState) -> float:
-        """Return the largest rate at which it rotates velocities [rad/s]."""
+        """Return the largest rate at which the force rotates velocities [rad/s]."""
         return 0.0
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options by name, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = range_faults(self, "must be {bound}, not {value:g}")
         return [(str(fault.where), fault.message) for fault in faults]

@@ -47,7 +47,7 @@ class Field(Expressions, Force):
         return evaluate_expressions(self.expressions, t, x, v, particles)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         return expression_faults(self, VARIABLES)
 
 
@@ -78,7 +78,7 @@ class Turbulence(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return zeros: it has no restoring force."""
+        """Return zero Jacobians: turbulence has no restoring force."""
         zeros = np.zeros((len(x), 3, 3))
         return zeros, zeros
 
@@ -98,11 +98,11 @@ class Electromagnetic(Force):
         return particles.charges[:, None] * (np.asarray(self.electric) + magnetic_term)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
-        """Return energies ``(N,)`` [J]."""
+        """Return potential energies ``(N,)`` [J]."""
         return -particles.charges * (x @ np.asarray(self.electric, np.float64))
 
     def turning(self, particles: ParticleState) -> float:
-        """Return the largest rate at which it rotates velocities [rad/s]."""
+        """Return the largest rate at which the force rotates velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
         return field * float(
             (np.abs(particles.charges) / particles.masses).max(initial=0.0)

@@ -39,7 +39,7 @@ class Gravity(Force):
         return np.outer(particles.masses, self.acceleration)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
-        """Return energies ``(N,)`` [J]."""
+        """Return potential energies ``(N,)`` [J]."""
         return np.asarray(-particles.masses * (x @ np.asarray(self.acceleration)))
 
 
@@ -58,7 +58,7 @@ class Uniform(Force):
         return np.tile(np.asarray(self.push, np.float64), (len(x), 1))
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
-        """Return energies ``(N,)`` [J]."""
+        """Return potential energies ``(N,)`` [J]."""
         return -(x @ np.asarray(self.push, np.float64))
 
 
@@ -90,7 +90,7 @@ class Central(Force):
         return np.asarray(np.sqrt((offsets * offsets).sum(axis=1) + self.softening**2))
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
-        """Return energies ``(N,)`` [J]."""
+        """Return potential energies ``(N,)`` [J]."""
         distance = self._distance(x)
         if self.power == -1:
             return np.asarray(particles.masses * self.strength * np.log(distance))
@@ -98,7 +98,7 @@ class Central(Force):
         return np.asarray(particles.masses * self.strength * powers)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = super().faults()
         if self.power < 1 and not self.softening > 0:
             faults.append(("softening", "must be above 0 if the power is below 1"))
@@ -133,7 +133,7 @@ class Spring(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return its Jacobians, as `Force.slopes` does."""
+        """Return the Jacobians of the force, as `Force.slopes` does."""
         unit = np.eye(3)
         offsets = x - self._anchors(particles)
         stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
@@ -155,16 +155,16 @@ class Spring(Force):
         return particles.origins if self.anchor is None else np.asarray(self.anchor)
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray:
-        """Return energies ``(N,)`` [J]."""
+        """Return potential energies ``(N,)`` [J]."""
         elongations = np.linalg.norm(x - self._anchors(particles), axis=1) - self.rest
         return np.asarray(0.5 * self.k * elongations**2)
 
     def stiffness(self) -> float:
-        """Return its stiffness [N/m]."""
+        """Return the stiffness of the spring [N/m]."""
         return self.k
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
-        """Return its damping [kg/s]."""
+        """Return the damping of the spring [kg/s]."""
         return self.kd
 
 
@@ -192,7 +192,7 @@ class Propulsion(Force):
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the force over velocity for a brake, else zeros."""
+        """Return the force divided by velocity for a brake, zeros for a thrust."""
         zeros = np.zeros((len(x), 3, 3))
         if self.direction is not None or self.thrust >= 0:
             return zeros, zeros
@@ -201,7 +201,7 @@ class Propulsion(Force):
         return zeros, (self.thrust * is_burning / speed)[:, None, None] * np.eye(3)
 
     def faults(self) -> list[tuple[str, str]]:
-        """Return invalid options, each with a message."""
+        """Return the names of invalid options, each with a message."""
         faults = super().faults()
         if self.direction is not None and not any(self.direction):
             faults.append(("direction", "must not be all 0"))
