@@ -60,7 +60,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
 
 
 def _first_unstable_step(growth: FloatArray, eigenvalue: complex) -> float:
-    """Return the first step above 0 at which a mode grows."""
+    """Return the smallest positive step at which a mode with this eigenvalue grows."""
     magnitude = abs(eigenvalue)
     scaled = growth * (eigenvalue / magnitude) ** np.arange(len(growth))
     growth_excess: FloatArray = np.convolve(scaled, scaled.conj()).real
