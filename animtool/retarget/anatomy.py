@@ -68,7 +68,7 @@ MIN_BODY_JOINTS = 8
 
 @dataclass(slots=True)
 class _RoleSearch:
-    """State of the search for the roles of a skeleton's joints."""
+    """State of the search that assigns a role to each joint of a skeleton."""
 
     body: SkeletonTree
     roles: list[str]
@@ -202,7 +202,7 @@ def _find_limbs(search: _RoleSearch) -> None:
 
 
 def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
-    """Return the joint with the most limb names above it; -1 if no joint has one."""
+    """Return the joint with the most limb roles named along its path; -1 for none."""
     body = search.body
     best_joint, best_score = -1, 0.0
     for j, votes in enumerate(body.votes):
@@ -246,7 +246,7 @@ def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
-    """Assign the roles of hips, spine, neck, head and the joints above the hips."""
+    """Assign roles to hips, spine, neck, head, and the joints above the hips."""
     body, tip_joints = search.body, search.tips
     legs = [tip_joints[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_joints]
     arms = [tip_joints[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_joints]
@@ -281,7 +281,7 @@ def _assign_trunk(search: _RoleSearch) -> None:
 
 
 def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> None:
-    """Assign roles to the joints from the hips' fork to chest and head."""
+    """Assign roles to the joints from the leg-trunk fork up to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
         for j in body.path(start, chest):
@@ -320,7 +320,7 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
 
 
 def _find_head(search: _RoleSearch, chest: int) -> int:
-    """Return the head by structure: the chain's first fork, or its end."""
+    """Return the first fork of the longest chain above the chest, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
     branches = [j for j in body.limb_children(chest) if j not in arms]

@@ -64,7 +64,7 @@ class DriftOptions:
 
 @dataclass(frozen=True, slots=True)
 class _StanceTracks:
-    """Motion of planted feet, smoothed over all frames.
+    """Position, speed, spin and height of planted feet, smoothed over all frames.
 
     Ground positions are complex numbers: a rotation about the vertical is a factor.
     """
@@ -133,8 +133,7 @@ def _root_correction(
 ) -> tuple[FloatArray, ComplexArray]:
     """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
-    With it, planted feet stay in place: the rate of ``e^(i angle) position + shift`` is
-    0.
+    With it, planted feet stay in place: ``e^(i angle) position + shift`` is constant.
     """
     rate, up = float(take.clock.rate), _ground_axes(take)[0]
     spin = -stance.spin

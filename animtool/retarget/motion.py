@@ -103,7 +103,7 @@ class Retargeting:
         hands: bool = False,
         props: PropTracks | None = None,
     ) -> None:
-        """Read the take once: the first pass.
+        """Read the take once to find its contacts: the first pass.
 
         Args:
             transfer: The transfer between the skeletons.
@@ -111,7 +111,7 @@ class Retargeting:
             motions: Motion of the source, block by block.
             fps: Frames a second.
             lock: Whether planted feet stay in place.
-            plant_similar_legs: Whether this also applies to legs like those of the
+            plant_similar_legs: Whether ``lock`` also applies to legs like those of the
                 source; else such legs move as the source's do.
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
@@ -171,7 +171,7 @@ class Retargeting:
     def _read_tracks(
         self, motions: Iterable[Motion], legs: str, arms: str
     ) -> tuple[list[LegTracks], list[ArmTracks]]:
-        """Read the take; return the tracks of legs and arms on the given sides."""
+        """Read the take and return the motion of its legs and arms over all frames."""
         transfer = self.transfer
         tracks: list[list[LegTracks]] = []
         arm_tracks: list[list[ArmTracks]] = []
@@ -278,11 +278,11 @@ class Retargeting:
 
     @property
     def clamped(self) -> Mapping[int, float]:
-        """Joints stopped by their limits, as fractions of the frames so far."""
+        """Fraction of the frames so far in which limits clamp each joint."""
         return {j: count / self._frames for j, count in self._clamped_frames.items()}
 
     def report(self) -> RetargetReport:
-        """Return the fit of the frames so far."""
+        """Return the fit report of the frames so far."""
         return self._meter.report(self.clamped)
 
     def verdict(self) -> Verdict:
@@ -351,7 +351,7 @@ class Retargeting:
             )
 
     def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
-        """Return a channel with all joints animated if any source joint moves."""
+        """Return a channel: static if the source is, else with all joints animated."""
         if not self._moves:
             return Channel.static(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
@@ -459,7 +459,7 @@ class Retargeting:
 def _ankle_heights(
     transfer: Transfer, feet: Sequence[Foot], *, placed: bool
 ) -> AnkleHeights | None:
-    """Return ankle heights on the ground; None without feet."""
+    """Return the mean ankle heights of planted feet; None if there are no feet."""
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
@@ -471,7 +471,7 @@ Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
 def concatenate_tracks(parts: list[Tracks]) -> Tracks:
-    """Return blocks of consecutive frames as one set of tracks."""
+    """Concatenate the tracks of consecutive blocks along the frame axis."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     return type(parts[0])(*arrays)
@@ -534,7 +534,7 @@ def build_transfer(
         target: The target rig.
         joint_map: Which joints follow which.
         rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
-            uses its rig's.
+            uses the rest pose of its rig.
         as_rig: Whether source and target rest in the same pose, whatever the bones look
             like.
     """
@@ -552,7 +552,7 @@ def retarget_take(
     lock: bool = True,
     hands: bool = False,
 ) -> Retargeted:
-    """Return a take on another rig.
+    """Retarget a take onto another rig, and report its fit.
 
     Args:
         take: The source.

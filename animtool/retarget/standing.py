@@ -137,7 +137,7 @@ def _unit_vectors(vectors: FloatArray) -> FloatArray:
 def measure_stance(
     roles: Sequence[str], positions: FloatArray, up: UpAxis, rest: FloatArray | None
 ) -> Stance:
-    """Return how a body stands in frames of a take.
+    """Return the axis along which a body stands in a take, and how often.
 
     It stands along another axis if it does in nearly all frames, or from the first
     frame on and at least as often as along the up axis. Rest pose, motion or ground
@@ -218,7 +218,7 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
 
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
-    """Return whether feet are at 0 of an axis while the body is not at 0 of up."""
+    """Return whether feet are at 0 along an axis, but the body is not at 0 along up."""
     extents = np.ptp(positions, axis=1).max(axis=1)
     body_size = float(np.median(extents))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
@@ -251,7 +251,7 @@ def find_standing_axis(
 ) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not state it.
+    BVH files do not state the up axis.
 
     Args:
         rig: Of J joints.
@@ -275,7 +275,7 @@ def find_standing_axis(
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
-    """Return whether any sampled pose extends farther along the other axis than up."""
+    """Return whether any sampled pose is taller along the other axis than along up."""
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
