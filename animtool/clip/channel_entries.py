@@ -171,7 +171,7 @@ class ChannelReader:
         is_quaternion: bool,
         components: int,
     ) -> None:
-        """Record why the keys of an array do not fit their target."""
+        """Record a fault that states why an array's keys do not fit their target."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         self._check_interps(
@@ -241,7 +241,7 @@ class ChannelReader:
             )
 
     def _add_time_fault(self, location: Location, keys: PlainKeys) -> None:
-        """Record the first wrong time of an array."""
+        """Record the first invalid time of an array of keys."""
         times = keys.times
         rows_beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
         if len(rows_beyond):
@@ -394,7 +394,7 @@ class ChannelReader:
     def _read_quaternions(
         self, curve_location: Location, values: FloatArray, array_name: str = ""
     ) -> FloatArray:
-        """Return unit (x, y, z, w) of [w, x, y, z]."""
+        """Convert quaternions [w, x, y, z] to unit (x, y, z, w); record zero ones."""
         rotations, zero_rows = file_quaternions(values)
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
@@ -417,7 +417,7 @@ class ChannelReader:
 
 
 def _form_hint(model: CurveModel, count: int, components: int) -> str | None:
-    """Return a hint where a rotation's keys have the form of another kind."""
+    """Return a hint if a rotation's keys have the width of another representation."""
     if components == 4 and count == 3:
         return "add 'euler: XYZ' to the channel, or write quaternions [w, x, y, z]"
     if model.euler and count == 4:
@@ -431,7 +431,7 @@ def _key_models(model: CurveModel) -> list[KeyModel]:
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Return unit (x, y, z, w) of rows [w, x, y, z], and a mask of zero ones.
+    """Convert rows [w, x, y, z] to unit (x, y, z, w); also return rows of zeros.
 
     Signs are continuous from row to row.
 

@@ -54,7 +54,7 @@ class ClipChannel:
 
 
 def target_kind(target: str, rig: Rig | None) -> str | Fault:
-    """Return the kind of a target, or its fault.
+    """Return the kind of a target, such as ``angle``, or a fault if it is invalid.
 
     One of control, shape, angle, slide, translation, rotation, scale. Without a rig,
     all names are valid.
@@ -101,7 +101,7 @@ def _full_target(text: str, rig: Rig | None) -> str | None:
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
-    """Return the kind of a joint target, or its fault."""
+    """Return the kind of a joint target, or a fault if it is invalid."""
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
         return _part_fault(name, rig)
@@ -139,7 +139,7 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Refuse targets that the rig lacks."""
+    """Raise the faults of all targets that the rig lacks."""
     kinds = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds if isinstance(result, Fault)]
     if faults:
@@ -226,7 +226,7 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
 
 
 def _concatenate_or_empty(parts: list[FloatArray]) -> FloatArray:
-    """Return concatenated arrays; an empty one without any."""
+    """Concatenate arrays; return an empty array if there are none."""
     return np.concatenate([np.zeros(0), *parts])
 
 

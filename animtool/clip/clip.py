@@ -59,7 +59,7 @@ class Clip:
             rig: Its rig or rig file; None uses the rig named by the clip.
 
         Raises:
-            FormatError: The clip or its rig is malformed; has every fault.
+            FormatError: The clip or its rig is malformed; lists every fault.
             OptionError: The clip names no rig (CLIP011).
         """
         load = load_object("animtool.clip.file:load_clip_of")
@@ -144,7 +144,7 @@ class Clip:
         return Take(rig, clock, sampled_motion.motion, notices, curve=keyed_curve)
 
     def __repr__(self) -> str:
-        """Return the name and counts."""
+        """Return the name, the frame range and the number of channels."""
         keys = counted(sum(len(channel.times) for channel in self.channels), "key")
         channels = counted(len(self.channels), "channel")
         return (
@@ -154,12 +154,12 @@ class Clip:
 
 
 def _rate_or_default(fps: FractionLike | None, default: Fraction) -> Fraction:
-    """Return a frame rate as a fraction; None is the default."""
+    """Return a frame rate as a fraction; the default if it is None."""
     return default if fps is None else rate_option(fps)
 
 
 def _exact_step(step: Fraction | float) -> Fraction:
-    """Return a step as a fraction; refuse one that is not positive and finite."""
+    """Return a step as a fraction; raise unless it is positive and finite."""
     try:
         # The decimal as written, not the nearest float.
         codes_per_frame = Fraction(str(step))
@@ -288,5 +288,5 @@ def _value_text(row: Sequence[float], unit: float) -> str:
 
 
 def _most_common(choices: Sequence[Choice], default: Choice) -> Choice:
-    """Return the most common choice; the default if there are none."""
+    """Return the most common of the choices; the default if there are no choices."""
     return Counter(choices).most_common(1)[0][0] if choices else default

@@ -54,7 +54,7 @@ class SampledMotion:
 
     @property
     def notices(self) -> list[Fault]:
-        """The faults of ``targeted``."""
+        """The notices as faults, without their targets."""
         return [notice.fault for notice in self.clip_notices]
 
 
@@ -141,10 +141,10 @@ def sample_values(
         keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
             rotations as quaternions.
         rig: Its rig.
-        times: Of the values ``(F,)``.
+        times: Times of the values ``(F,)``.
         clamp: Bring controls into their ranges and joints into their limits.
-        run: Evaluates the rig's drivers and keeps their notices, where the times go on
-            from earlier ones.
+        run: Evaluates the rig's drivers and collects their notices, if the times
+            continue earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []
@@ -265,7 +265,7 @@ def _parts_by_joint(
 
 
 def _drop_replaced_parts(parts: Mapping[str, Parts]) -> list[ClipNotice]:
-    """Drop control contributions where a local channel replaces the joint's motion."""
+    """Drop control contributions to motion that a local channel replaces."""
     notices = []
     for name, part in parts.items():
         for local, replaced_parts in _ADDED_PARTS.items():
@@ -449,7 +449,7 @@ class _JointValues:
 def _add_values(
     keyed_values: FloatArray | None, driven_values: FloatArray | None
 ) -> FloatArray | None:
-    """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
+    """Add a channel's values ``(F, 1)`` and driven values ``(F,)``; None is 0."""
     if driven_values is None:
         return keyed_values
     return (

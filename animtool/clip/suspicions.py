@@ -307,7 +307,7 @@ def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
 
 
 def _exceeds_revolution(values: FloatArray) -> bool:
-    """Return whether the largest of some angles is more than a revolution [rad]."""
+    """Return whether the largest absolute angle exceeds a revolution [rad]."""
     return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
 
@@ -475,7 +475,7 @@ def _warn_of_controls(
 def _driving_controls(
     rig: Rig, target: str, keyed: Mapping[str, FloatArray]
 ) -> list[str]:
-    """Return the keyed controls that drive a target, or all that are keyed."""
+    """Return the keyed controls that drive a target; all keyed controls without one."""
     names = [
         control.name
         for control in rig.controls

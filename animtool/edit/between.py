@@ -109,9 +109,9 @@ class TakeSampler:
     def retimed_curve(
         self, source_times: Callable[[FloatArray], FloatArray]
     ) -> MotionCurve | None:
-        """Return the curve of a take that shows time ``source_times(t)`` of this at t.
+        """Return the motion curve whose value at t is the take at ``source_times(t)``.
 
-        None if no row has a curve.
+        Return None if no row has a curve.
         """
         if not self.rows_on_curve:
             return None
@@ -172,9 +172,9 @@ class TakeSampler:
 
 
 def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
-    """Return which rows of two channels have equal values in all frames ``(J,)``.
+    """Return a mask of the rows with equal values in all frames ``(J,)``.
 
-    None if there is nothing to compare.
+    Return None if the channels cannot be compared.
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None

@@ -191,7 +191,7 @@ def rest_take(rig: Rig, clock: Clock) -> Take:
 
 
 def _base_take(base: Take, frame: float | None) -> Take:
-    """Return the base, or its frame to subtract; refuse scales of 0."""
+    """Return the base take, or its given frame; raise if a scale is 0."""
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
@@ -213,7 +213,7 @@ def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
 
 
 def _difference_blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
-    """Yield the deltas, with continuous signs."""
+    """Yield the deltas from the base, with continuous quaternion signs."""
     first, previous = 0, None
     rate, sampler = stream.fps / stream.step, TakeSampler.from_take(base)
     for block in stream.blocks:
@@ -397,7 +397,7 @@ class _LayerPlan:
 
 
 class _Displacements:
-    """Largest displacement of joints that a pass before has put at targets."""
+    """Largest displacement, by a layer, of joints that an earlier pass placed."""
 
     def __init__(self, rig: Rig, placed: Sequence[PlacedJoint]) -> None:
         self.rig = rig
@@ -405,7 +405,7 @@ class _Displacements:
         self.largest, self.effector, self.time = 0.0, "", 0.0
 
     def add(self, times: FloatArray, before: Motion, after: Motion) -> None:
-        """Compare the frames of a block."""
+        """Update the displacements from a block's frames before and after the layer."""
         if not self.placed:
             return
         old, new = (motion.world(self.rig).positions for motion in (before, after))

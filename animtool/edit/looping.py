@@ -52,7 +52,7 @@ NATURAL_CHANGE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class SeamBlend:
-    """A cycle within some frames, and the blend weights of its corrections."""
+    """A cycle, the frames around it, and the blend weights at its seam."""
 
     cycle_length: int  # number of frames of the cycle, L
     frames_before: int  # 1 if there is a frame before the cycle, else 0
@@ -92,7 +92,7 @@ class SeamBlend:
         return values[self.frames_before : self.frames_before + self.cycle_length + 1]
 
     def end_frames(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the frames that determine speed at the start and at the end.
+        """Return the frames from which start and end speeds are estimated.
 
         They are the frames on either side if both ends have them; else, if the cycle
         spans the full take, three frames at each end.
@@ -157,7 +157,7 @@ def _missing_speed(
     measure_steps: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
-    """Return the speed missing at the end of a cycle ``(A, K)`` [1/frame].
+    """Return the start speed minus the end speed of a cycle ``(A, K)`` [1/frame].
 
     ``measure_steps`` returns the steps between frames ``(L, A, K)``.
     """
@@ -373,7 +373,7 @@ def _loop_track(
 
 @dataclass(frozen=True, slots=True)
 class _CycleState:
-    """Loops the channels of a cycle."""
+    """Closes the channels of a cycle and repeats them with the cycle's travel."""
 
     travel: CycleTravel
     blend: SeamBlend
@@ -388,12 +388,12 @@ class _CycleState:
         )
 
     def loop_numbers(self, channel: Channel) -> Channel:
-        """Return a channel without travel, repeated."""
+        """Return a channel closed and repeated, without travel."""
         cycle = close_vectors(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
     def loop_translations(self, channel: Channel) -> Channel:
-        """Return translations, repeated with the travel of each joint."""
+        """Return translations closed and repeated, with the travel of each joint."""
         linear = self.travel.linear[channel.animated]
         shifts = self.travel.shifts[channel.animated]
 
@@ -405,7 +405,7 @@ class _CycleState:
         return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
     def loop_rotations(self, channel: Channel) -> Channel:
-        """Return rotations, repeated with the travel of each joint."""
+        """Return rotations closed and repeated, with the travel of each joint."""
         travel = self.travel.rotations[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ class ControlMirror:
         shapes: IntArray,
         normal: FloatArray,
     ) -> ControlMirror:
-        """Return how a rig's controls are mirrored.
+        """Determine the partner and the sign of each control of a rig.
 
         A control and its partner have opposite signs if the mirror image of one's
         effect on joints and shapes is nearer to the other's negative effect: for
@@ -213,7 +213,7 @@ def mirror(
 
 
 def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
-    """Return pairs as tuples; refuse anything but pairs of names."""
+    """Return pairs as tuples; raise if an entry is not a pair of names."""
     if any(isinstance(pair, str) or len(pair) != 2 for pair in pairs):
         message = f"pairs must be pairs of joint names, not {list(pairs)!r:.80}"
         raise OptionError(Fault("SCN019", message))
@@ -276,7 +276,7 @@ def _run_mirror(
 
 
 def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
-    """Return which joints have no partner but a parent that has one ``(J,)``."""
+    """Return a mask of unpaired joints whose parent has a partner ``(J,)``."""
     parents = rig.parents
     is_unpaired = partners == np.arange(len(partners))
     return np.asarray(is_unpaired & (parents >= 0) & (partners[parents] != parents))
@@ -344,7 +344,7 @@ def _asymmetry_warnings(
 
 
 def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
-    """Refuse stated pairs whose parents are not partners."""
+    """Raise if the parents of a stated pair are not partners."""
     faults = []
     for a, b in pairs:
         parents_of_pair = [rig.joints[rig.index(name)].parent for name in (a, b)]
@@ -370,7 +370,7 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
 
 
 def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
-    """Refuse a joint whose parent is not the partner of its partner's parent."""
+    """Raise if a joint's parent is not the partner of its partner's parent."""
     for i, joint in enumerate(rig.joints):
         if is_kept[i]:
             continue
@@ -399,7 +399,7 @@ class _JointMirror:
     def from_rig(
         rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
     ) -> _JointMirror:
-        """Return how the joints of a rig are mirrored."""
+        """Determine the partner and the mirrored rest frame of each joint of a rig."""
         rest_world_rotations = rig.rest_rotations.copy()
         parent_rotations = np.tile(so3.IDENTITY, (len(rest_world_rotations), 1))
         for i, joint in enumerate(rig.joints):
@@ -507,7 +507,7 @@ def _swap_partners(
 def _mirror_channel(
     channel: Channel, partners: IntArray, map_values: _ValueMap
 ) -> Channel:
-    """Return a channel with the values of each row given to its partner."""
+    """Return a channel in which each row has the mapped values of its partner."""
     all_joints = np.arange(len(channel.rest))
     rest_values = map_values(channel.rest, all_joints)[partners]
     values = map_values(channel.values, channel.animated)

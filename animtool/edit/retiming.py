@@ -64,7 +64,7 @@ class TrimOptions:
 
 
 def trim(take: Take, first: float | None = None, last: float | None = None) -> Take:
-    """Return the frames of a take between two time codes, both included.
+    """Return the frames of a take between two time codes, inclusive.
 
     Frames and their time codes stay unchanged; if a time code is between two frames,
     the range starts after it or ends before it.
@@ -150,7 +150,7 @@ def _trim_blocks(
     *,
     in_shot: bool,
 ) -> Iterator[Motion]:
-    """Yield the frames of a range; refuse a range outside the take."""
+    """Yield the frames of a range; raise if it lies outside the take."""
     count = 0
     # The source is read to its end, which completes its notices.
     for block in stream.blocks:
@@ -320,7 +320,7 @@ def _run_time_scale(
 
 
 def _linear_time(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
-    """Return how the pass maps time codes of the take."""
+    """Return the linear map of time codes that the pass applies, if any."""
     if options.speed <= 0:
         return None
     pivot = float(clock.start) if options.pivot is None else options.pivot

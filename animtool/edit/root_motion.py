@@ -47,7 +47,7 @@ class RootMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RootMotionOptions:
-    """What the root joint carries.
+    """Which motion is moved between the hips and the root joint.
 
     Attributes:
         mode: ``extract`` moves the travel to the root joint, ``recompose`` moves it
@@ -137,7 +137,7 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
 
 
 def _check_axes(axes: str) -> None:
-    """Raise unless axes are some of x, y and z."""
+    """Raise if an axis is not x, y or z."""
     if not set(axes.lower()) <= set("xyz"):
         raise _root_error(
             f"axes {axes!r} may contain only x, y and z", "write xz, for example"

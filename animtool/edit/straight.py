@@ -108,7 +108,7 @@ def interpolation_notices(
 def _largest_error(
     channel: Channel, columns: IntArray, positions: FramePositions
 ) -> tuple[float, int, float] | None:
-    """Return frame, column and size of the largest error of some columns."""
+    """Return frame, column and magnitude of the largest error in the given columns."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
     if not len(indices_between) or not len(columns) or count < 3:
@@ -154,7 +154,7 @@ def _largest_error(
 
 
 def _blocks(indices: IntArray) -> Iterator[IntArray]:
-    """Yield indices in blocks."""
+    """Yield consecutive blocks of indices, to limit memory."""
     for start in range(0, len(indices), BLOCK_FRAMES):
         yield indices[start : start + BLOCK_FRAMES]
 

@@ -45,7 +45,7 @@ def rest_rotation(rig: Rig, joint: int) -> FloatArray:
 
 
 def _product_frame(motion: Motion, joints: list[int]) -> JointFrame:
-    """Return the product of the local transforms of joints, from the first on."""
+    """Multiply the local transforms of joints in order, the first leftmost."""
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
@@ -144,7 +144,7 @@ def even_positions(
 ) -> FramePositions:
     """Return positions ``(index + offset) · ratio`` in ``count`` frames.
 
-    They are exact, and clamped at the ends of the take.
+    The positions are exact, and clamped at the ends of the take.
 
     >>> even_positions(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
     [0.0, 0.5, 0.0, 0.5]
@@ -168,7 +168,7 @@ def even_positions(
 
 
 def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
-    """Return the frame positions of numbers ``(N,)`` [frame], 0 the first.
+    """Return the frame positions of fractional frame indices ``(N,)``.
 
     A number within 1e-9 of a frame is that frame; positions are clamped to the take.
 
@@ -187,7 +187,7 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
 
 
 def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePositions:
-    """Return positions of times ``(N,)`` among the times of samples ``(F,)``.
+    """Locate times ``(N,)`` between the times of samples ``(F,)``.
 
     Times are clamped at the ends.
 
@@ -289,7 +289,7 @@ def _store_travel(
     world_rotation: FloatArray,
     displacement: FloatArray,
 ) -> None:
-    """Store a world step as a step in the frame of a joint's parent."""
+    """Convert a world-space step to a joint's parent space, and store it."""
     if rig.joints[joint].parent < 0:
         travel.rotations[joint], travel.shifts[joint] = world_rotation, displacement
         travel.linear[joint] = so3.to_matrix(world_rotation)

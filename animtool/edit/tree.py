@@ -130,9 +130,9 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
 
 
 def insert_joint(take: Take, name: str, child: int) -> Take:
-    """Return the take with a new static joint right above another.
+    """Insert a static joint between a joint and its parent.
 
-    The new joint takes the other's index, and the other the next one.
+    The new joint takes the child's index; the child's index grows by one.
     """
     joints = [
         replace(j, parent=j.parent + (j.parent >= child)) for j in take.rig.joints
@@ -218,7 +218,7 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
 def _with_changed_channels(
     take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]
 ) -> Take:
-    """Return a take on a rig with other joints, with changed channels."""
+    """Return a take with another rig, its channels changed accordingly."""
     motion = take.motion
     return replace(
         take,
@@ -238,7 +238,7 @@ def _rest_pose(joint: Joint) -> Pose:
 
 
 def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
-    """Return a pose relative to another, in the frame of that pose's parent."""
+    """Compose a parent's pose with a child's, relative to the parent's parent."""
     translation = (
         so3.rotate(parent_pose.rotation, pose.translation) + parent_pose.translation
     )
@@ -419,7 +419,7 @@ def _to_parent_space(
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
-    """Refuse a joint below a zero scale: no local value can place it."""
+    """Raise for a joint below a zero scale, since no local value can place it."""
     parent = take.rig.joints[joint].parent
     if parent < 0:
         return

@@ -81,7 +81,7 @@ class Interval:
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Track a pose through rows; return poses and how many reach the goals."""
+        """Track a pose through rows; return the poses and how many reach the goals."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
@@ -100,13 +100,13 @@ class Interval:
     def _solve(
         self, starts: FloatArray, frames: IntArray, options: IkOptions
     ) -> IkResult:
-        """Return the solved poses of frames."""
+        """Return the IK solutions of the given frames from their starts."""
         targets = targets_of_frames(self.targets, frames)
         preferred = self.preferred[frames]
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _empty_rows(self, count: int) -> FloatArray:
-        """Return rig coordinates of which only those of the chain matter."""
+        """Return zero rig coordinates, as a buffer for coordinates of the chain."""
         return np.zeros((count, self.problem.coordinates))
 
     def difference_from_reference(self, poses: FloatArray, row: int) -> FloatArray:
@@ -118,7 +118,7 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     """Return misses ``(F, E, 4)`` [m], [rad] weighted for a search ``(F, E, 4)`` [1].
 
     As in the solver, misses are scaled by goal weights, and goals of lower priority
-    count little. The largest weight of a frame is normalised to 1; lengths are
+    have small weights. The largest weight of a frame is normalised to 1; lengths are
     fractions of the problem's length.
     """
     counts = np.array([goal.weights for goal in problem.goals])
@@ -186,7 +186,7 @@ def find_branches(
 def branch_tracks(
     interval: Interval, rows: IntArray, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return candidate paths ``(K, L, C)`` from solutions at some rows, and costs.
+    """Return candidate paths ``(K, L, C)`` tracked from the given rows, and costs.
 
     They are the current path and, for each of the rows, its pose, that of the row
     before and the nearest other solutions, each tracked to both ends of the interval.
@@ -247,21 +247,21 @@ def search_long_interval(
 
 
 def _index_slice(rows: slice) -> slice:
-    """Return a slice with a negative stop replaced, so that it reaches index 0."""
+    """Replace a negative stop of a slice by None, so that it includes index 0."""
     return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
 
 def _random_starts(
     interval: Interval, centre: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
-    """Return random poses within the limits, or around a pose without limits."""
+    """Yield random poses: joints within their limits, others around ``centre``."""
     return random_poses(interval.chain, centre, count, [seed, interval.jump_frame])
 
 
 def random_poses(
     chain: Chain, centre: FloatArray, count: int, seed: Sequence[int]
 ) -> Iterator[FloatArray]:
-    """Yield random poses within the limits, or around a pose without limits."""
+    """Yield random poses: joints within their limits, others around ``centre``."""
     rng = np.random.default_rng(seed)
     for i in range(count):
         step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
@@ -278,7 +278,7 @@ def random_poses(
 
 
 def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return poses that differ by more than `SAME_BRANCH` from the earlier ones."""
+    """Return the poses that differ from all earlier ones by more than `SAME_BRANCH`."""
     distinct: list[FloatArray] = []
     for pose in poses:
         if not distinct or (
@@ -292,7 +292,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
 def track_both_directions(
     interval: Interval, poses: FloatArray, start_row: int, steps: int = START_ITERATIONS
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses ``(K, C)`` of a row tracked to both ends of the interval."""
+    """Track poses ``(K, C)`` from a row to both ends; return paths and costs."""
     length = len(interval.frames)
     tracks = np.zeros((len(poses), length, poses.shape[1]))
     costs = np.zeros((len(poses), length))
@@ -311,7 +311,7 @@ def track_both_directions(
 def _blend_paths(
     interval: Interval, tracks: FloatArray, end_row: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield blends from the current path to others over the rows before ``end_row``."""
+    """Yield paths that blend from the current path to a track before ``end_row``."""
     progress = np.clip(np.arange(len(interval.frames)) / max(end_row, 1), 0.0, 1.0)
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:

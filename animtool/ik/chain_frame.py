@@ -149,7 +149,7 @@ def spans_of_take(
 def _moving_sources(
     rig: Rig, driven_joints: set[int], solved_joints: set[int], is_changed: BoolArray
 ) -> list[int]:
-    """Return joints that move without being solved and that drivers read."""
+    """Return the unsolved joints that change over the frames and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
@@ -175,7 +175,7 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
 
 
 def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
-    """Return the joints whose rotation moves a goal, without pivots."""
+    """Return the joints whose rotation moves a goal, except those at its own point."""
     rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
         rotation_joints.update(path[1:] if goal.ignores_joint_rotation else path)
@@ -213,7 +213,7 @@ def _is_rotated(local: LocalTransforms) -> BoolArray:
 def _with_rest_pose(
     rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
-    """Return the rig with the rest pose of a frame, where that differs."""
+    """Return the rig with its rest pose replaced by that of a frame, if different."""
     joints = list(rig.joints)
     for j in moving:
         translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]

@@ -53,7 +53,7 @@ def follow(
     goals, the solution jumps to another branch. Then other paths are searched over ever
     longer intervals before the jump, until one avoids it: solutions from seeded starts,
     tracked forward and backward in time, and blends to these that stay on the goals.
-    The path with the least sum of squared steps is taken and its speed evened out.
+    The path with the least sum of squared steps is chosen and its speed evened out.
     Reaching goals takes precedence over avoiding jumps. No path is searched where no
     other solution of the frame jumps less.
 
@@ -122,7 +122,7 @@ def _check(options: FollowOptions) -> None:
 
 
 def _solve_in_order(clip: ClipPath) -> IkResult:
-    """Return the frames solved in order, with avoidable jumps removed."""
+    """Solve the frames in order, then remove the jumps that another path avoids."""
     result = clip.solve_frames(slice(0, len(clip)), clip.start)
     for attempt in range(MAX_SEARCHES if _has_small_solution_set(clip) else 0):
         if not _is_worth_search(clip, clip.chain_poses(result), attempt):
@@ -313,7 +313,7 @@ def _best_even_path(
 
 
 def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return the best path of a moving clip across branches, if steadier.
+    """Return the best path of a moving clip across branches, if it jumps less.
 
     It may begin and end on any branch, and stays as near to the clip as steps allow.
     """
@@ -338,7 +338,7 @@ def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
 
 
 def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return squared strains of jumps, 0 for other steps ``(F - 1,)``."""
+    """Return the squared jump ratio of each step, 0 without a jump ``(F - 1,)``."""
     ratios = np.zeros(max(len(poses) - 1, 0))
     rows = clip.find_jumping_frames(poses) - 1
     ratios[rows] = clip.jump_ratios(poses)[rows] ** 2
@@ -346,7 +346,7 @@ def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
 
 
 def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return a path with its speed evened out around each jump, where that helps."""
+    """Even out the speed around each jump of a path, where that reduces the jump."""
     poses = poses.copy()
     for frame in clip.find_jumping_frames(poses).tolist():
         for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):

@@ -45,7 +45,7 @@ _Row = tuple[str, int, tuple[float, ...]]
 def with_sources(
     rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
 ) -> set[int]:
-    """Return moving joints with the sources of driven ones.
+    """Return the moving joints, including joints that drive a driven joint.
 
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
@@ -76,7 +76,7 @@ def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class CoordinateSource:
-    """Location of a joint's coordinate in the chain."""
+    """Column of a joint's coordinate in the chain, with a mimic's gain and shift."""
 
     column: int  # first of the chain's coordinates
     gain: float = 1.0  # factor of a mimic joint
@@ -138,7 +138,7 @@ class Programs:
         return [self._numbers[target] for target in self.requested], nodes, numbers
 
     def _targets_read(self, target: str) -> list[str]:
-        """Return the targets whose results a program may read."""
+        """Return the joints and controls whose values a target's program reads."""
         kind, _, name = target.partition("/")
         names: list[str] = []
         if kind == "joint":
@@ -263,7 +263,7 @@ class Programs:
         return [*rows, *_multiply_rows(source.gain), *_add_rows(source.shift)]
 
     def _static_coordinate(self, j: int, part: str) -> float:
-        """Return a coordinate of a static joint."""
+        """Return the value of a static joint's coordinate [rad], [m]."""
         values = self.pose[coordinate_slices(self.rig)[j]][None]
         spec = self.rig.joints[j]
         if spec.type is JointType.BALL:

@@ -53,7 +53,7 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
             else, in metres, and takes every name for a joint.
 
     Raises:
-        FormatError: With every fault of the file, each with line and column.
+        FormatError: The file is faulty; lists every fault with line and column.
         OptionError: The project's settings are malformed.
     """
     return targets_of_document(read_document(Path(path)), rig)
@@ -124,7 +124,7 @@ class _TargetsReader:
         )
 
     def _blame_rig(self) -> None:
-        """Record once, and not for each goal, that the targets are for another rig."""
+        """Merge faults of unknown effectors if the targets are for another rig."""
         faults, count = self.document.faults, len(self.model.goals)
         unknown = [
             fault
@@ -258,7 +258,7 @@ class _TargetsReader:
     def _read_root(
         self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
     ) -> str | None:
-        """Return the root of a goal: that of the file, else that of its chain."""
+        """Return the root of a goal from the file, else the root of its chain."""
         name = model.root
         if name is None:
             return None if chain is None else chain.root
@@ -370,5 +370,5 @@ def _hold_parts(
 
 
 def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:
-    """Return weights that enable some parts of a goal."""
+    """Return goal weights: 1 for each of the given parts."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

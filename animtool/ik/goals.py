@@ -281,7 +281,7 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:
-    """Return the targets of some frames."""
+    """Return the targets of the selected frames."""
     arrays = [getattr(targets, field.name) for field in fields(Targets)]
     return Targets(
         *[None if array is None else np.asarray(array)[frames] for array in arrays]
@@ -331,7 +331,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
 
 
 def _quaternion_w_columns() -> list[int]:
-    """Return the columns of the scalar parts of rotations."""
+    """Return the columns of packed targets that hold the w of a quaternion."""
     return [TARGET_COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
 
 
@@ -354,7 +354,7 @@ def _checked_shape(
     columns: slice,
     faults: list[Fault],
 ) -> FloatArray | None:
-    """Return the targets of one part; None where missing or of another shape."""
+    """Return the targets of one part as an array; None if missing or misshapen."""
     if values is None:
         return None
     width = columns.stop - columns.start

@@ -170,13 +170,13 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
 
 
 def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
-    """Return the joints from a tip to a root, or to the topmost joint."""
+    """Return the joint path from a tip up to a root, or to the topmost joint."""
     path = rig.upwards(rig.index(tip))
     return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
 def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
-    """Return the joints that are off their rest values in any frame."""
+    """Return the joints whose values differ from rest in any frame."""
     joint_indices = np.array(sorted(joints), np.int64)
     values, rest_values = channel.gather(joint_indices), rest[joint_indices]
     if values.shape[2] == 4:
@@ -209,7 +209,7 @@ def _track(
 
 @dataclass(slots=True)
 class _ValueBuilder:
-    """Builds target values from rows."""
+    """Builds target values from per-frame rows: constants, keys or arrays."""
 
     clock: Clock  # F frames
     units: ClipUnits  # of the file
@@ -262,7 +262,7 @@ class _ValueBuilder:
     def _fit_sparse_keys(
         self, rows: FloatArray, joint: Joint, tolerance: float
     ) -> Value:
-        """Return few keys that stay within the tolerance."""
+        """Fit sparse keys that stay within the tolerance of the rows."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
             channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)

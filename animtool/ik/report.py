@@ -156,7 +156,7 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
 def _spans(
     solved_take: TakeIk, misses: FloatArray, is_missed: BoolArray
 ) -> list[MissedSpan]:
-    """Return the spans of frames that miss a goal, from misses ``(F, 4)``."""
+    """Return the runs of frames in which a goal is missed, from misses ``(F, 4)``."""
     times = solved_take.take.clock.times
     spans = []
     for first, end in runs(is_missed):
@@ -344,7 +344,7 @@ def _jump_sort_key(solved_take: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
     """Return a sort key of jumps; slides are measured in chain lengths."""
 
     def bad(jump: Jump) -> tuple[bool, float]:
-        """Return whether goals do not explain a jump, and its excess."""
+        """Return whether a jump is not explained by goals, and its excess."""
         unit = solved_take.problem.length if jump.slides else 1.0
         return (not jump.by_goals, (jump.size - jump.source) / unit)
 
@@ -494,7 +494,7 @@ def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fa
 
 
 def _miss_text(report: GoalReport) -> str:
-    """Return where and by how much a goal is missed, as text."""
+    """Return text that states the frames, the part and the size of a goal's miss."""
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
     frames_text = listed([_frames_text(span) for span in report.spans], max_items=6)
     amounts = []

@@ -47,7 +47,7 @@ COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 
 
 class ClosedForm(IntEnum):
-    """Closed forms of problems, as numbered in the kernel."""
+    """Closed-form solutions, with their numbers in the kernel."""
 
     NONE = 0
     LIMB = 1  # two bones and a position

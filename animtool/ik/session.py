@@ -30,7 +30,7 @@ RequestedKinds: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
 @dataclass(frozen=True, slots=True)
 class _PackedProblem:
-    """A problem, its solver, and its target buffer."""
+    """A problem with its kernel solver and a target buffer that each call fills."""
 
     problem: Problem
     solver: _kernels.RigSolver
@@ -84,7 +84,7 @@ class Session:
         options: IkOptions | None = None,
         rest_weight: float = 0.0,
     ) -> None:
-        """Store what is common to all calls."""
+        """Store the rig, goals and options that all calls share."""
         self.rig = rig
         self.options = options or IkOptions()
         check_options(self.options)
@@ -211,7 +211,7 @@ class Session:
         return OptionError(Fault("TGT001", message, hint=hint))
 
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
-        """Return the packed problem of some goals, with an initial target buffer."""
+        """Return the packed problem of the given goals, with a target buffer."""
         goals = [
             _goal_of_call(self._goals[name], name, kind_mask)
             for name, kind_mask in requested
@@ -265,7 +265,7 @@ def _goals_by_name(
 def _target_parts(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
-    """Return the targets in a goal's value, and a mask of their kinds."""
+    """Split the value of a goal into targets, and a mask of the kinds they set."""
     if goal is None and (not isinstance(value, tuple) or len(value) == 3):
         return (value,), (True, False)
     kinds = JOINT_KINDS if goal is None else goal.kinds

@@ -289,5 +289,5 @@ def _translating_joints(problem: Problem) -> list[str]:
 
 
 def _sliding_text(sliding: list[str]) -> str:
-    """Return why joints that slide are not supported, as text."""
+    """Return text that states which sliding joints a method does not support."""
     return f"is for joints that only rotate, but {listed(sliding)} may translate"

@@ -31,7 +31,7 @@ MAX_OFFSET, PLAUSIBLE_OFFSET = 2.0, 1.0
 
 
 def warn_of_order(document: Document) -> None:
-    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
+    """Warn of [0, 0, 0, 1], which is the identity only if w is last (TGT108)."""
     rows: list[tuple[Location, list[float]]] = []
     for i, goal in enumerate(document.value["goals"]):
         value = goal.get("orientation")

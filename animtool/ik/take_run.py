@@ -1,4 +1,4 @@
-"""Solves the frame spans of a take, and gathers the resulting take."""
+"""Solves the frame spans of a take, and assembles the resulting take."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class TakeIk:
         seconds: Time of all frames [s], the only field that differs between runs.
         jumps: Jumps of joints that no path avoids.
         on_limits: Masks by joint of the frames in which it is on a limit ``(F,)``.
-        moving_between: Joints between the solved ones that move too, or move
+        moving_between: Joints between the solved ones that also move, or that move
             outside their types: each frame was then solved individually.
         away: Smallest distance of each goal's position targets from its effector in the
             source take ``(E,)`` [m]; 0 without any.
@@ -332,7 +332,7 @@ class TakeSolver:
     def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
     ) -> Smoothing | None:
-        """Return the smoothing with the smallest remaining jumps, if any helps."""
+        """Return the trial smoothing that leaves the smallest jumps, or None."""
         angles = [jump.size for jump in result.jumps if not jump.slides]
         if not angles or self.options.smooth > 0:
             return None
@@ -418,7 +418,7 @@ class TakeSolver:
         restarts: int | None = None,
         prefer: FloatArray | None = None,
     ) -> tuple[IkResult, float]:
-        """Return a solution, and its time [s]."""
+        """Solve a problem; return the result and the elapsed time [s]."""
         options = self.options
         frame_options = self._solver_options(problem, warm=warm, restarts=restarts)
         start_time = time.perf_counter()
@@ -483,7 +483,7 @@ def _has_bend_direction(
 def _distant_pole(
     rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int
 ) -> FloatArray:
-    """Return a distant point along the pole direction of a chain ``(3,)`` [m]."""
+    """Return a point far along a chain's pole direction from its root ``(3,)`` [m]."""
     chain = track.chain
     assert chain is not None
     root = rig.index(chain.root)

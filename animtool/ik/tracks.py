@@ -52,13 +52,13 @@ class FreeEffector:
     world: WorldTransforms  # of the joints without the goal, F frames
 
     def position(self) -> FloatArray:
-        """Return the world positions of its point ``(F, 3)`` [m]."""
+        """Return the world positions of the effector's point ``(F, 3)`` [m]."""
         j = self.rig.index(self.goal.joint)
         offset = self.world.linear[:, j] @ np.array(self.goal.offset)
         return np.asarray(self.world.positions[:, j] + offset)
 
     def orientation(self) -> FloatArray:
-        """Return the world rotations of its joint ``(F, 4)``."""
+        """Return the world rotations of the effector's joint ``(F, 4)``."""
         linear = self.world.linear[:, self.rig.index(self.goal.joint)]
         return so3.align_signs(so3.split_scale(linear)[0])
 
@@ -102,7 +102,7 @@ class FreeEffector:
     def _blend_positions(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray
     ) -> FloatArray:
-        """Return blended positions of some rows ``(N, 3)``."""
+        """Return the blended positions of the selected rows ``(N, 3)``."""
         start, end = self.position()[rows], values[rows]
         straight = start + fraction[:, None] * (end - start)
         limb = self._limb()
@@ -140,7 +140,7 @@ class FreeEffector:
         return limb_joints(self.rig, self.goal, moving, origins, point)
 
     def _is_complete(self, root: int) -> bool:
-        """Whether no joint above a limb's root moves for its goal."""
+        """Whether the goal moves no joint above the limb's root."""
         if self.goal.root is not None:
             return True
         parent = self.rig.joints[root].parent
@@ -396,7 +396,7 @@ def _sample_part(
 
 
 def _mentioned_range(track: GoalTrack) -> list[float]:
-    """Return the first and last frames that a goal mentions."""
+    """Return the ends of all spans, key ranges and arrays of a goal [frame]."""
     mentioned_frames = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
         if isinstance(value, Keyed):

@@ -80,7 +80,7 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
 def blend_holds(
     values: FloatArray, weights: FloatArray, hold_values: FloatArray
 ) -> FloatArray:
-    """Return a motion with held spans.
+    """Blend a motion towards the values that spans hold.
 
     Args:
         values: The free motion ``(F, 3)``, or rotations ``(F, 4)``, which take the
@@ -127,7 +127,7 @@ class Value(Protocol):
     """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the values at times."""
+        """Return the values at the sample times."""
         ...
 
 
@@ -149,7 +149,7 @@ class Keyed:
     channel: ClipChannel
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the curve at times."""
+        """Return the values of the key curve at the sample times."""
         values = evaluate_channels([self.channel], frames.times)[self.channel.target]
         return np.array(np.broadcast_to(values, (len(frames.times), values.shape[1])))
 
@@ -164,7 +164,7 @@ class ArrayRows:
     location: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the rows at times, interpolated between rows.
+        """Return the array's values at the sample times, interpolated between rows.
 
         Raises:
             OptionError: There is no row for a time (TGT015).
@@ -185,7 +185,7 @@ class ArrayRows:
         return interpolate_rows(self.values, row_numbers)
 
     def rows_fault(self, message: str, hint: str, path: str | None = None) -> Fault:
-        """Return a fault of frames and rows, located at the array's name (TGT015)."""
+        """Return a fault about an array's rows, located at its name (TGT015)."""
         line, column = self.location
         return Fault("TGT015", message, path, (line,), hint, column=column)
 
@@ -228,7 +228,7 @@ class PrimPoint:
     offset: tuple[float, ...]  # the point in its frame [m]
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the positions of the point."""
+        """Return the world positions of the point at the sample times ``(F, 3)``."""
         positions, rotations = self.motion(frames.seconds)
         return np.asarray(positions + so3.rotate(rotations, np.array(self.offset)))
 
@@ -241,14 +241,14 @@ class PrimRotation:
     rotation: tuple[float, ...]  # from its frame, quaternion
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the rotations."""
+        """Return the prim's rotations at the sample times ``(F, 4)``."""
         _, prim_rotations = self.motion(frames.seconds)
         return so3.align_signs(so3.multiply(prim_rotations, np.array(self.rotation)))
 
 
 @dataclass(frozen=True, slots=True)
 class ValueReader:
-    """Builds target values from a document; faults are added to it."""
+    """Builds target values from a document, and records faults in the document."""
 
     document: Document  # the file
     rig: Rig | None  # prims are read in its world space; None reads no prims
@@ -261,7 +261,7 @@ class ValueReader:
     def read_curve(
         self, location: Location, model: CurveModel, key: str
     ) -> Keyed | None:
-        """Return a curve of keys; ``weight`` is a key too."""
+        """Return a curve of keys; ``weight`` may be a curve, too."""
         reader = ChannelReader(self.document)
         reader.check_curve(location, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")

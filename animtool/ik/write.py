@@ -147,7 +147,7 @@ def _wrap_in_braces(lines: Iterator[str]) -> Iterator[str]:
 
 
 def _to_file_order(values: FloatArray) -> FloatArray:
-    """Return points ``(R, 3)`` as they are, quaternions ``(R, 4)`` as w x y z."""
+    """Reorder quaternions ``(R, 4)`` to w x y z; points ``(R, 3)`` stay unchanged."""
     return values[:, [3, 0, 1, 2]] if values.shape[1] == 4 else values
 
 

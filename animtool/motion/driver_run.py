@@ -32,13 +32,13 @@ HALF_REVOLUTION = np.pi
 
 @dataclass(slots=True)
 class LargestAmount:
-    """The largest amount seen so far, and its frame."""
+    """Running maximum of an amount, and the frame at which it occurs."""
 
     amount: float = 0.0
     frame: float = 0.0
 
     def update(self, amounts: FloatArray, times: FloatArray) -> None:
-        """Update from amounts ``(F,)`` or ``(1,)`` at times ``(F,)``."""
+        """Keep the largest of the amounts ``(F,)`` or ``(1,)`` and its time."""
         if not len(times) or not len(amounts):
             return
         worst_index = int(np.argmax(amounts))
@@ -70,7 +70,7 @@ class DriverRun:
     _targets_keeping_source: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
-        """Plan the order of the rig's drivers."""
+        """Determine the evaluation order of the rig's drivers."""
         self.plan = plan_of(self.rig)
 
     def evaluate(
@@ -404,7 +404,7 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
 
 
 def _animated_column(channel: Channel, i: int) -> FloatArray:
-    """Return one row of a channel with one component ``(F,)``."""
+    """Return the values of a row of a one-component channel ``(F,)`` or ``(1,)``."""
     return _joint_rows(channel, i)[:, 0]
 
 
@@ -440,7 +440,7 @@ def _translation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _amount_text(joint: Joint, amount: float) -> str:
-    """Return an amount as text, in degrees or as a length."""
+    """Format an amount: a length for a prismatic joint's slide, else degrees."""
     if joint.type is JointType.PRISMATIC:
         return length_text(amount, 4)
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"

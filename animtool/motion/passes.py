@@ -58,7 +58,7 @@ class PassthroughTracks:
             yield replace(block, track_times=None)
 
     def restore(self, stream: TakeStream) -> TakeStream:
-        """Return a pass's result, with the same number of frames, with its tracks."""
+        """Restore the tracks in a pass's result, which must have as many frames."""
         blocks = self._add_track_times(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
@@ -83,7 +83,7 @@ class PassthroughTracks:
 def check_tracks(
     stream: TakeStream, source_tracks: Sequence[Track], name: str
 ) -> TakeStream:
-    """Return the result of a pass, which raises when read if the pass lost tracks."""
+    """Return a pass's result; reading it raises an error if the pass lost tracks."""
     if not source_tracks:
         return stream
     paths = listed([track.path for track in source_tracks], MAX_LISTED_TAKES)
@@ -128,7 +128,7 @@ PASSES: dict[str, str] = {
 
 
 class FrameScope(StrEnum):
-    """How many frames of a take a pass needs at once."""
+    """How many frames a pass needs at once: one, a window, or the complete clip."""
 
     FRAME = "frame"
     WINDOW = "window"
@@ -136,7 +136,7 @@ class FrameScope(StrEnum):
 
 
 class TakePart(StrEnum):
-    """A part of a take that a pass reads or changes."""
+    """Kinds of content of a take that a pass reads or changes."""
 
     RIG = "rig"
     JOINTS = "joints"
@@ -247,7 +247,7 @@ StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 
 def _no_checks(_: object) -> OptionChecks:
-    """Return no checks, for passes without option checks."""
+    """Return an empty set of checks, for passes without option checks."""
     return {}
 
 
@@ -399,7 +399,7 @@ def _valid_curves(
     result_take: Take,
     linear_time: LinearTime | None,
 ) -> dict[str, Curves]:
-    """Return the curves of controls that remain valid, at the times of the result."""
+    """Return the control curves that are still valid, mapped to the result's times."""
     curves = stream.control_curves
     if not curves:
         return {}

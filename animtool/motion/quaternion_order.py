@@ -35,7 +35,7 @@ class SwappedOrder:
 
 
 def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
-    """Return the angles that show swapped quaternions; None if the order is right."""
+    """Return angles from rest in both orders if w is misplaced; None if not."""
     animated = motion.rotations.animated
     values = motion.rotations.values
     if len(animated) < MIN_JOINTS or not len(values):

@@ -86,7 +86,7 @@ class PassScores:
         scores: In the order of reports.
         names: Names of affected joints or parts of the take, by description.
         pass_name: Name of the pass; empty until a scene sets it.
-        where: Its entry in the scene; empty until a scene sets it.
+        where: Entry of the pass in the scene; empty until a scene sets it.
     """
 
     scores: tuple[Score, ...]

@@ -113,13 +113,13 @@ class Track:
     note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:
-        """Return its transforms at times ``(F,)``, with continuous rotation signs."""
+        """Return the transforms at times ``(F,)``, with continuous rotation signs."""
         transforms = self.sample(times)
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
 def apply_placement(transforms: Transforms, placement: Placement) -> Transforms:
-    """Return transforms moved to a placement of as many frames or of one."""
+    """Apply a placement, of one frame or one for each time, to transforms."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
         matrices[:, :3, :3] = so3.to_matrix(placement.rotations)

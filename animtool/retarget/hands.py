@@ -219,8 +219,9 @@ def _arm_rotations(
 ) -> FloatArray:
     """Return rotations of both arm bones that bring the hand to its goal ``(F, 2, 3)``.
 
-    They are solved in frames with a contact and fade around them. Rotations fade, not
-    positions, because a nearly straight arm bends a lot for a small motion of its hand.
+    The rotations are solved in frames with a contact, and fade around these frames.
+    Positions do not fade, because a nearly straight arm bends a lot for a small motion
+    of its hand.
     """
     bends = np.zeros((len(is_contact), 2, 3))
     arm, frames = arm_joints(target, side), np.flatnonzero(is_contact)

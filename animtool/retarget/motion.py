@@ -241,7 +241,7 @@ class Retargeting:
         feet: Sequence[Foot],
         fps: float,
     ) -> PlacedFeet:
-        """Return planted feet, with hips and legs that reach them."""
+        """Return the planted feet; store hip positions and knee swivels that reach."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
         # The target's ground is the source's, scaled.
@@ -296,7 +296,7 @@ class Retargeting:
 
     @property
     def stopped_by_rest_frame(self) -> list[str]:
-        """Joints that a rest pose taken from a frame holds at their limits."""
+        """Names of joints at limits because the rest pose is a frame of the take."""
         if self.rest_frame is None:
             return []
         names = self.transfer.target.rig.names

@@ -245,7 +245,7 @@ class FitMeter:
         self._add_score("limbs", bends / np.maximum(counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
-        """Return where limits lift a heel whose toe is planted ``(F,)``."""
+        """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
         planted, contacts = (
             self._contact_frames.placed,
             self._contact_frames.contacts[k],
