@@ -144,7 +144,7 @@ class _BlockLayout:
                 ] = True
 
     def covers(self, targets: set[tuple[str, int]]) -> bool:
-        """Return whether all targets, as part and index, move."""
+        """Return whether all targets, as channel name and row, are marked as moving."""
         return all(
             part in self.is_moving_by_part and self.is_moving_by_part[part][i]
             for part, i in targets
@@ -207,7 +207,7 @@ def _find_layout(
 def _moving_targets(
     channels: Sequence[ClipChannel], rig: Rig
 ) -> set[tuple[str, int]] | None:
-    """Return all that can move, as part and index; None if more than keys decide."""
+    """Return the targets that keys move; None if controls or drivers move others."""
     has_indirect_motion = (
         rig.controls
         or rig.is_driven

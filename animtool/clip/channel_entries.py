@@ -56,7 +56,7 @@ class ChannelReader:
             location: Location of the curve.
             model: The curve.
             target: Target of the channel, also for messages.
-            kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
+            kind: Target kind, such as ``angle``, ``translation`` or ``rotation``.
             unit: Size of a value of 1.
         """
         is_quaternion = kind == "rotation" and model.euler is None

@@ -144,7 +144,7 @@ class Clip:
         return Take(rig, clock, sampled_motion.motion, notices, curve=keyed_curve)
 
     def __repr__(self) -> str:
-        """Return the name, the frame range and the number of channels."""
+        """Return the name, the numbers of channels and keys, and the frame range."""
         keys = counted(sum(len(channel.times) for channel in self.channels), "key")
         channels = counted(len(self.channels), "channel")
         return (

@@ -280,7 +280,7 @@ class _KeyingJob:
     def _weight_tracks(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
     ) -> list[KeyTrack]:
-        """Return tracks of weights less controls and combination shapes."""
+        """Return key tracks of shape weights that controls and products do not give."""
         tracks = []
         zero = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):

@@ -187,7 +187,7 @@ def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
 
 
 def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
+    """Return a mask ``(F, J)`` of rows whose components ``(F, J, K)`` are equal."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
     tolerance = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))

@@ -240,7 +240,7 @@ def _neutral_values(like: Channel, value: float) -> Channel:
 def _combine_channels(
     a: Channel, b: Channel, operation: Operation, strength: BlendStrength
 ) -> Channel:
-    """Apply an operation to two channels; rows static in both stay static."""
+    """Apply an operation to the affected rows of two channels, with the weights."""
     is_affected = (
         np.arange(len(a.rest))
         if strength.joints is None

@@ -49,7 +49,7 @@ BLOCK_FRAMES = 1024
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """A frame range of a take whose last pose and speed match its first."""
+    """A frame range of a take to repeat, and the difference between its ends."""
 
     first: float  # time code of its first frame
     last: float  # time code of the frame that shows the first pose again
@@ -283,7 +283,7 @@ class _PoseView:
 
 
 def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distance of columns ``(D, N)``: ``(N,)`` [m]."""
+    """Return distances ``(N,)`` between corresponding columns ``(D, N)`` [m]."""
     # Summing rows in order rounds equally on every machine.
     difference = a - b
     np.multiply(difference, difference, out=difference)

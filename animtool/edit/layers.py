@@ -128,7 +128,7 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
 
 
 def _check_blend(options: BlendOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
@@ -496,7 +496,7 @@ def _run_layer(
 
 
 def _check_layer(options: LayerOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),

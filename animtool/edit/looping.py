@@ -159,7 +159,8 @@ def _missing_speed(
 ) -> FloatArray:
     """Return the start speed minus the end speed of a cycle ``(A, K)`` [1/frame].
 
-    ``measure_steps`` returns the steps between frames ``(L, A, K)``.
+    In units per frame. ``measure_steps`` returns the steps between frames
+    ``(L, A, K)``.
     """
     extra_frames = blend.frames_before + blend.frames_after
     if extra_frames:
@@ -416,7 +417,7 @@ class _CycleState:
         return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
     def repeat_cycle(self, cycle: FloatArray, to_next_cycle: NextCycle) -> FloatArray:
-        """Return a cycle and its repeats, each continued from the previous one."""
+        """Repeat a cycle; each repetition continues where the previous one ended."""
         cycles = [cycle]
         # One step per repeat: each adds the travel to the previous one.
         for _ in range(self.repeats - 1):
@@ -432,7 +433,7 @@ def _check_minimum(number: int, minimum: int, name: str) -> None:
 
 
 def _option_checks(options: LoopOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "last": lambda: check_range(options.first, options.last),
         "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),

@@ -399,7 +399,7 @@ class _JointMirror:
     def from_rig(
         rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
     ) -> _JointMirror:
-        """Determine the partner and the mirrored rest frame of each joint of a rig."""
+        """Collect the rest rotations and translations that mirroring a rig requires."""
         rest_world_rotations = rig.rest_rotations.copy()
         parent_rotations = np.tile(so3.IDENTITY, (len(rest_world_rotations), 1))
         for i, joint in enumerate(rig.joints):

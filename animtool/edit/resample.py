@@ -386,7 +386,7 @@ def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     if options.fps is None:
         return {}
     fps = options.fps

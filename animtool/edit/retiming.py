@@ -133,7 +133,7 @@ def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | No
 
 
 def _trim_checks(options: TrimOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"last": lambda: check_range(options.first, options.last)}
 
 
@@ -303,7 +303,7 @@ def _percentage_warnings(
 
 
 def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"speed": lambda: _check_speed(options.speed)}
 
 
@@ -434,7 +434,7 @@ def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -
 
 
 def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
 
 

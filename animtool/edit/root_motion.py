@@ -145,7 +145,7 @@ def _check_axes(axes: str) -> None:
 
 
 def _option_checks(options: RootMotionOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"axes": lambda: _check_axes(options.axes)}
 
 

@@ -44,7 +44,7 @@ def interpolation_errors(
 
     A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
     · |f''| at the fraction s; f'' is estimated from differences of neighbouring frames.
-    Rotations likewise, from the change of angular velocity. A motion that jumps
+    For rotations, f'' is the change of angular velocity. A motion that jumps
     deviates more than a smooth one.
     """
     motion = sampler.take.motion

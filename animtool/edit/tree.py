@@ -465,7 +465,7 @@ def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
 
 
 def _checks(options: HangOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "joint": lambda: _require_option(options, "joint"),
         "system": lambda: _require_option(options, "system"),

@@ -253,7 +253,7 @@ def evaluate_rotations(
     above clips the velocity of a SLERP.
 
     Args:
-        times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
+        times: Times of the keys, strictly ascending ``(K,)``, K ≥ 1.
         keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` for C
             curves with keys at the same times.
         kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
@@ -305,7 +305,7 @@ def evaluate_rotations(
 def _check_finite(
     values: ArrayLike, shape: tuple[int | str, ...], name: str
 ) -> FloatArray:
-    """Return values of the shape, all finite."""
+    """Return values as an array; raise unless shaped as given and finite."""
     array = as_floats(values, shape, name)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")

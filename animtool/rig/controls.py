@@ -16,7 +16,7 @@ from animtool.rig.expressions import Expression
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A control's contribution to one target."""
+    """The contribution of a control to one joint coordinate, shape or control."""
 
     # ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being ``angle``,
     # ``slide``, ``rotation.x|y|z`` (of a rotation vector) or ``translation.x|y|z``.
@@ -75,8 +75,8 @@ class ControlCycleError(ValueError):
 def evaluation_order(controls: Sequence[Control]) -> list[str]:
     """Return the control names in dependency order.
 
-    A control depends on the controls that drive it, and on all that their expressions
-    read.
+    A control depends on the controls that drive it, and on all controls that their
+    expressions read.
     """
     dependencies: dict[str, dict[str, None]] = {
         control.name: {} for control in controls

@@ -46,10 +46,10 @@ def read_bind(
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
-    """Return the bind poses that differ from rest; record faults.
+    """Return the bind poses that differ from the rest pose, and record faults.
 
-    A mirrored joint has the reflection of the other's bind pose, unless the file states
-    one.
+    A mirrored joint takes the reflection of its partner's bind pose, unless the file
+    states a bind pose for it.
     """
     joints = {joint.name: joint for joint in file_joints.joints}
     bind = dict(inherited)

@@ -33,7 +33,7 @@ class ArrayRef:
             archives: Cache of open files.
 
         Raises:
-            ValueError: It cannot be read or has non-finite values.
+            ValueError: The array cannot be read or has non-finite values.
         """
         if archives is None:
             return load_array(self.path, self.key)
@@ -129,11 +129,11 @@ class Shape:
         deltas: Vertex offsets added at weight 1 ``(V, 3)``.
         normals: Offsets of the normals ``(V, 3)``; None leaves them unchanged.
         inbetweens: In-betweens, ascending by weight.
-        combine: Names of the shapes whose weights are multiplied to get this one's;
+        combine: Names of the shapes whose product of weights is this shape's weight;
             empty for an independent shape.
         vertices: Indices of the vertices of deltas, normals and inbetweens ``(N,)``;
             None for all vertices.
-        driven: Driver of its weight.
+        driven: Driver of the shape's weight.
     """
 
     name: str

@@ -1,4 +1,4 @@
-"""Lazy arrays of a rig's meshes, shapes and strands."""
+"""Loads the arrays of a rig's meshes, shapes and strands on demand."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class SurfaceSkin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A mesh in memory."""
+    """A mesh with its arrays in memory."""
 
     name: str  # name in the rig
     points: FloatArray  # ``(V, 3)`` [m]
@@ -157,7 +157,7 @@ def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> Surfac
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strands:
-    """Strands in memory."""
+    """Strands of an attachment, with their arrays in memory."""
 
     name: str
     joint: str  # name of the joint that carries all strands
@@ -216,7 +216,7 @@ class _ArrayStore:
     def store_array(
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
-        """Return a reference to an array; store it if no file has it."""
+        """Return a reference to an array; store the array if no file contains it."""
         if source is None or (isinstance(source, ArrayRef) and not self.copy_all):
             return source
         try:
@@ -231,7 +231,7 @@ class _ArrayStore:
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def store_mesh(self, mesh: Mesh) -> Mesh:
-        """Return a mesh with references."""
+        """Return a mesh whose arrays are references to files."""
         skin = mesh.skin
         return replace(
             mesh,
@@ -242,7 +242,7 @@ class _ArrayStore:
         )
 
     def store_skin(self, skin: Skin, mesh: str) -> Skin:
-        """Return a skin with references."""
+        """Return a skin whose arrays are references to files."""
         return replace(
             skin,
             indices=self.store_array(skin.indices, f"{mesh}_joints", integers=True),
@@ -250,7 +250,7 @@ class _ArrayStore:
         )
 
     def store_shape(self, shape: Shape) -> Shape:
-        """Return a shape with references."""
+        """Return a shape whose arrays are references to files."""
         name = shape.name
         return replace(
             shape,
@@ -265,7 +265,7 @@ class _ArrayStore:
         )
 
     def store_inbetween(self, step: Inbetween, shape: str) -> Inbetween:
-        """Return an inbetween with references."""
+        """Return an in-between whose arrays are references to files."""
         name = f"{shape}_{step.at:g}"
         return replace(
             step,
@@ -274,7 +274,7 @@ class _ArrayStore:
         )
 
     def store_attachment(self, entry: Attachment) -> Attachment:
-        """Return an attachment with references."""
+        """Return an attachment whose arrays are references to files."""
         return replace(
             entry,
             pins=self.store_array(entry.pins, f"{entry.name}_pins", integers=True),
@@ -283,7 +283,7 @@ class _ArrayStore:
 
 
 def _to_32_bits(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
-    """Return the values in 32 bits if that is lossless."""
+    """Convert values to a 32-bit type if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
         narrowed_values = values.astype(kind)
