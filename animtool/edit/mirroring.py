@@ -116,9 +116,9 @@ def _control_effect(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the effect of a small change of a control, in direction 1 or -1.
 
-    On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
-    [m]; and on each shape ``(S,)``. ``rest_rotations``: world rotations of the joints
-    at rest ``(J, 3, 3)``.
+    On a joint, the effect is a world-space rotation vector [rad] and a translation [m]
+    ``(J, 6)``; on a shape, a weight ``(S,)``. ``rest_rotations``: world rotations of
+    the joints at rest ``(J, 3, 3)``.
     """
     control = rig.controls[control_index]
     range_width = 1.0

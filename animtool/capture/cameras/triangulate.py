@@ -186,9 +186,9 @@ class _TriangulationRun:
 
     @property
     def _max_condition(self) -> float:
-        """Largest allowed trace of a normal matrix times its inverse's.
+        """Largest allowed product of the traces of a normal matrix and of its inverse.
 
-        For two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
+        For two rays at an angle a with unit weights it is 4 / (2 sin(a / 2)^2).
         """
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
@@ -240,7 +240,7 @@ class _TriangulationRun:
     def _mark_kept_ranges(
         self, camera: int, ranges: list[PoseShift]
     ) -> list[PoseShift]:
-        """Return ranges, marking a camera as kept where leaving it out does not help.
+        """Mark ranges as kept where excluding the camera does not reduce the error.
 
         The criterion is the reprojection error of the other cameras.
         """
@@ -252,7 +252,7 @@ class _TriangulationRun:
         ]
 
     def _is_better_without(self, camera: int, shift: PoseShift) -> bool:
-        """Return whether the other cameras agree better without one camera."""
+        """Return whether excluding a camera reduces the error of the other cameras."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
         pixels = self.observations.pixels(shift.first, shift.end, step)
@@ -288,12 +288,12 @@ class _TriangulationRun:
         return errors[1] <= TIE_COST_RATIO * errors[0]
 
     def _solve_changed_frames(self, changed: BoolArray) -> None:
-        """Solve frames again whose set of cameras changed."""
+        """Solve again the frames whose set of active cameras changed."""
         for first, end in runs(changed):
             self._solve_frames(first, end)
 
     def _exclude_shifted(self) -> None:
-        """Exclude cameras where they do not fit, the worst first."""
+        """Exclude cameras in frame ranges in which they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         is_active = self.active.copy()
         for camera, shifts in enumerate(self.shifts):

@@ -168,7 +168,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
 
 
 def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
-    """Return values of some columns for ``count`` of them; the others are NaN."""
+    """Expand columns to ``count`` markers; markers without a column are NaN."""
     all_columns = np.full((len(values), count, *values.shape[2:]), np.nan)
     all_columns[:, columns] = values
     return all_columns
