@@ -95,7 +95,7 @@ class _BlockSampler:
         return sampled.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
-        """Return the worst notices so far; ``times`` of all blocks."""
+        """Return the worst notice of each target, given the ``times`` of all blocks."""
         notices = [
             with_keys(notice, self.channels, self.rig, times)
             for notice in self._worst.values()

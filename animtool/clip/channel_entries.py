@@ -257,7 +257,7 @@ class ChannelReader:
         self.document.add("CLIP004", location, f"{message}{times[k - 1]:g}", hint)
 
     def _check_handles(self, curve_location: Location, model: CurveModel) -> None:
-        """Refuse handles on the wrong side of their keys."""
+        """Record handles that point to the wrong side of their keys."""
         for k, key in enumerate(_key_models(model)):
             for name, handle, sign in (("in", key.in_, -1), ("out", key.out, 1)):
                 if not isinstance(handle, list) or isinstance(handle[0], list):
@@ -273,7 +273,7 @@ class ChannelReader:
     def _check_no_slopes(
         self, curve_location: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
-        """Refuse handles and tangents on quaternion keys."""
+        """Record handles and tangents of quaternion keys, which have no effect."""
         hint = "write euler: XYZ to key three angles, which have them"
         locations: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         locations = [(curve_location, model, ("tangents", "parametrization"))]

@@ -56,7 +56,7 @@ class Clip:
 
         Args:
             path: The file.
-            rig: Its rig or rig file; None uses the rig named by the clip.
+            rig: The clip's rig or rig file; None uses the rig named by the clip.
 
         Raises:
             FormatError: The clip or its rig is malformed; lists every fault.
@@ -226,7 +226,7 @@ def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
-    """Return whether all values keep their bits when written in a unit."""
+    """Return whether all values round-trip exactly when written in a unit."""
     return all(float(scaled_decimal(value, unit)) * unit == value for value in values)
 
 

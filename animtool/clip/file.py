@@ -135,7 +135,7 @@ def check_clip(file: ClipFile) -> None:
 
 
 def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
-    """Return the units of a clip's numbers, by default its rig's."""
+    """Return the units of a clip's numbers, by default those of its rig."""
     length, angle = model.units.length, model.units.angle
     units = ClipUnits(1.0, 1.0)
     if rig is not None:

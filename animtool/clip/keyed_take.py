@@ -63,7 +63,7 @@ REFINEMENT_FACTOR = 0.5
 
 @dataclass(frozen=True, slots=True)
 class KeyedTake:
-    """A clip of sparse keys and its error."""
+    """A clip of sparse keys, with its errors against the take."""
 
     clip: Clip  # for the rig
     # Keys of the clip; their errors are those of the clip sampled on the rig.
@@ -92,7 +92,7 @@ def fit_take_keys(
 
     Args:
         take: A take of at least one frame.
-        rig: Its rig as read with the clip.
+        rig: Rig of the take, as read with the clip.
         name: Name of the clip.
         tolerance: Largest error of any joint > 0 [m].
         joint_tolerances: Tolerances by joint name or pattern > 0 [m].

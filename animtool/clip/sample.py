@@ -140,7 +140,7 @@ def sample_values(
     Args:
         keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
             rotations as quaternions.
-        rig: Its rig.
+        rig: Rig of the targets.
         times: Times of the values ``(F,)``.
         clamp: Bring controls into their ranges and joints into their limits.
         run: Evaluates the rig's drivers and collects their notices, if the times

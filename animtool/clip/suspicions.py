@@ -86,10 +86,10 @@ def warn_of_numbers(
 
     Args:
         document: The clip file.
-        channels: Its channels.
-        fps: Its frames per second.
+        channels: Channels of the clip.
+        fps: Frames per second of the clip.
         units: Units of its numbers.
-        rig: Its rig, if it is known.
+        rig: Rig of the clip, if it is known.
         has_unit: Whether the file names its unit of length.
     """
     _warn_of_order(document, channels)
@@ -222,7 +222,7 @@ def warn_of_angle_keys(
 
     Args:
         document: The file.
-        curves: Its angles.
+        curves: Keyed angles of the file.
         label: What the keys are called, such as ``rotation keys of``.
         noun: What has them, such as ``channel``.
         units: Units of the file's numbers.

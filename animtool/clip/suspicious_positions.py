@@ -52,9 +52,9 @@ def warn_of_positions(
 
     Args:
         document: The clip file.
-        channels: Its channels.
+        channels: Channels of the clip.
         units: Units of its numbers.
-        rig: Its rig.
+        rig: Rig of the clip.
     """
     _warn_of_rest(document, channels, rig)
     if any(HINGE_NAMES.search(n) or FOOT_NAMES.search(n) for n in rig.names):

@@ -36,7 +36,7 @@ MAX_NAMED = 6
 
 
 def align_signs(motion: Motion, previous: FloatArray | None = None) -> Motion:
-    """Return the motion with rotation signs continuous along its frames.
+    """Make the quaternion signs of a motion continuous along its frames.
 
     ``previous``: last rotations before the motion ``(A, 4)``.
     """
@@ -164,7 +164,7 @@ def _part_order(
 
 
 def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
-    """Return a channel with its rows reordered; None and no order change nothing."""
+    """Reorder the rows of a channel; None or no order changes nothing."""
     if channel is None or order is None:
         return channel
     return Channel.from_dense(channel.dense()[:, order])

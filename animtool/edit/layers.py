@@ -55,7 +55,7 @@ MIN_DISPLACED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class BlendOptions:
-    """The other take of a blend, its weight and timing.
+    """The second take of a blend, its weight and timing.
 
     Attributes:
         take: File of the other take.
@@ -258,7 +258,7 @@ class LayerMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LayerOptions:
-    """The layer take, its joints and weight.
+    """The take of a layer, the affected joints, and the weight.
 
     Attributes:
         take: File of the other take.

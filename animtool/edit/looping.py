@@ -88,7 +88,7 @@ class SeamBlend:
         )
 
     def cycle_and_next(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
-        """Return the frames of the cycle and the one after it ``(L + 1, ...)``."""
+        """Return the frames of the cycle and the next frame ``(L + 1, ...)``."""
         return values[self.frames_before : self.frames_before + self.cycle_length + 1]
 
     def end_frames(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -128,7 +128,7 @@ def close_vectors(
 def close_rotations(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
+    """Blend a cycle of rotations so that its end meets the next ``(L, A, 4)``."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     offset = so3.multiply(so3.conjugate(cycle[-1]), to_next_cycle(cycle[:1])[0])
@@ -463,7 +463,7 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
 
 
 def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
-    """Return the best cycle of a take if it closes far better than the chosen one."""
+    """Return the best cycle of a take if its ends match far better than the given."""
     try:
         best = find_cycle(take)
     except OptionError:

@@ -39,7 +39,7 @@ EFFECT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """How values of each control map to its partner."""
+    """Maps values of controls to their mirror partners, with sign and pivot."""
 
     partners: IntArray  # index of each control's partner ``(C,)``
     # 1 for equal signs, -1 for opposite signs ``(C,)``.
@@ -313,7 +313,7 @@ def _unpaired_warnings(
 def _asymmetry_warnings(
     rig: Rig, partners: IntArray, is_checked: BoolArray, axis: int
 ) -> Iterator[Fault]:
-    """Yield a warning where the rest pose is not its own mirror image."""
+    """Yield a warning if the rest pose is not symmetric."""
     if not is_checked.any():
         return
     positions = rest_world(rig).positions[0]
@@ -386,7 +386,7 @@ def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _JointMirror:
-    """How values of each joint map to its partner."""
+    """Maps local values of joints to their mirror partners."""
 
     partners: IntArray
     is_kept: BoolArray  # mask of the joints that keep their values (J,)

@@ -67,7 +67,7 @@ def interpolation_errors(
 def interpolation_notices(
     sampler: TakeSampler, positions: FramePositions, hint: str
 ) -> list[Fault]:
-    """Return the note of the estimated interpolation error (TAKE007), if it matters.
+    """Return a note with the interpolation error (TAKE007), unless it is negligible.
 
     hint: How the caller can avoid it.
     """

@@ -81,7 +81,7 @@ class JointTransforms:
 
 
 def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
-    """Return the take with a joint moved, its children left in place."""
+    """Replace a joint's local transforms; its children keep their world transforms."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
@@ -155,7 +155,7 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
 
 
 def remove_joint(take: Take, joint: int) -> Take:
-    """Return the take without a joint at its parent's origin and orientation.
+    """Remove a joint that coincides with its parent.
 
     Its children move to its parent and take over its scale and rest pose.
     """
@@ -197,7 +197,7 @@ def remove_joint(take: Take, joint: int) -> Take:
 
 
 def _move_scale_to_children(take: Take, joint: int) -> Take:
-    """Return the take with a joint's scale moved to its children."""
+    """Multiply the scale of a joint into its children, and reset it."""
     scales = take.motion.scales
     if scales is None:
         return take
@@ -407,7 +407,7 @@ def _shortest_rotations(
 def _to_parent_space(
     world: WorldTransforms, parent: int, positions: FloatArray, rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return world transforms of a joint in the space of its parent."""
+    """Convert world transforms of a joint to the space of its parent."""
     if parent < 0:
         return positions, rotations
     inverse_linear = np.linalg.inv(world.linear[:, parent])

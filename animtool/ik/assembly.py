@@ -185,7 +185,7 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
 
 
 def _leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
-    """Return the joint that leads a mimic joint, with gain and offset."""
+    """Return the leader of a mimic joint, with gain and offset."""
     gain, shift = 1.0, 0.0
     visited_joints = set()
     while (
@@ -220,7 +220,7 @@ def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 def assemble(
     rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
-    """Return the chain of the moving joints; the others are fixed at a pose ``(Q,)``.
+    """Return the chain of the moving joints; other joints are fixed at a pose ``(Q,)``.
 
     At least one joint above each goal moves.
     """

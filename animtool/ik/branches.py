@@ -328,9 +328,9 @@ def best_path(
     fixed_end: bool,
     free_start: bool = False,
 ) -> FloatArray:
-    """Return the poses ``(L, C)`` of the cheapest route across candidate paths.
+    """Return the least-cost route ``(L, C)`` across candidate paths, by Viterbi search.
 
-    Minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
+    It minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
     convolutional codes, 1967); steps above ``free_step`` are penalised. The route
     begins on the first path unless ``free_start``, and ends there if ``fixed_end``.
 

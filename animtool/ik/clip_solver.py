@@ -147,13 +147,13 @@ def _solve_in_order(clip: ClipPath) -> IkResult:
 
 
 def _has_small_solution_set(clip: ClipPath) -> bool:
-    """Whether the solution set of a frame is small enough to search exhaustively."""
+    """Return whether a frame's solution set is small enough to search exhaustively."""
     redundancy = clip.problem.degrees - clip.problem.rows
     return not clip.is_motion and redundancy <= MAX_REDUNDANCY
 
 
 def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
-    """Whether the worst step is a jump that another path may avoid."""
+    """Return whether the largest step is a jump that another path may avoid."""
     ratios = clip.jump_ratios(poses)
     if not len(ratios) or ratios.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
         return False
@@ -161,10 +161,10 @@ def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
 
 
 def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
-    """Whether a frame has other solutions with a smaller jump.
+    """Return whether a frame has other solutions with a smaller jump.
 
-    Without any, as where targets return into reach and straight limbs bend, searching
-    for a path that avoids the jump is useless.
+    Without such solutions, as where targets return into reach and straight limbs bend,
+    no path can avoid the jump.
     """
     window = slice(frame - 1, frame + 1)
     interval = clip.interval(poses[window], window, frame)

@@ -67,7 +67,7 @@ def with_sources(
 
 
 def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
-    """Return a goal's joint and those above it, up to its root."""
+    """Return a goal's joint and the joints above it, up to the goal's root."""
     joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root not in rig.names:
         return joints_above

@@ -128,7 +128,7 @@ def by_unit(length: float, angle: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A goal of a joint or of a point in its frame.
+    """An IK goal of a joint, or of a point in the joint's frame.
 
     Weights multiply the residuals before these are squared and summed: positions in
     fractions of the problem's length, the others in radians. A weight of 0 disables.
@@ -341,7 +341,7 @@ def _is_rotation(kind: GoalKind) -> bool:
 
 
 def _limit_direction_sizes(directions: FloatArray) -> None:
-    """Scale huge direction targets so that their squares do not overflow."""
+    """Scale down huge direction targets so that their squares do not overflow."""
     sizes = np.abs(directions).max(axis=2, keepdims=True)
     if (sizes > MAX_COORDINATE).any():
         directions *= MAX_COORDINATE / np.maximum(sizes, MAX_COORDINATE)

@@ -222,7 +222,7 @@ class _ValueBuilder:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
-            rows: By frame.
+            rows: Values of each frame.
             name: Name of the array.
             joint: Joint that decides the Euler order.
         """
@@ -235,7 +235,7 @@ class _ValueBuilder:
         return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
 
     def _unique_name(self, name: str) -> str:
-        """Return a name that no other array has, with word characters only."""
+        """Return a unique array name of word characters only."""
         unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:

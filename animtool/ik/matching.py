@@ -134,7 +134,7 @@ class _BendingLimb:
 def _bending_limb(
     rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms
 ) -> _BendingLimb | None:
-    """Return the limb of a chain as its goal is solved; None without one."""
+    """Return the limb that the solver bends for a chain; None if there is none."""
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
@@ -197,7 +197,7 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
 
 
 def _normalize(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
-    """Return unit vectors ``(F, 3)``, and a mask of those above a length ``(F,)``."""
+    """Normalize vectors ``(F, 3)``; mask those longer than ``min_length`` ``(F,)``."""
     lengths = np.linalg.norm(vectors, axis=1)
     is_longer = lengths > min_length
     return vectors / np.where(is_longer, lengths, 1.0)[:, None], is_longer

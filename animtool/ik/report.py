@@ -45,7 +45,7 @@ OVERFLOW_DISTANCE = 1e150
 
 @dataclass(frozen=True, slots=True)
 class Misses:
-    """Misses of one part of a goal over the frames that use it."""
+    """Statistics of the misses of one part of a goal, over the frames that use it."""
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
     frames: int  # number of frames that use it
@@ -83,7 +83,7 @@ class MissedSpan:
 
 @dataclass(frozen=True, slots=True)
 class GoalReport:
-    """Result of one goal over a take."""
+    """Misses of one goal over a take, and the spans in which it is missed."""
 
     name: str  # the effector
     joint: str  # its joint
@@ -480,7 +480,7 @@ def independent_frame_notices(
 
 
 def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fault:
-    """Return a warning about one of the goals."""
+    """Return a warning with a code and a message, located at a goal."""
     line, column = solved_take.tracks.goals[goal].location
     return Fault(
         code,

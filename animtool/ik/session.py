@@ -152,7 +152,7 @@ class Session:
         start: ArrayLike | None = None,
         **named: Any,
     ) -> FloatArray:
-        """Return all poses ``(N, Q)`` of an arm that reach a target pose of its end.
+        """Return all poses ``(N, Q)`` with which an arm's end reaches a target pose.
 
         Within the limits, the nearest to ``start`` first; angles that are free, where
         axes align, are those of the start.
@@ -287,7 +287,7 @@ def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> 
 
 
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
-    """Return the error of targets whose shapes do not fit their goals."""
+    """Return the error that the shapes of targets do not match the goals."""
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"

@@ -184,7 +184,7 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
 
 
 def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
-    """Return the fault of an option unless it is valid."""
+    """Return a fault of an option if it is invalid, else no fault."""
     message = f"{name} must be {rule}, not {value}"
     return [] if is_valid else [Fault("IK014", message)]
 

@@ -174,8 +174,8 @@ def with_types(rig: Rig) -> Rig:
 def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     """Return a rig with the joint data of another rig, matched by name.
 
-    Copies types, axes, limits and rest poses, and the chains whose joints all exist in
-    the rig.
+    Types, axes, limits and rest poses are copied, and the chains whose joints all exist
+    in the rig.
 
     >>> from animtool.rig.skeleton import Joint
     >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))

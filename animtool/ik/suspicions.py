@@ -66,7 +66,7 @@ def warn_of_seconds(
         document: The targets file.
         fps: Frames per second.
         frames: First and last frame of its range; None without a range.
-        goals: Its goals.
+        goals: Goals of the file.
     """
     times = [
         value.channel.times
@@ -86,7 +86,7 @@ def warn_of_seconds(
 def warn_of_angles(
     document: Document, goals: Sequence[GoalTrack], units: ClipUnits, rig: Rig | None
 ) -> None:
-    """Warn of Euler angles of orientations in another unit (CLIP107)."""
+    """Warn of orientation angles that seem to be in another unit (CLIP107)."""
     curves = [
         AngleCurve(("goals", i, "orientation"), track.name, value.channel.values)
         for i, track in enumerate(goals)

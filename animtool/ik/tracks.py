@@ -45,7 +45,7 @@ DEFAULT_RATE = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class FreeEffector:
-    """An effector's motion without its goal."""
+    """Motion of an effector while its goal is inactive."""
 
     rig: Rig  # J joints
     goal: Goal  # the effector, its point and axis
@@ -140,7 +140,7 @@ class FreeEffector:
         return limb_joints(self.rig, self.goal, moving, origins, point)
 
     def _is_complete(self, root: int) -> bool:
-        """Whether the goal moves no joint above the limb's root."""
+        """Return whether the goal moves no joint above the limb's root."""
         if self.goal.root is not None:
             return True
         parent = self.rig.joints[root].parent

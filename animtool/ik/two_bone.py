@@ -64,7 +64,7 @@ def _joint_obstacle(chain: Chain) -> str | None:
 
 
 def _is_unlimited(numbers: FloatArray) -> bool:
-    """Return whether a joint has no limits, from its node numbers."""
+    """Return whether the node numbers of a joint contain no limits."""
     low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
     return bool((numbers[14:18] == low_side).all())
 

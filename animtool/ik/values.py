@@ -85,7 +85,7 @@ def blend_holds(
     Args:
         values: The free motion ``(F, 3)``, or rotations ``(F, 4)``, which take the
             shortest arc to the held one.
-        weights: From `hold_weights` ``(H, F)``.
+        weights: Hold weights from `hold_weights` ``(H, F)``.
         hold_values: Value that each span holds ``(H, 3)`` or ``(H, 4)``.
 
     >>> weights = np.array([[0.5, 1.0]])
@@ -288,7 +288,7 @@ class ValueReader:
     def _read_rotation(
         self, location: Location, numbers: list[float]
     ) -> Constant | None:
-        """Return a constant rotation; None with a fault if its length is 0."""
+        """Return a constant rotation; record a fault and return None if it is zero."""
         rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
         if is_invalid:
             message = f"quaternion {numbers} has zero length"

@@ -37,7 +37,7 @@ def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     Numbers are read back exactly, apart from the last digit after a unit conversion.
 
     Args:
-        tracks: With constants, keys and arrays, whose names contain their files.
+        tracks: Target tracks of constants, keys and arrays named with their files.
         units: Units of the file.
     """
     writer = _TargetsWriter(units)

@@ -161,8 +161,8 @@ def rigid_motion(
     points, which leave the rotation undetermined, the smallest rotation is returned.
 
     Args:
-        source_points: At least one ``(P, 3)``.
-        target_points: Their targets ``(P, 3)``.
+        source_points: At least one source point ``(P, 3)``.
+        target_points: Positions that the source points should reach ``(P, 3)``.
 
     References:
         W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.

@@ -148,7 +148,7 @@ def find_best_cutoff(
 
     The expected error of a cut-off is the signal it removes plus the noise it keeps (C.
     L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. Return
-    None if the signal is best left unfiltered.
+    It is None if the signal is best left unfiltered.
 
     Args:
         values: ``(F, K)``.

@@ -44,7 +44,7 @@ def align_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
 
 
 def log_of_cover(q: ArrayLike) -> FloatArray:
-    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q with its sign.
+    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q, not -q.
 
     Its length is at most 2π; q = (0, 0, 0, -1), which has no axis, returns 0.
 

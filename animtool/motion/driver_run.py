@@ -311,7 +311,7 @@ class DriverRun:
     def _record_replaced(
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
-        """Record the difference of a target's source motion from its driven motion."""
+        """Record the difference between a target's source motion and driven motion."""
         if self.report_replaced and differences.max(initial=0.0) > tolerance:
             self._replaced_amounts.setdefault(target, LargestAmount()).update(
                 differences, times
@@ -435,7 +435,7 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
 
 
 def _translation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return distances between translations ``(F,)`` [m]."""
+    """Return the distances between two translations in each frame ``(F,)`` [m]."""
     return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 

@@ -184,7 +184,7 @@ class PlacedJoint:
 
 @dataclass(frozen=True, slots=True)
 class PassContext:
-    """Services of a pass besides its take and options."""
+    """Services for a pass: other takes, notices, scores, progress and the scene."""
 
     open: Callable[[Path], Take]  # opens another take on the same rig
     folder: Path  # where relative paths in options start

@@ -69,7 +69,7 @@ class JointDrive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhysicsJoint:
-    """A joint of two bodies; x is its axis."""
+    """A joint between two bodies; its axis is x of the joint frame."""
 
     name: str
     kind: str  # `fixed`, `pin`, `ball` or `prismatic`

@@ -148,7 +148,7 @@ def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
 
 
 def _largest_tree(search: _RoleSearch) -> list[Fault]:
-    """Ignore all trees but the largest; warn if others look like bodies too."""
+    """Ignore all joint trees but the largest; warn if another looks like a body."""
     body = search.body
     roots = body.rig.roots
     if len(roots) == 1:

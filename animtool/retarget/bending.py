@@ -84,7 +84,7 @@ def bend_at_pin(
     Args:
         hip: Start of the thigh ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
-        thigh: Its current world rotations ``(F, 4)``.
+        thigh: Current world rotations of the thigh ``(F, 4)``.
         bones: Vector of the thigh, and of the shin with the knee at rest, both in the
             frame of the thigh ``(3,)`` [m].
         axis: Unit axis of the knee in that frame ``(3,)``.

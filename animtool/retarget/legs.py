@@ -25,7 +25,7 @@ from animtool.rig.skeleton import JointType, Rig
 class LegTracks:
     """Motion of a target leg relative to the hips, and of the source's leg.
 
-    Contains all frames, since planting depends on the complete contacts.
+    It contains all frames, since planting depends on the complete contacts.
     """
 
     hip: FloatArray  # of the target, relative to the middle of its hips (F, 3) [m]

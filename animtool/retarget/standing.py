@@ -70,7 +70,7 @@ class Stance:
 
 
 def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
-    """Return the direction from feet to head ``(F, 3)``.
+    """Return the unit direction from feet to head in each frame ``(F, 3)``.
 
     Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
     no body. A four-legged body points away from its feet, whatever the direction of its
@@ -189,7 +189,7 @@ def _is_trunk_along(
 ) -> bool:
     """Return whether the trunk is along an axis on average, with no legs below it.
 
-    Covers takes that never stand, such as a leap.
+    This covers takes that never stand, such as a leap.
     """
     trunk = _trunk_vectors(roles, positions)
     legs = _limb_vectors(roles, positions, *_LIMBS[0])
@@ -254,9 +254,9 @@ def find_standing_axis(
     BVH files do not state the up axis.
 
     Args:
-        rig: Of J joints.
+        rig: Rig of J joints.
         motion: The take.
-        roles: Of the joints ``(J,)``.
+        roles: Joint roles ``(J,)``.
         downwards: Whether it stands along the axis with the head at its negative end,
             as a take does that was turned from the wrong axis.
     """

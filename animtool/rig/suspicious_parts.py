@@ -35,7 +35,7 @@ def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
 
     Args:
         document: The rig file.
-        model: Its content.
+        model: Content of the file.
         rig: The rig.
     """
     for i, chain in enumerate(model.ik):

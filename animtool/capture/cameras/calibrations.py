@@ -92,7 +92,7 @@ def _parse_toml(text: str, path: Path) -> Document:
 
 
 def _node_count(value: Any) -> int:
-    """Return the number of nodes of a value: itself, its items and their items."""
+    """Return the number of document nodes of a value, counted with keys and items."""
     if isinstance(value, dict):
         return 1 + sum(1 + _node_count(inner) for inner in value.values())
     if isinstance(value, list):

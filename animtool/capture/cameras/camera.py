@@ -28,7 +28,7 @@ _NEWTON_STEPS = 20
 class Camera:
     """A calibrated camera.
 
-    It looks along +z, x is to the right and y down: ``x_camera = R x_world + t``.
+    The camera looks along +z, with x right and y down: ``x_camera = R x_world + t``.
 
     Attributes:
         name: Unique among the cameras.
@@ -72,9 +72,9 @@ class Cameras:
     """The cameras of a capture.
 
     Attributes:
-        cameras: In the order of the file.
+        cameras: Cameras in the order of the file.
         up: The up axis of the world.
-        path: Their file; empty for none.
+        path: File of the cameras; empty without a file.
         notices: Warnings and notes about the file.
     """
 

@@ -33,7 +33,7 @@ class Convention:
     opengl: bool = False  # the camera looks along -z with y up
 
     def camera(self, camera: Camera) -> Camera:
-        """Return a camera whose pose was read as if it were in this convention."""
+        """Convert a camera whose pose was read without regard to this convention."""
         rotation = camera.rotation
         if self.w_last:
             x, y, z, w = from_matrix(rotation)

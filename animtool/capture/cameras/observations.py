@@ -54,7 +54,7 @@ class Observations:
         missing: The stored number for invisible points; None is NaN.
         confidences: Detector confidence ``(F, C, M)``, 0 if not visible; None if
             all are equal.
-        path: Their file.
+        path: File of the observations.
         notices: Warnings and notes about it.
     """
 

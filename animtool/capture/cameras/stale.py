@@ -106,7 +106,7 @@ def find_shifted_ranges(
 
     Args:
         triangulated_counts: Observations of triangulated points ``(F, C)``.
-        rejected: Outliers among them ``(F, C)``.
+        rejected: Outliers among these observations ``(F, C)``.
         active: Whether each camera is used ``(F, C)``.
         rate: Frames a second.
     """
@@ -283,8 +283,8 @@ def fit_pose_change(
 
     Args:
         camera: The camera with its calibrated pose.
-        points: In the world [m] ``(F, M, 3)``, NaN for gaps.
-        pixels: Its observations of them ``(F, M, 2)``, NaN if not visible.
+        points: World positions [m] ``(F, M, 3)``, NaN for gaps.
+        pixels: Pixels of the points ``(F, M, 2)``, NaN if not visible.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]

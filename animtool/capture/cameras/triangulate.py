@@ -68,7 +68,7 @@ def triangulate(
 
     Args:
         observations: Pixels in each frame.
-        cameras: Their calibrations, in any order where the observations name theirs.
+        cameras: Calibrated cameras, in any order if the observations name cameras.
         options: Triangulation options; None uses the defaults.
         progress: Called with the fraction done.
 
@@ -132,7 +132,7 @@ class _TriangulationRun:
         return self._build_result()
 
     def _measure_noise(self) -> dict[int, PoseChange]:
-        """Measure the noise; return cameras that fit in no frame."""
+        """Measure the noise; return the stale cameras with their pose changes."""
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
@@ -166,7 +166,7 @@ class _TriangulationRun:
         return noise.stale_cameras
 
     def _refuse_other_convention(self, limit: float) -> None:
-        """Refuse poses that fit in another convention, such as quaternions w last."""
+        """Raise if poses fit in another convention, such as w-last quaternions."""
         better = better_convention(
             self.cameras.cameras,
             lambda cameras: sampled_initial_noise(self.observations, cameras),
@@ -218,7 +218,7 @@ class _TriangulationRun:
             yield begin, min(begin + size, end)
 
     def _record_stale(self, stale: dict[int, PoseChange]) -> None:
-        """Record where cameras with a better pose do not fit; use them elsewhere.
+        """Record frames in which stale cameras do not fit; use them in other frames.
 
         The test covers all frames at once first: a camera that moved during the take is
         off in part of them.

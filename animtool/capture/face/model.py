@@ -91,7 +91,7 @@ class FaceModel:
         )
 
     def select(self, shapes: BoolArray) -> FaceModel:
-        """Return the model with a subset of its shapes; the rest have weight 0."""
+        """Return the model restricted to given shapes; the others have weight 0."""
         names = tuple(
             name
             for name, is_kept in zip(self.shapes, shapes.tolist(), strict=True)

@@ -275,7 +275,7 @@ class _Fit:
         )
 
     def _measure_noise(self) -> float:
-        """Return the noise's standard deviation, from frames solved separately."""
+        """Estimate the standard deviation of landmarks from independent frames."""
         usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
         sampled_frames = usable_frames[
             np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)

@@ -47,9 +47,9 @@ def transfer_weights(
 ) -> TransferredWeights:
     """Transfer a face's weights to a face with different shapes.
 
-    By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
-    faces have: the target weights whose landmarks move as the source's do, scaled by
-    the sizes of the faces.
+    Shapes are matched by name, in any of ARKit's spellings, and by a remap file; or by
+    landmarks that both faces have: the target weights whose landmarks move like the
+    source's, scaled by the sizes of the faces.
 
     Args:
         weights: Weights of the source's shapes ``(F, S)``.

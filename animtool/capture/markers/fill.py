@@ -47,11 +47,11 @@ class FilledGap:
     """A gap of a marker, and the method that filled it, if any.
 
     Attributes:
-        marker: Its name.
+        marker: Name of the marker.
         first: First frame without a position, from 0.
         last: Last frame.
         method: ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by
-            the other markers, or empty where it was left.
+            the other markers; empty if the gap was left.
     """
 
     marker: str

@@ -186,7 +186,7 @@ class Doubt:
     """Markers whose names could be exchanged.
 
     Attributes:
-        markers: Their names.
+        markers: Names of the markers.
         first: First frame in which all of them are visible, from 0.
         last: Last such frame.
         score: Evidence for the exchange [nat]: 0 if it equals that for the assigned

@@ -139,7 +139,7 @@ class PointNaming:
                 return
 
     def _clearest_pair(self, score: FloatArray) -> Any:
-        """Return the clearest rigid pair: its evidence [nat], its points and names."""
+        """Return the clearest rigid pair: evidence margin [nat], points and names."""
         first, second = self.rigid_pairs
         is_free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
         first, second = first[is_free], second[is_free]
@@ -293,7 +293,7 @@ class PointNaming:
     def restart(
         self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
-        """Remove names of some markers ``(M,)``, and assign them again from a seed."""
+        """Remove the names in a mask ``(M,)``, and assign them again from a seed."""
         for point in np.flatnonzero(
             (self.names_of >= 0) & is_reassigned[self.names_of]
         ).tolist():

@@ -112,9 +112,9 @@ def _best_prediction(
     """Return the prediction of the covariance kernel with the smallest error in CV.
 
     local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
-    frames but those of the gap, which are last. pose: Other markers there, the most
-    rigid first ``(F, K, 3)``. min_markers: Number of pose markers used whenever there
-    are any.
+    frames but those of the gap, which are last. pose: Other markers in that frame, the
+    most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
+    there are any.
     """
     known_count = len(frames) - (gap.stop - gap.start)
     best_prediction: Prediction | None = None
@@ -224,7 +224,7 @@ def predict_from_skeleton(
 ) -> Prediction:
     """Return a marker's predicted positions in a gap from a skeleton.
 
-    They are its positions on the skeleton plus its offset there: a Gaussian process
+    They are the marker's positions on the skeleton plus an offset: a Gaussian process
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
     skin motion are those with the least cross-validation error.
 

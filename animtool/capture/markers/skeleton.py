@@ -82,7 +82,7 @@ class SkeletonMarkers:
         return [int(other_marker) for other_marker in np.flatnonzero(is_on_joint)]
 
     def drift_speed(self, marker: int, visible: BoolArray) -> float:
-        """Return how fast a marker strays from its position on the skeleton [m/s].
+        """Return the speed of a marker's drift from its skeleton position [m/s].
 
         Other visible markers determine its joint: three on it or below, or one if it is
         a hinge. With fewer, more of its pose is guessed.

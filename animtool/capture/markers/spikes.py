@@ -48,10 +48,10 @@ class Spike:
     """A marker that deviates for a few frames.
 
     Attributes:
-        marker: Its name.
+        marker: Name of the marker.
         first: First frame, from 0.
         last: Last frame.
-        size: Its largest deviation [m].
+        size: Largest deviation in the spike [m].
     """
 
     marker: str

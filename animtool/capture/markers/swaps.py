@@ -114,7 +114,7 @@ def _expected_positions(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return each marker's expected position, its tolerance [m], and validity.
 
-    It is extrapolated linearly from the last visible frames.
+    The position is extrapolated linearly from the last visible frames.
     """
     frames, count, _ = positions.shape
     visible = np.isfinite(positions[..., 0])
@@ -193,7 +193,7 @@ def _find_crossed_frames(
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
 
-    Also returns the log-likelihood gain over no exchange.
+    The log-likelihood gain over no exchange is returned first.
 
     Viterbi search: of the paths that end normally and of those that end exchanged, the
     best one is kept from frame to frame, with the last visible positions of both
@@ -279,7 +279,7 @@ def _find_crossed_frames(
 
 
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
-    """Return a high quantile of the acceleration of two markers [m/s^2]."""
+    """Estimate the largest acceleration of two markers from its median [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
     finite = second_differences[np.isfinite(second_differences)]
     if not len(finite):

@@ -111,7 +111,7 @@ def is_exchanged(
 ) -> bool:
     """Return whether shapes clearly show two markers exchanged in some frames.
 
-    positions: Of these frames, by current names ``(F, M, 3)``.
+    positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
     names = np.arange(len(shape))
     exchanged_names = names.copy()

@@ -303,7 +303,7 @@ class _CalibrationState:
         return deviation
 
     def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
-        """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
+        """Return the Jacobian of weighted marker positions ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local_transforms(poses)
         world = forward_kinematics(rig, local.translations, local.rotations)

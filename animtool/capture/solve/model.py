@@ -65,7 +65,7 @@ class MarkerProblem:
         return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
 
     def start_poses(self, positions: FloatArray) -> FloatArray:
-        """Return rest poses rigidly aligned to markers ``(F, E, 3)``: ``(F, Q)``.
+        """Return rest poses ``(F, Q)`` rigidly aligned to markers ``(F, E, 3)``.
 
         Markers near the root have the largest weights.
         """

@@ -70,7 +70,7 @@ def joint_bounds(
 
 
 def attached_points(rig: Rig, shell: float) -> FloatArray:
-    """Return points attached to every joint, in its frame ``(J, P, 3)`` [m].
+    """Return points attached to each joint, in the joint's frame ``(J, P, 3)`` [m].
 
     These are the joint's origin, one point along each axis, and the tips of its bone.
     Joints with fewer tips repeat their origin.
@@ -148,7 +148,7 @@ class TrackBudget:
     def tighten_frames(
         self, frames: ArrayLike, factor: ArrayLike, *, spread: bool
     ) -> None:
-        """Refit the segments around some frames; keep the others.
+        """Reduce the tolerance around the given frames, and refit their segments.
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """

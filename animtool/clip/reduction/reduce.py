@@ -255,7 +255,7 @@ def _search_tolerances(
 def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     """Return the frames after which a ball's keys exceed its limits between samples.
 
-    Values between samples that exceed the limits themselves are not counted.
+    Between two samples, the larger excess of these samples is allowed.
     """
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:

@@ -76,7 +76,7 @@ class KeyTrack:
         return lower, upper
 
     def limit_excess(self, values: FloatArray) -> FloatArray:
-        """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
+        """Return the angle by which ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
         rotations = so3.multiply(
