@@ -60,13 +60,13 @@ class CleanedSignal:
     """Spikes, noise and cut-off frequency of a joint's translations or rotations."""
 
     joint: str
-    rotation: bool  # of its rotations, or of its translations
+    rotation: bool  # whether the signal is rotations, not translations
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
-    cutoff: float | None  # [Hz]; None if it was not filtered
-    motion: float = 0.0  # deviation from the mean, root mean square [m] or [rad]
-    change: float = 0.0  # change by the filter, root mean square
-    max_change: float = 0.0  # and its maximum
+    cutoff: float | None  # cut-off frequency [Hz]; None if not filtered
+    motion: float = 0.0  # root mean square deviation from the mean [m] or [rad]
+    change: float = 0.0  # root mean square change by the filter [m] or [rad]
+    max_change: float = 0.0  # largest change by the filter [m] or [rad]
 
     @property
     def name(self) -> str:

@@ -273,7 +273,7 @@ class ChannelReader:
     def _check_no_slopes(
         self, curve_location: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
-        """Record handles and tangents of quaternion keys, which have no effect."""
+        """Record handles and tangents of quaternion keys, which do not support them."""
         hint = "write euler: XYZ to key three angles, which have them"
         locations: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         locations = [(curve_location, model, ("tangents", "parametrization"))]

@@ -58,7 +58,7 @@ class JointMotion:
     shift_error: float  # largest translation that the joint's type does not allow [m]
     # whether the local rotation is exactly that of the rest pose
     is_rotation_at_rest: bool
-    is_shift_at_rest: bool  # whether the local translation is
+    is_shift_at_rest: bool  # whether the local translation is that of the rest pose
 
 
 def relative_joint_motions(

@@ -44,8 +44,8 @@ class ClipFile:
 
     # Its text, with locations and with the faults of its keys and types.
     document: Document
-    model: ClipModel  # its content
-    rig: Path | None  # resolved path of its rig file; None if it names none
+    model: ClipModel  # content of the file
+    rig: Path | None  # resolved path of the clip's rig file; None if it names none
 
     def required_rig(self) -> Path:
         """Return the rig that the clip names."""

@@ -65,7 +65,7 @@ REFINEMENT_FACTOR = 0.5
 class KeyedTake:
     """A clip of sparse keys, with its errors against the take."""
 
-    clip: Clip  # for the rig
+    clip: Clip  # clip of the sparse keys
     # Keys of the clip; their errors are those of the clip sampled on the rig.
     reduction: Reduction
     controls: tuple[str, ...]  # names of the rig's controls that have keys

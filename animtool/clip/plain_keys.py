@@ -19,8 +19,8 @@ _NUMBERS = {int, float}
 class PlainKeys:
     """K keys of D components without interpolation settings."""
 
-    times: FloatArray  # ``(K,)`` [frames]
-    values: FloatArray  # ``(K, D)``, as in the file
+    times: FloatArray  # key times ``(K,)`` [frames]
+    values: FloatArray  # key values ``(K, D)``, in the units of the file
     name: str = ""  # reference to their array; empty for key lists
 
     def __len__(self) -> int:

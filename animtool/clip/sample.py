@@ -40,7 +40,7 @@ class ClipNotice:
     fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
     frame: float | None = None  # the worst frame; None if it concerns all frames
-    amount: float = 0.0  # the excess there [rad], [m], [1]
+    amount: float = 0.0  # excess in the worst frame [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)

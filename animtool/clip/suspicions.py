@@ -205,8 +205,8 @@ def _warn_of_angles(
 class AngleCurve:
     """Keyed angles of a file."""
 
-    location: Location  # of the curve, whose ``keys`` are below
-    name: str  # target or effector
+    location: Location  # location of the curve, which contains ``keys``
+    name: str  # name of the target or effector
     values: FloatArray  # ``(K, D)`` [rad]
 
 

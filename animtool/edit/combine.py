@@ -70,7 +70,7 @@ class ChannelOperations:
 class BlendStrength:
     """Weight of the second motion, and the joints it affects."""
 
-    weights: FloatArray  # [1] ``(F,)``
+    weights: FloatArray  # weight in each frame [1] ``(F,)``
     is_constant: bool = True  # whether the weight is constant, in all blocks
     # Affected joints; None affects all, including shapes and controls.
     joints: Sequence[int] | None = None

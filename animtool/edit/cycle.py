@@ -51,9 +51,9 @@ BLOCK_FRAMES = 1024
 class Cycle:
     """A frame range of a take to repeat, and the difference between its ends."""
 
-    first: float  # time code of its first frame
+    first: float  # time code of the first frame
     last: float  # time code of the frame that shows the first pose again
-    apart: float  # distance of the two poses [m], see `animtool.edit.cycle`
+    apart: float  # distance between the two poses [m], see `animtool.edit.cycle`
     # Largest distance of the frames in between from the first [m], at least a
     # ten-thousandth of the rig's size.
     moved: float

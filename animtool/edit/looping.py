@@ -107,7 +107,7 @@ class SeamBlend:
 def close_vectors(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
+    """Blend a cycle of vectors so that its end meets the next cycle ``(L, A, K)``."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     missing_velocity = _missing_speed(

@@ -33,7 +33,7 @@ class ThinnedSamples:
     samples: int  # number of samples before thinning
     kept_samples: IntArray  # indices of the kept samples, ascending ``(N,)``
     error: float  # largest distance of a point from its original position [m]
-    joint_index: int  # of the joint of that point
+    joint_index: int  # index of the joint of that point
     code: float  # time code of that error
     weight_error: float  # largest error of a shape's weight [1]
 

@@ -18,7 +18,7 @@ from animtool.rig.skeleton import JointType, Rig
 class JointFrame:
     """A joint's world frame in every frame of a take."""
 
-    position: FloatArray  # its origin ``(F, 3)`` [m]
+    position: FloatArray  # world position of the origin ``(F, 3)`` [m]
     # Product of the rotations of the joint and its ancestors, without scales ``(F,
     # 4)``.
     rotation: FloatArray
@@ -224,9 +224,9 @@ class CycleTravel:
     ``rotations[j] · rotation``. Joints that do not travel have identities.
     """
 
-    rotations: FloatArray  # ``(J, 4)``
-    linear: FloatArray  # ``(J, 3, 3)``
-    shifts: FloatArray  # ``(J, 3)`` [m]
+    rotations: FloatArray  # rotation of each joint per cycle ``(J, 4)``
+    linear: FloatArray  # linear map of translations per cycle ``(J, 3, 3)``
+    shifts: FloatArray  # shift of translations per cycle ``(J, 3)`` [m]
 
 
 def travelling_joint(

@@ -49,8 +49,8 @@ class Interval:
     """Consecutive frames for which another branch of solutions is searched."""
 
     problem: Problem  # goals and joints
-    targets: Targets  # of all F frames of the clip
-    frames: range  # of the interval; paths differ from the first on
+    targets: Targets  # targets of all F frames of the clip
+    frames: range  # frames of the interval; paths differ from the first on
     jump_frame: int  # the frame that should be reached without a jump
     poses: FloatArray  # the current path, chain coordinates ``(L, C)``
     costs: FloatArray  # miss cost of each frame, see `miss_cost` ``(L,)``

@@ -40,7 +40,7 @@ class Chain:
     # ``(first column of a ball, ball_from_joint quaternion)``.
     ball_frames: tuple[tuple[int, FloatArray], ...]
     degrees: int  # degrees of freedom
-    length: float  # [m]
+    length: float  # unit of lengths: the longest bone path to a goal [m]
 
     @property
     def kernel_arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:

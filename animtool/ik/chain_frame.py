@@ -39,11 +39,11 @@ class SolveSpan:
     """Consecutive frames that are solved on one rig."""
 
     rig: Rig  # its rest pose contains motion outside the joint coordinates
-    frames: slice  # of the take
-    coordinates: FloatArray  # of the source poses ``(N, Q)``
+    frames: slice  # frames of the take
+    coordinates: FloatArray  # coordinates of the source poses ``(N, Q)``
     # Positions of the frames above the chains ``(N, E, 3)`` [m].
     carrier_positions: FloatArray
-    carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
+    carrier_rotations: FloatArray  # rotations of these frames ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the span's targets in the carrier frame of its first pose."""

@@ -78,8 +78,8 @@ def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
 class CoordinateSource:
     """Column of a joint's coordinate in the chain, with a mimic's gain and shift."""
 
-    column: int  # first of the chain's coordinates
-    gain: float = 1.0  # factor of a mimic joint
+    column: int  # first column in the chain's coordinates
+    gain: float = 1.0  # gain of a mimic joint
     shift: float = 0.0
 
 

@@ -60,7 +60,7 @@ class GoalLimb:
 
     goal: int  # index of the goal in the problem
     joints: tuple[int, ...]  # joints whose translations are the limb's bones
-    origin: FloatArray  # of its root [fraction of the problem's length] ``(3,)``
+    origin: FloatArray  # position of the root [fraction of problem length] ``(3,)``
     max_length: float  # its largest extension within limits [same unit]
     bone_length: (
         float  # growth of the reach per relative growth of the bones [same unit]

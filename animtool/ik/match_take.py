@@ -212,11 +212,11 @@ class _ValueBuilder:
     """Builds target values from per-frame rows: constants, keys or arrays."""
 
     clock: Clock  # F frames
-    units: ClipUnits  # of the file
+    units: ClipUnits  # units of the file
     arrays: str | None  # file of arrays; None writes keys
     first: Fraction  # frame of the first row
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
-    names: set[str] = field(default_factory=set)  # of the arrays so far
+    names: set[str] = field(default_factory=set)  # array names in use
 
     def build_value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.

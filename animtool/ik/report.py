@@ -48,10 +48,10 @@ class Misses:
     """Statistics of the misses of one part of a goal, over the frames that use it."""
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
-    frames: int  # number of frames that use it
-    mean: float  # over those frames
+    frames: int  # number of frames that use the part
+    mean: float  # mean miss over those frames
     p95: float  # 95th percentile
-    max: float  # in the worst frame
+    max: float  # miss in the worst frame
     frame: float  # time code of the worst frame
 
     json_keys: ClassVar[str] = "unit frames mean p95 max frame"
@@ -75,7 +75,7 @@ class MissedSpan:
     last: float  # time code of the last frame
     # Distance from the target to the reached point, of the worst frame [m].
     distance: float
-    angle: float  # in the worst frame [rad]
+    angle: float  # angular miss in the worst frame [rad]
     frame: float  # time code of the worst frame
     # Status of the worst frame; STEADIER if any frame has it.
     status: IkStatus
@@ -85,11 +85,11 @@ class MissedSpan:
 class GoalReport:
     """Misses of one goal over a take, and the spans in which it is missed."""
 
-    name: str  # the effector
-    joint: str  # its joint
+    name: str  # name of the effector
+    joint: str  # joint of the effector
     location: tuple[int, int]  # line and column in the targets file
     misses: tuple[Misses, ...]  # one for each part that is used
-    spans: tuple[MissedSpan, ...]  # where it is missed by more than the tolerances
+    spans: tuple[MissedSpan, ...]  # spans in which a tolerance is exceeded
 
     @property
     def residuals(self) -> dict[str, Misses]:
@@ -205,7 +205,7 @@ def missed_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault
 
 
 def pole_notices(solved_take: TakeIk) -> list[Fault]:
-    """Return a warning for each pole that leaves its limb's plane open (IK103)."""
+    """Return a warning for each pole that leaves a limb's plane undefined (IK103)."""
     if solved_take.open_poles is None:
         return []
     times, notices = solved_take.take.clock.times, []

@@ -36,8 +36,8 @@ class _PackedProblem:
     solver: _kernels.RigSolver
     has_branches: bool
     rest: FloatArray  # rest pose ``(1, Q)``
-    targets: FloatArray  # ``(1, E, W)``
-    views: tuple[FloatArray, ...]  # views into it, one per used part in order
+    targets: FloatArray  # packed target buffer ``(1, E, W)``
+    views: tuple[FloatArray, ...]  # views into the buffer, one per used part
 
 
 class Session:

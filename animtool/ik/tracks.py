@@ -49,7 +49,7 @@ class FreeEffector:
 
     rig: Rig  # J joints
     goal: Goal  # the effector, its point and axis
-    world: WorldTransforms  # of the joints without the goal, F frames
+    world: WorldTransforms  # joints in F frames, solved without the goal
 
     def position(self) -> FloatArray:
         """Return the world positions of the effector's point ``(F, 3)`` [m]."""
@@ -204,14 +204,14 @@ def swing_towards(
 class GoalTrack:
     """A goal and its targets over frames."""
 
-    name: str  # the effector, as the file has it
+    name: str  # name of the effector as the file spells it
     goal: Goal  # with all parts that are active at some time
     chain: IkChain | None  # the rig's chain whose tip it is; None for a plain joint
     # By part; None for unused parts, and for parts that are only held.
     values: Mapping[str, Value | None]
-    weights: Mapping[str, Value]  # by part; 1 for parts that are left out
+    weights: Mapping[str, Value]  # weights by part; missing parts have weight 1
     spans: tuple[Span, ...]  # held frames, ascending
-    ease: float  # before and after each span [frame]
+    ease: float  # length of the ease before and after each span [frame]
     hold_parts: frozenset[str]  # the parts that the spans apply to
     # Line and column in the file; its first line if unknown.
     location: tuple[int, int] = (1, 1)

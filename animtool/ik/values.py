@@ -114,7 +114,7 @@ def blend_holds(
 class SampleFrames:
     """Times at which values are sampled."""
 
-    times: FloatArray  # [frame] ``(F,)``
+    times: FloatArray  # sample times [frame] ``(F,)``
     fps: Fraction  # frames a second
 
     @property
@@ -158,8 +158,8 @@ class Keyed:
 class ArrayRows:
     """An array with a row for each frame."""
 
-    name: str  # as the file spells it
-    values: FloatArray = field(repr=False)  # ``(R, 3)`` or ``(R, 4)``
+    name: str  # array reference as the file spells it
+    values: FloatArray = field(repr=False)  # array rows ``(R, 3)`` or ``(R, 4)``
     first: Fraction | None  # frame of the first row; None is 1
     location: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
@@ -224,8 +224,8 @@ def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
 class PrimPoint:
     """A point in the frame of a prim."""
 
-    motion: PrimMotion  # of the prim
-    offset: tuple[float, ...]  # the point in its frame [m]
+    motion: PrimMotion  # motion of the prim
+    offset: tuple[float, ...]  # the point in the prim's frame [m]
 
     def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the world positions of the point at the sample times ``(F, 3)``."""
@@ -237,8 +237,8 @@ class PrimPoint:
 class PrimRotation:
     """A rotation relative to a prim."""
 
-    motion: PrimMotion  # of the prim
-    rotation: tuple[float, ...]  # from its frame, quaternion
+    motion: PrimMotion  # motion of the prim
+    rotation: tuple[float, ...]  # quaternion relative to the prim's frame
 
     def sample(self, frames: SampleFrames) -> FloatArray:
         """Return the prim's rotations at the sample times ``(F, 4)``."""
@@ -252,7 +252,7 @@ class ValueReader:
 
     document: Document  # the file
     rig: Rig | None  # prims are read in its world space; None reads no prims
-    units: ClipUnits  # of the file
+    units: ClipUnits  # units of the file
     roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens arrays while values are read
     first: Fraction | None  # frame of the first row of arrays; None without a range

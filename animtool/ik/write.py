@@ -25,7 +25,7 @@ DEFAULT_EASE = float(GoalModel.model_fields["ease"].default)
 class TargetsText:
     """The text of a targets file, and the arrays it refers to."""
 
-    text: str  # of the file
+    text: str  # text of the targets file
     # By their references, ``file.npz#name``, in the units of the file and quaternions w
     # x y z.
     arrays: dict[str, FloatArray] = field(repr=False)

@@ -119,8 +119,8 @@ class Curves:
     """
 
     first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
-    times: FloatArray  # of the keys, strictly ascending within a curve ``(K,)``
-    values: FloatArray  # ``(K,)``
+    times: FloatArray  # key times, strictly ascending within a curve ``(K,)``
+    values: FloatArray  # key values ``(K,)``
     # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
     # key.
     kinds: IntArray

@@ -24,8 +24,8 @@ class FittedKeys:
     curve's parameter: the Bézier curve is also a cubic over time.
     """
 
-    frames: IntArray  # of the keys, ascending ``(K,)`` [frame]
-    values: FloatArray  # the samples there ``(K, D)``
+    frames: IntArray  # frames of the keys, ascending ``(K,)`` [frame]
+    values: FloatArray  # samples at the keys ``(K, D)``
     # Handle before each key, as offset in value ``(K, D)``; 0 at the first.
     ins: FloatArray
     # Handle after each key, as offset in value ``(K, D)``; 0 at the last.

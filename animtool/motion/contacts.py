@@ -36,8 +36,8 @@ MIN_CONTACT_DURATION = 0.06
 class FootContacts:
     """Masks of the frames in which ankle and toe are planted, and the ground height."""
 
-    ankle: BoolArray  # (F,)
-    toe: BoolArray  # (F,)
+    ankle: BoolArray  # mask of frames with the ankle planted (F,)
+    toe: BoolArray  # mask of frames with the toe planted (F,)
     ground: float  # height of the standing ankle [m]
 
     @property

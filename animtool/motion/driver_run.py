@@ -183,7 +183,7 @@ class DriverRun:
             self._twists[name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
-        """Return targets that keep the motion's values because it has no controls.
+        """Return targets that keep the motion's values if the motion has no controls.
 
         Those values were driven by controls when the motion was made, so they are
         better than values from default controls.

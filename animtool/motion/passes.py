@@ -177,9 +177,9 @@ ColliderBuilder: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream
 class PlacedJoint:
     """A joint that a pass has put at a target."""
 
-    joint: str  # name
-    effector: str  # as the targets file has it
-    times: FloatArray  # time codes of the frames in which it is there
+    joint: str  # name of the joint
+    effector: str  # name of the effector in the targets file
+    times: FloatArray  # time codes of the frames in which the joint is at its target
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +187,7 @@ class PassContext:
     """Services for a pass: other takes, notices, scores, progress and the scene."""
 
     open: Callable[[Path], Take]  # opens another take on the same rig
-    folder: Path  # where relative paths in options start
+    folder: Path  # base folder of relative paths in options
     # Collects the warnings and notes of the pass.
     notices: list[Fault] = field(default_factory=list)
     # Collects the largest residual of passes that solve IK [m].
@@ -256,7 +256,7 @@ class LinearTime:
     """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
 
     start: float  # [time code]
-    ratio: float  # above 0
+    ratio: float  # time ratio above 0
     first: float  # [time code]
 
 
@@ -269,11 +269,11 @@ def _no_linear_time(_: object, __: Clock) -> LinearTime | None:
 class Pass:
     """An entry of the table of passes."""
 
-    name: str  # as a scene writes it
-    summary: str  # what it does, one line
-    options: type[Any]  # frozen dataclass of its options, each with a default
+    name: str  # name of the pass in scenes
+    summary: str  # one-line description of the pass
+    options: type[Any]  # frozen dataclass of the options, each with a default
     # FRAME and WINDOW passes run on streams and carry their state from block to block;
-    # CLIP passes run on whole takes.
+    # CLIP passes run on complete takes.
     scope: FrameScope
     # Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options and the
     # context, and returns the same kind.

@@ -69,10 +69,10 @@ class _StanceTracks:
     Ground positions are complex numbers: a rotation about the vertical is a factor.
     """
 
-    position: ComplexArray  # of planted feet (F,) [m]
-    speed: ComplexArray  # without that due to spin about the origin (F,) [m/s]
-    spin: FloatArray  # about the vertical (F,) [rad/s]
-    height: FloatArray  # above their median height (F,) [m]
+    position: ComplexArray  # ground position of planted feet (F,) [m]
+    speed: ComplexArray  # velocity minus that of spin about the origin (F,) [m/s]
+    spin: FloatArray  # angular velocity about the vertical (F,) [rad/s]
+    height: FloatArray  # height of the feet above its median (F,) [m]
 
 
 def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:

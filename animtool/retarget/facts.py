@@ -27,7 +27,7 @@ BLOCK_FRAMES = 1024
 class FootFacts:
     """How often and how long a foot is planted."""
 
-    standing: float  # fraction of frames in which it is planted
+    standing: float  # fraction of frames in which the foot is planted
     steps: int  # number of contacts
 
 
@@ -36,7 +36,7 @@ class CaptureFacts:
     """Statistics of a take of a body."""
 
     feet: dict[str, FootFacts]  # by side, ``left`` and ``right``
-    speed_mean: float  # of the hips over the ground [m/s]
+    speed_mean: float  # mean ground speed of the hips [m/s]
     speed_max: float
     noise: float  # standard deviation of the noisiest joint's rotation [rad]
     noisiest: str  # name of that joint; empty if none rotates

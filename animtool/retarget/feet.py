@@ -59,9 +59,9 @@ class Foot:
     rotation: FloatArray  # world rotation of the foot (F, 4)
     # World rotation of the foot planted flat at rest (4,); None keeps its rotation.
     flat_rotation: FloatArray | None
-    height: float  # of the planted ankle above the ground [m]
-    leg_length: float  # largest distance of ankle and hip [m]
-    min_reach: float  # smallest distance of ankle and hip [m]
+    height: float  # height of the planted ankle above the ground [m]
+    leg_length: float  # largest distance between ankle and hip [m]
+    min_reach: float  # smallest distance between ankle and hip [m]
     height_change: FloatArray  # source ankle above its planted height, scaled (F,) [m]
     # Hip-ankle distance of the source over its leg length (F,).
     straightness: FloatArray
@@ -72,8 +72,8 @@ class PlacedFeet:
     """Solved positions of hips and feet."""
 
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
-    ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
-    rotations: Sequence[FloatArray]  # (F, 4)
+    ankles: Sequence[FloatArray]  # ankle positions of each foot (F, 3) [m]
+    rotations: Sequence[FloatArray]  # world rotations of each foot (F, 4)
     is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
     toe_rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
     sole_heights: Sequence[

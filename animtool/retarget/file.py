@@ -114,8 +114,8 @@ class FileMap:
 
     entries: tuple[FileEntry, ...]
     twists: tuple[TwistFraction, ...] | None
-    ignored: tuple[frozenset[int], frozenset[int]]  # of the source and of the target
-    is_exclusive: bool  # whether joints it does not name stay unmapped
+    ignored: tuple[frozenset[int], frozenset[int]]  # source and target joints at rest
+    is_exclusive: bool  # whether joints that the file omits stay unmapped
 
 
 def load_map(path: Path | str) -> MapFile:

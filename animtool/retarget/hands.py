@@ -82,11 +82,11 @@ class HandContact:
     """Wrist goals of a hand in contact, and the arm rotations that reach them."""
 
     side: str
-    goal: FloatArray  # of the wrist while in contact (F, 3) [m]
-    is_active: BoolArray  # frames in contact (F,)
+    goal: FloatArray  # goal of the wrist while in contact (F, 3) [m]
+    is_active: BoolArray  # mask of the frames in contact (F,)
     # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
     bone_rotations: FloatArray
-    props: frozenset[int]  # indices of the prop tracks that it holds
+    props: frozenset[int]  # indices of the prop tracks that the hand holds
 
 
 @dataclass(frozen=True, slots=True)

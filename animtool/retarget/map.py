@@ -46,7 +46,7 @@ class TwistFraction:
 
     target: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
-    fraction: float  # of the twist between the bone's start (0) and its end (1)
+    fraction: float  # fraction of the bone's twist, 0 at its start to 1 at its end
 
 
 @dataclass(frozen=True, slots=True)

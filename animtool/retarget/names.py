@@ -67,7 +67,7 @@ class ParsedName:
     """A joint name split into side, key and kind."""
 
     side: str  # ``l``, ``r`` or empty
-    name_key: str  # its words in lower case, without prefix, side and separators
+    name_key: str  # lower-case words without prefix, side and separators
     kind: str = ""  # `TWIST`, `END` or `CONTROL`, if a word says so
 
 
@@ -77,7 +77,7 @@ class Preset:
 
     name: str
     title: str
-    source: str  # where its names were found
+    source: str  # where the names of the convention were found
     # whether all names come from there; else some are derived by a rule
     is_complete: bool
     roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`

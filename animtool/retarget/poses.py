@@ -115,8 +115,8 @@ def _normalize(vector: FloatArray) -> FloatArray:
 class LocalRotations:
     """Local and world rotations within the limits of the joints."""
 
-    local: FloatArray  # (F, K, 4)
-    world: FloatArray  # the same in the world (F, K, 4)
+    local: FloatArray  # local rotations (F, K, 4)
+    world: FloatArray  # world rotations (F, K, 4)
     clamped: dict[int, BoolArray]  # joints that limits clamp, with the frames (F,)
 
     def rows(self, frames: IntArray) -> LocalRotations:

@@ -57,7 +57,7 @@ class RetargetReport:
     # Distance of planted feet from the middle of their contact [m].
     drift_mean: float
     drift_max: float
-    source_drift_max: float  # of the source, scaled
+    source_drift_max: float  # largest drift of the source, scaled [m]
     sole_error: float  # largest height error of planted feet [m]
     penetration: float  # deepest sole below its planted height [m]
     # Largest error of the hands' distance from the shoulders, over the arm length.
@@ -72,7 +72,7 @@ class RetargetReport:
     acceleration: float
     lowered: float  # largest distance that the hips sank so that legs reach [m]
     held: Mapping[str, float]  # fraction of frames in which limits stop each joint
-    held_mean: float  # mean of these over the paired joints without fingers
+    held_mean: float  # mean of these fractions over paired joints except fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 

@@ -36,7 +36,7 @@ class Ball:
     """The point that a foot rolls over."""
 
     toe: int  # index of the first joint of that toe; -1 for none
-    offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
+    offset: FloatArray  # vector from the ankle in the foot's frame (3,) [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class RoledSkeleton:
 
     rig: Rig
     roles: tuple[str, ...]  # role of each joint (J,)
-    positions: FloatArray  # at rest (J, 3) [m]
-    rotations: FloatArray  # at rest, in the world (J, 4)
+    positions: FloatArray  # world positions at rest (J, 3) [m]
+    rotations: FloatArray  # world rotations at rest (J, 4)
     # Balls of the feet by side, for a pair of skeletons.
     balls: Mapping[str, Ball] = field(default_factory=dict)
 

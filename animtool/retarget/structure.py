@@ -48,8 +48,8 @@ class SkeletonTree:
     rig: Rig
     # Joint positions in the searched pose ``(J, 3)`` [m], world.
     positions: FloatArray
-    last_bones: FloatArray  # at rest, zero if there is none ``(J, 3)`` [m], world
-    kinds: tuple[str, ...]  # of joints without a role, by their names ``(J,)``
+    last_bones: FloatArray  # rest vectors of last bones, or zero ``(J, 3)`` [m], world
+    kinds: tuple[str, ...]  # kind of each joint's name, such as twist ``(J,)``
     votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
 
     @classmethod

@@ -56,8 +56,8 @@ class Control:
     low: float | None = None  # lower end of the intended range; None for no limit
     high: float | None = None  # upper end of the intended range
     default: float = 0.0  # value without keys and drives
-    drives: tuple[Drive, ...] = ()  # what it moves
-    driven: Driver | None = None  # driver of its value, instead of keys
+    drives: tuple[Drive, ...] = ()  # drives of the control's targets
+    driven: Driver | None = None  # driver of the control's value, instead of keys
 
 
 class ControlCycleError(ValueError):

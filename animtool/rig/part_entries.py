@@ -58,7 +58,7 @@ class PartReader:
     """Builds the parts of a rig from its file; records faults in the document."""
 
     document: Document  # the file
-    model: RigModel  # its content
+    model: RigModel  # content of the file
     units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
     arrays: ArrayReader  # checks the arrays that the file refers to

@@ -112,8 +112,8 @@ class Mesh:
 class Inbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
-    at: float  # the weight
-    deltas: ArraySource  # with the shape of its shape's deltas
+    at: float  # weight of the shape at which the deltas apply
+    deltas: ArraySource  # offsets, of the same array shape as the blend shape's deltas
     normals: ArraySource | None = (
         None  # likewise for the normals; None leaves them unchanged
     )
@@ -151,8 +151,8 @@ class IkChain:
     """A chain that reaches for a goal."""
 
     name: str  # unique among the rig's chains
-    root: str  # name of its first joint
-    tip: str  # name of its last joint
+    root: str  # name of the first joint
+    tip: str  # name of the last joint
     goal: str = "pose"  # ``position``, ``orientation`` or ``pose``
     # Direction of the chain's middle joint in the frame of the root joint's parent;
     # None leaves it undefined.

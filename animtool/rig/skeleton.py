@@ -76,7 +76,7 @@ class JointArrays(NamedTuple):
 
     types: IntArray  # type numbers of the kernels ``(J,)``
     columns: IntArray  # column of each joint's first coordinate ``(J,)``
-    axes: FloatArray  # ``(J, 3)``
+    axes: FloatArray  # unit axes ``(J, 3)``
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +84,7 @@ class Mimic:
     """A joint coordinate equal to ``gain`` · another joint's + ``offset``."""
 
     joint: str  # name of the pin or prismatic joint that it follows
-    gain: float = 1.0  # in radians and metres of the two joints
+    gain: float = 1.0  # factor, in radians or metres of the two joints
     offset: float = 0.0  # [rad] or [m]
 
 

@@ -31,7 +31,7 @@ from animtool.rig.skeleton import Rig
 class SurfaceInbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
-    at: float  # the weight
+    at: float  # weight of the shape at which the deltas apply
     deltas: FloatArray  # vertex offsets of the shape ``(N, 3)`` [m]
     normals: FloatArray | None = (
         None  # likewise for normals; None leaves them unchanged
@@ -43,7 +43,7 @@ class SurfaceShape:
     """A blend shape of a surface."""
 
     name: str  # name in the rig
-    deltas: FloatArray  # added at weight 1 ``(N, 3)`` [m]
+    deltas: FloatArray  # vertex offsets added at weight 1 ``(N, 3)`` [m]
     # Indices of the affected vertices ``(N,)``; None for all of them.
     vertices: IntArray | None = None
     # Added to the normals ``(N, 3)``; None leaves them unchanged.
@@ -73,7 +73,7 @@ class Surface:
     # World transform of the points at bind time ``(4, 4)``, for column vectors, with
     # its translation in [m].
     geom_bind: FloatArray
-    skin: SurfaceSkin | None  # None if it follows no joint
+    skin: SurfaceSkin | None  # skin binding; None if the mesh follows no joint
     shapes: tuple[SurfaceShape, ...]  # its blend shapes
     subdivision: Subdivision  # subdivision scheme
 
