@@ -81,7 +81,7 @@ class _BlockSampler:
             self._run = DriverRun(self.rig, report_replaced=True)
 
     def sample_motion(self, times: FloatArray) -> Motion:
-        """Return the motion at times."""
+        """Return the motion of the rig at the given times."""
         first, last = float(times.min()), float(times.max())
         channels_near = [_near_keys(channel, first, last) for channel in self.channels]
         values = evaluate_channels(channels_near, times)

@@ -85,7 +85,7 @@ local_rotation, scale
 
 
 def _full_target(text: str, rig: Rig | None) -> str | None:
-    """Return a hint with the target that the bare name of a part of a rig means."""
+    """Return a hint with the full target of a joint, shape or control given by name."""
     if rig is None:
         return None
     for kind, names in (("control", rig.control_names), ("shape", rig.shape_names)):
@@ -124,7 +124,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
-    """Return the fault of a joint target without a known part."""
+    """Return the fault of a joint target whose part is missing or unknown."""
     joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
     if part and rig is not None and joint in rig.names:
         hint = f"write joint/{joint}.{part}"

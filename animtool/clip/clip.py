@@ -175,7 +175,7 @@ Choice = TypeVar("Choice", bound=Hashable)
 
 
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
-    """Return a clip as the text of a clip file, in the units of its rig.
+    """Format a clip as the text of a clip file, in the units of its rig.
 
     Numbers that do not round-trip exactly in the rig's unit are written in
     metres or radians instead; the file says which.
@@ -282,7 +282,7 @@ def _key_entries(
 
 
 def _value_text(row: Sequence[float], unit: float) -> str:
-    """Return a value as text, in a unit."""
+    """Format a value as a number or YAML list, divided by a unit."""
     numbers = [scaled_decimal(value, unit) for value in row]
     return numbers[0] if len(numbers) == 1 else flow_list(numbers)
 

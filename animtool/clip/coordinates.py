@@ -266,7 +266,7 @@ def joint_tracks(
 
 @dataclass(frozen=True, slots=True)
 class _KeyedJoint:
-    """A joint whose remaining motion is keyed."""
+    """A joint whose motion beyond its controls is keyed."""
 
     joint: Joint
     index: int

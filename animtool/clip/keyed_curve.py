@@ -1,4 +1,4 @@
-"""Keyed motion that can be evaluated at any time, with its source clip."""
+"""Keyed motion that can be evaluated at arbitrary times, with its source clip."""
 
 from __future__ import annotations
 

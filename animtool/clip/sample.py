@@ -97,7 +97,7 @@ MAX_LISTED_FRAMES = 8
 def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
-    """Return a notice with the key frames at which a control is out of range."""
+    """Add to a notice the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
@@ -481,7 +481,7 @@ def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
 def _weight_channel(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
-    """Return the shapes' weights; None if all are zero."""
+    """Return the shape weights as a channel; None if all are zero."""
     weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"

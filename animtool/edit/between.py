@@ -29,7 +29,7 @@ CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TakeSampler:
-    """A take that can be sampled at any time.
+    """A take that can be sampled at arbitrary times.
 
     A row is a joint, a shape or a control of a channel. If the take has a curve and all
     samples of a row are on it, the row is evaluated between frames. Other rows, which

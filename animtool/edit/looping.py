@@ -157,9 +157,9 @@ def _missing_speed(
     measure_steps: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
-    """Return the start speed minus the end speed of a cycle ``(A, K)`` [1/frame].
+    """Return the speed that a cycle's end lacks to match its start ``(A, K)``.
 
-    In units per frame. ``measure_steps`` returns the steps between frames
+    The speed is in units per frame. ``measure_steps`` returns the steps between frames
     ``(L, A, K)``.
     """
     extra_frames = blend.frames_before + blend.frames_after
@@ -463,7 +463,7 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
 
 
 def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
-    """Return the best cycle of a take if its ends match far better than the given."""
+    """Return the best cycle of a take if its relative error is below half the given."""
     try:
         best = find_cycle(take)
     except OptionError:

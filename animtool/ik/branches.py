@@ -81,7 +81,7 @@ class Interval:
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Track a pose through rows; return the poses and how many reach the goals."""
+        """Track a pose through rows; return poses and their number before a miss."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )

@@ -134,7 +134,7 @@ class ClipPath:
         )
 
     def jump_ratios(self, poses: FloatArray, first: int = 0) -> FloatArray:
-        """Return each frame's largest joint step, divided by the jump threshold [1].
+        """Return the largest joint step to each next frame over the jump threshold [1].
 
         ``poses`` ``(L, C)`` of the frames from the first on.
         """

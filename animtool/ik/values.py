@@ -144,7 +144,7 @@ class Constant:
 
 @dataclass(frozen=True, slots=True)
 class Keyed:
-    """A value with keys."""
+    """A value that a key curve gives."""
 
     channel: ClipChannel
 
@@ -241,7 +241,7 @@ class PrimRotation:
     rotation: tuple[float, ...]  # quaternion relative to the prim's frame
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the prim's rotations at the sample times ``(F, 4)``."""
+        """Return the rotations that follow the prim at the sample times ``(F, 4)``."""
         _, prim_rotations = self.motion(frames.seconds)
         return so3.align_signs(so3.multiply(prim_rotations, np.array(self.rotation)))
 

@@ -78,7 +78,7 @@ def lowpass_rotations(
 
 
 def _penalty(count: int, order: int) -> FloatArray:
-    """Return the difference penalty as a banded matrix, lower form."""
+    """Return the penalty matrix of finite differences in lower banded form."""
     steps = _differences(order)
     bands = np.zeros((order + 1, count))
     rows = count - order

@@ -171,7 +171,7 @@ def _shift_steps(steps: FloatArray, offset: int) -> FloatArray:
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
-    """Return the lengths of vectors ``(S, N)``."""
+    """Return the Euclidean norms of vectors ``(S, N)``."""
     return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 

@@ -181,7 +181,7 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
 
 
 def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the point at u of the arc from a to b, without aligning signs."""
+    """Interpolate from a to b along the arc of the signed quaternions."""
     return so3.multiply(a, so3.exp(u[..., None] * rotation_between(a, b)))
 
 
@@ -213,7 +213,7 @@ class RotationKind(IntEnum):
 def spline(
     times: ArrayLike, keys: ArrayLike, evaluation_times: ArrayLike
 ) -> FloatArray:
-    """Return the C1 spline through rotation keys, held outside their times.
+    """Evaluate the C1 spline through rotation keys, constant outside the key times.
 
     Arguments, errors and limits are those of `evaluate_rotations`.
 

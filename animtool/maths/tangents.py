@@ -230,7 +230,7 @@ def _handle(
 def _checked_segments(
     times: ArrayLike, values: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return checked times and values, and spans ``(K-1, 1)`` and slopes between."""
+    """Check times and values; also return key intervals ``(K-1, 1)`` and secants."""
     times = as_floats(times, ("K",), "times")
     values = as_floats(values, (len(times), "D"), "values")
     spans = np.diff(times)[:, None]
@@ -313,7 +313,7 @@ class KeySlopes:
         return outs[segments], ins[segments + 1]
 
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
-        """Return the slopes by a rule, computed at the first call."""
+        """Return the slopes of a tangent rule; computed once and cached."""
         if name not in self._by_rule:
             self._by_rule[name] = rule(self.times, self.values)
         return self._by_rule[name]

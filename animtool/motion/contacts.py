@@ -76,7 +76,7 @@ def find_contacts(
     leg_length: float,
     up: int = 1,
 ) -> FootContacts:
-    """Return the contact frames of a foot.
+    """Detect the frames in which ankle and toe of a foot are planted.
 
     Speeds are of smoothed positions; the smoothing widens for takes whose jitter would
     hide contacts. The ground height is measured: the foot is lowest there while slow.

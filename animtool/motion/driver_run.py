@@ -172,7 +172,7 @@ class DriverRun:
         return unwrapped
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
-        """Record the first frame at which a twist wraps."""
+        """Record the first frame at which a twist jumps by a full revolution."""
         previous_twist = self._twists.get(name, twists[0] if len(twists) else 0.0)
         steps = np.abs(np.diff(twists, prepend=previous_twist))
         if (steps > HALF_REVOLUTION).any():
@@ -291,7 +291,7 @@ class DriverRun:
     def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
-        """Return the controls with driven ones replaced; None without controls."""
+        """Return the controls with driven values replaced; None without controls."""
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel
@@ -447,5 +447,5 @@ def _amount_text(joint: Joint, amount: float) -> str:
 
 
 def _driver_warning(code: str, message: str, hint: str) -> Fault:
-    """Return a warning about a driver."""
+    """Return a warning about a driver with a code, a message and a hint."""
     return Fault(code, message, None, (), hint, Severity.WARNING)

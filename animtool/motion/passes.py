@@ -175,7 +175,7 @@ ColliderBuilder: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream
 
 @dataclass(frozen=True, slots=True)
 class PlacedJoint:
-    """A joint that a pass has put at a target."""
+    """A joint that a pass has moved to a target."""
 
     joint: str  # name of the joint
     effector: str  # name of the effector in the targets file
@@ -217,7 +217,7 @@ class PassContext:
     placed_joints: list[PlacedJoint] = field(default_factory=list)
 
     def add_notices_once(self, notices: Iterable[Fault]) -> None:
-        """Add notices with codes that are not yet reported."""
+        """Add the notices whose codes were not yet reported by any pass."""
         for notice in notices:
             if notice.code not in self.reported_codes:
                 self.reported_codes.add(notice.code)
@@ -253,7 +253,7 @@ def _no_checks(_: object) -> OptionChecks:
 
 @dataclass(frozen=True, slots=True)
 class LinearTime:
-    """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
+    """Linear time map: t of the source becomes ``first + (t - start) · ratio``."""
 
     start: float  # [time code]
     ratio: float  # time ratio above 0

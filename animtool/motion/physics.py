@@ -16,7 +16,7 @@ IDENTITY_POSE: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhysicsShape:
-    """A shape that bodies collide with."""
+    """A collision shape of a body or of the world."""
 
     # `sphere` (radius), `capsule` (radius, length of its segment along y), `box` (three
     # sides), `plane` (none: what is below y = 0) or `mesh` (none: its triangles).

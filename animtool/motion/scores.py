@@ -27,7 +27,7 @@ class ScoreUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One score of a pass: larger is worse.
+    """A quality score of a pass; larger values are worse.
 
     Attributes:
         name: Name in reports.

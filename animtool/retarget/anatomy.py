@@ -220,7 +220,7 @@ def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
 
 
 def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
-    """Tell left from right by limb positions; by file order where they coincide."""
+    """Assign left and right by limb positions, or by file order if these coincide."""
     body, tip_joints = search.body, search.tips
     for limb in search.unsided:
         tip_names = [f"{limb}_{side}" for side in SIDES]

@@ -156,7 +156,7 @@ def _root_correction(
 
 
 def _integrate(values: Numbers, rate: float) -> Numbers:
-    """Return the integral of values over time, by the trapezoidal rule, from 0."""
+    """Integrate values over time by the trapezoidal rule, starting from 0."""
     integral = np.zeros_like(values)
     integral[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
     return integral
@@ -258,7 +258,7 @@ def _stance_tracks(
 
 
 def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
-    """Return a windowed median of a contact column at each contact ``(N,)``.
+    """Return the weighted moving median of a contact column ``(N,)``.
 
     Contacts are weighted by duration, so that a foot that slides intentionally is
     outvoted.

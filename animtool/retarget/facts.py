@@ -33,7 +33,7 @@ class FootFacts:
 
 @dataclass(frozen=True, slots=True)
 class CaptureFacts:
-    """Statistics of a take of a body."""
+    """Statistics of a captured take: foot contacts, ground speed and noise."""
 
     feet: dict[str, FootFacts]  # by side, ``left`` and ``right``
     speed_mean: float  # mean ground speed of the hips [m/s]

@@ -69,7 +69,7 @@ class Foot:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFeet:
-    """Solved positions of hips and feet."""
+    """Solved paths of hips and feet, and the frames in which feet are planted."""
 
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
     ankles: Sequence[FloatArray]  # ankle positions of each foot (F, 3) [m]
@@ -85,7 +85,7 @@ class PlacedFeet:
 def plant_feet(
     hips: FloatArray, feet: Sequence[Foot], fps: float, up: int
 ) -> PlacedFeet:
-    """Return hips and feet such that planted feet stay in place.
+    """Solve paths of hips and feet so that planted feet stay in place.
 
     The hips follow the scaled path of the source, so that an excerpt of a take moves as
     in the full take. They rise and sink so that planted feet need no other leg pose, as
@@ -162,7 +162,7 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
 
 
 def _toe_roll(toe: BoolArray, fps: float) -> FloatArray:
-    """Return 1 where only the toe is planted, fading to 0 around it ``(F,)``."""
+    """Return a weight: 1 while only the toe is planted, with a smooth fade ``(F,)``."""
     rolls = toe[:, None].astype(np.float64)
     fill_between(rolls, toe, fps)
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))

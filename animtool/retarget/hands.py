@@ -258,7 +258,7 @@ def _shift_into_reach(
     shoulders: Sequence[FloatArray],
     reaches: Sequence[float],
 ) -> list[FloatArray]:
-    """Return the goals of both hands, shifted together until both arms reach.
+    """Shift the goals of both hands by one offset until both arms reach.
 
     Args:
         goals: Goals of each wrist ``(F, 3)`` [m].

@@ -221,7 +221,7 @@ class Retargeting:
         )
 
     def _record_moving_joints(self, motion: Motion) -> None:
-        """Record the joints that leave their pose of the first frame."""
+        """Record the joints that move away from their pose in the first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
@@ -256,7 +256,7 @@ class Retargeting:
         return placed
 
     def _pose_frames(self, motion: Motion, legs: str) -> _PosedFrames:
-        """Return target frames whose joints follow the source's."""
+        """Transfer frames to the target rig, before feet are planted."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
         local = motion.translations.dense(), motion.rotations.dense()

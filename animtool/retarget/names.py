@@ -80,7 +80,7 @@ class Preset:
     source: str  # where the names of the convention were found
     # whether all names come from there; else some are derived by a rule
     is_complete: bool
-    roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
+    roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `name_key`
     names_by_role: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
@@ -171,7 +171,7 @@ def _strip_side_letter(name: str, other: str) -> str:
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
-    """Return TWIST, END or CONTROL if a word of the name says so, else ""."""
+    """Return TWIST, END or CONTROL if a word of the name implies it, else ""."""
     lowercase_words = [word.lower() for word in words if not word.isdigit()]
     if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lowercase_words):
         return CONTROL

@@ -64,7 +64,7 @@ def map_joints(
     source_positions: FloatArray | None = None,
     target_positions: FloatArray | None = None,
 ) -> JointMap:
-    """Return which target joints follow which source joints.
+    """Pair the joints of two skeletons by roles, names or a map file.
 
     Args:
         source: Skeleton of a take, of J joints.
@@ -375,7 +375,7 @@ def _toes_inside_out(
 
 
 def _is_named(anatomy: Anatomy, joint: int) -> bool:
-    """Return whether a joint's role was found by its name."""
+    """Return whether the evidence for a joint's role is its name."""
     return anatomy.evidence[joint] in {
         RoleSource.NAME,
         RoleSource.PRESET,

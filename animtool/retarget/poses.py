@@ -244,7 +244,7 @@ def _clamp_to_limits(
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
-    """Return world rotations from local ones, both ``(F, K, 4)``."""
+    """Compute world rotations from local rotations, both ``(F, K, 4)``."""
     world = local.copy()
     for j, parent in enumerate(rig.parents.tolist()):
         if parent >= 0:

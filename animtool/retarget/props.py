@@ -113,7 +113,7 @@ class PropTracks:
 
 
 def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
-    """Return a track with its path scaled and its size unchanged."""
+    """Scale and lift the path of a track; the size of the prop stays unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
         """Return the transforms at the times, positions scaled and lifted."""

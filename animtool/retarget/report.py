@@ -288,7 +288,7 @@ class FitMeter:
         return assess_take(fit_scores(report), values, source_values, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
-        """Return the fit of the frames so far.
+        """Return the fit scores of the frames so far.
 
         Args:
             clamped: Fraction of frames in which limits clamp each joint.

@@ -56,7 +56,7 @@ FIRST_SAMPLES, MAX_SAMPLES = 3, 2000
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """How a body stands in a take.
+    """The axis along which a body stands in a take, and how often.
 
     Attributes:
         axis: The axis along which it stands, if that is not the up axis.
@@ -301,7 +301,7 @@ def lying_body_notices(
     severity: Severity = Severity.NOTE,
     up: UpAxis | None = None,
 ) -> list[Fault]:
-    """Return a notice that a body stands along another axis than up (MOT214).
+    """Return a notice if a body stands along another axis than up (MOT214).
 
     up: The axis that the user chose.
     """
@@ -376,7 +376,7 @@ def with_source_warnings(
 
 
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
-    """Return a warning that a chosen unit gives an implausible size (RIG217)."""
+    """Return a warning if the chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
     low = MIN_SIZES[len(rig.joints) >= MIN_JOINTS]
     if not size or low <= size <= MAX_RIG_SIZE:

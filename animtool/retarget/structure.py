@@ -153,7 +153,7 @@ class SkeletonTree:
 
     @cached_property
     def _has_bone_ends(self) -> bool:
-        """Whether leaves with a zero-length bone are bone ends, not joints.
+        """Whether leaves with a zero-length bone are bone ends instead of joints.
 
         Some files give no last bone a length; there, fingers of four joints show that
         the last joints are ends.

@@ -74,7 +74,7 @@ def insufficient_pairs_fault(
     source_joints: IntArray,
     moving_joints: Collection[int],
 ) -> Fault | None:
-    """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
+    """Return a fault if too few joints of a take are mapped (MAP010), else None.
 
     Args:
         source: The skeleton of the take, of J joints.
@@ -160,7 +160,7 @@ def zero_length_fault(
 def unpaired_body_fault(
     source: Rig, roles: tuple[str, ...], target: Rig
 ) -> Fault | None:
-    """Return the fault that no body joint is paired (MAP010); None for non-bodies."""
+    """Return a fault if a body has no paired joint (MAP010), else None."""
     limbs = _complete_limbs(roles)
     if not limbs:
         return None

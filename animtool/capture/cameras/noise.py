@@ -65,7 +65,7 @@ class ObservationNoise:
 def measure_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
 ) -> ObservationNoise:
-    """Return the noise of observations, measured on a sample of frames."""
+    """Measure the noise of each camera's observations on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
     frame_step = max(1, frames * markers // SAMPLE_POINTS)
     pixels = observations.pixels(0, frames, frame_step)

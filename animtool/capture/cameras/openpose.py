@@ -71,7 +71,7 @@ def track_people(
     keypoints: int,
     max_people: int | None,
 ) -> FloatArray:
-    """Return x, y and confidence of each person's keypoints ``(F, C, P * M, 3)``.
+    """Track people; return x, y and confidence of keypoints ``(F, C, P * M, 3)``.
 
     Args:
         detections: People by frame and camera ``(M, 3)``, NaN for invisible keypoints.
@@ -144,7 +144,7 @@ def _continue_tracks(
     cameras: Sequence[Camera],
     unassigned: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
-    """Assign detections to known people, and remove them from ``unassigned``."""
+    """Assign detections to tracked people, and remove these from ``unassigned``."""
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live_tracks]
@@ -261,7 +261,7 @@ def _solve_person(
     cameras: Sequence[Camera],
     keypoints: int,
 ) -> FloatArray | None:
-    """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
+    """Triangulate a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
     cameras_of_person = sorted(group)

@@ -139,7 +139,7 @@ def find_shifted_ranges(
 def find_stale_ranges(
     triangulated_counts: FloatArray, rejected: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
-    """Return ranges in which an unused camera does not fit; all if no part differs.
+    """Return the ranges in which an unused camera does not fit; one range if all.
 
     Arguments are those of `find_shifted_ranges`.
     """
@@ -246,7 +246,7 @@ def _rejected_fraction(
     first: int,
     end: int,
 ) -> float:
-    """Return the rejected fraction of a camera's observations in frames."""
+    """Return the rejected fraction of a camera's observations in a frame range."""
     return float(
         rejected[first:end, camera].sum()
         / max(1, triangulated_counts[first:end, camera].sum())

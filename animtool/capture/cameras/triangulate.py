@@ -324,7 +324,7 @@ class _TriangulationRun:
         return tuple(find_disagreements(self.tallies.values, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
-        """Return a range with the pose change that explains it."""
+        """Return a range completed with the camera's pose change in it, if one fits."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]

@@ -35,7 +35,7 @@ class LandmarkScore:
 
 @dataclass(frozen=True, slots=True)
 class ShapePeak:
-    """Largest weight of a shape."""
+    """Largest weight of a shape over the frames, and its frame."""
 
     name: str  # of the shape
     max: float  # its largest weight

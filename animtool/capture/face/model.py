@@ -117,7 +117,7 @@ class FaceModel:
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:
-        """Return warnings about shapes that landmarks do not show or distinguish."""
+        """Return warnings about shapes that landmarks cannot detect or distinguish."""
         notices = []
         moving = self.shapes_with_motion()
         static_names = [

@@ -76,7 +76,7 @@ def fit_face(
     camera: FloatArray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FaceFit:
-    """Return weights and head poses that put a face on its landmarks.
+    """Fit blend-shape weights and head poses to the landmarks of a face.
 
     Args:
         model: The face.
@@ -222,7 +222,7 @@ class _Fit:
         self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _initial_poses(self) -> FloatArray:
-        """Return initial head poses."""
+        """Estimate initial head poses from landmarks or, with a camera, pixels."""
         if self.camera is None:
             return estimate_head_poses(self.face.neutral, self.observed)
         median_points = np.full(self.observed.shape[1:], np.nan)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferredWeights:
-    """Weights on another face.
+    """Weights transferred to another face, and the shapes that were lost.
 
     Attributes:
         weights: Weights of the target's shapes ``(F, S)``.

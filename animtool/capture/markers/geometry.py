@@ -17,7 +17,7 @@ PERCENTILES = (15.87, 50.0, 84.13)
 
 @dataclass(frozen=True, slots=True)
 class MarkerDistances:
-    """Distances between M markers.
+    """Mean and spread of the distances between M markers.
 
     Attributes:
         mean: Mean of each pair ``(M, M)`` [m]; NaN if never visible.

@@ -234,7 +234,7 @@ class LabelReport:
 
 
 def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
-    """Return a point cloud labelled with the names of a static trial.
+    """Label a point cloud with the marker names of a static trial.
 
     Points are joined to runs by their motion. Runs that keep their distance are on one
     segment: groups of them are matched to the trial by distances and handedness. Then

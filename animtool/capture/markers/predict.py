@@ -153,7 +153,7 @@ def predict_from_parent_joint(
     distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Return predictions for a marker without mates on its joint; None if unknown.
+    """Predict a marker from its parent joint's markers; None if these are missing.
 
     It is expressed in the frame of the parent joint, and in one rotated towards a
     marker on the same joint if there is any. Its motion there is learnt as in

@@ -49,7 +49,7 @@ class RunLabels:
         names_of: IntArray,
         rest: FloatArray,
     ) -> None:
-        """Start from runs and their known names.
+        """Start from runs and the names that are already known.
 
         rest: Marker distances in a trial at rest ``(M, M)``; NaN where unknown.
         """

@@ -105,7 +105,7 @@ class SkeletonMarkers:
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
-    """Return the markers of a take on a subject's skeleton.
+    """Solve a subject's skeleton to a take, and return its markers on the joints.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
     """

@@ -69,7 +69,7 @@ MIN_FRAMES = 10
 
 @dataclass(frozen=True)
 class Calibration:
-    """A subject's rig and template.
+    """A subject's calibrated rig and template, with scales and statistics.
 
     Attributes:
         rig: The rig with the subject's bones.
@@ -115,7 +115,7 @@ def calibrate(
     static: Markers | None = None,
     options: SolveOptions | None = None,
 ) -> Calibration:
-    """Return the bones and marker offsets that fit a subject best.
+    """Fit bone scales and marker offsets to a subject by least squares.
 
     Args:
         markers: A take in which every joint moves.

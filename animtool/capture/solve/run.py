@@ -81,7 +81,7 @@ MIN_MOVING_FRAMES = 25
 
 @dataclass
 class MarkerSolve:
-    """The solve of a capture.
+    """A marker solve whose frames are solved as its blocks are read.
 
     Attributes:
         model: Rig and markers of the solve.
@@ -289,7 +289,7 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
 
 
 def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
-    """Return a warning about markers ``(F, E, 3)`` that never move (SOL108)."""
+    """Return a warning if markers ``(F, E, 3)`` never move (SOL108)."""
     if len(positions) < MIN_MOVING_FRAMES:
         return []
     is_known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))

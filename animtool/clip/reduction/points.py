@@ -129,7 +129,7 @@ class TrackBudget:
 
     @staticmethod
     def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
-        """Return a track with its initial keys."""
+        """Fit initial keys to a track with a tolerance."""
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance, bounds_or_none=track.range)
         no_fraction = np.zeros(frames)
