@@ -125,7 +125,7 @@ class ChannelReader:
     def _plain_channel(
         self, location: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of plain keys; None on a fault."""
+        """Return the channel of plain keys; record a fault and return None if bad."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         is_quaternion = kind == "rotation" and model.euler is None

@@ -293,7 +293,7 @@ def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
 def _best_cycle(
     table: FloatArray, min_lag: int, max_lag: int, static_extent: float
 ) -> tuple[int, int, float] | None:
-    """Return start, length and extent of the best cycle, in columns."""
+    """Return start, length [columns] and extent [m] of the best cycle."""
     count = table.shape[1]
     distances_from_mean = _pose_distance(table, table.mean(axis=1, keepdims=True))
     min_extent = max(

@@ -293,7 +293,7 @@ def layer(
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
-    """Return a take with another layered on top.
+    """Layer another take on top of a take.
 
     The result has the frames of ``take``. The other take starts with it, ``delay``
     later, is resampled to its rate and clamped at its ends.

@@ -254,7 +254,7 @@ def loop(
     repeats: int = _DEFAULTS.repeats,
     blend: int = _DEFAULTS.blend,
 ) -> Take:
-    """Return a cycle of the take, repeated; `find_cycle` searches for one.
+    """Repeat a cycle of a take seamlessly; `find_cycle` searches for a cycle.
 
     The frame ``last`` is the first of the next cycle and is not shown itself. Over the
     ``blend`` frames before it, the missing offset and speed are added, so that neither

@@ -107,7 +107,7 @@ def _pivot(control: Control) -> float:
 
 
 def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return an effect on joints and shapes as one vector."""
+    """Concatenate an effect on joints and shapes to one vector."""
     return np.concatenate([part.ravel() for part in effect])
 
 
@@ -184,7 +184,7 @@ class MirrorOptions:
 def mirror(
     take: Take, axis: Axis | str = Axis.X, pairs: Sequence[Sequence[str]] = ()
 ) -> Take:
-    """Return the mirrored take, on the same rig.
+    """Mirror a take on its rig: left and right are swapped.
 
     The world motion of a joint beyond its rest frame is mirrored and given to its
     partner. Each joint keeps its rest offset, so that rigs whose halves have different

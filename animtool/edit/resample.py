@@ -188,7 +188,7 @@ def missing_frames_fault(
 
 
 def _time_codes(first: Fraction, frames: range) -> FloatArray:
-    """Return the time codes of frames from a first one."""
+    """Return the time codes of frames counted from a first time code."""
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
@@ -309,7 +309,7 @@ def filter_motion(motion: Motion, cutoff: float, rate: float) -> Motion:
 def resampled(
     take: Take, fps: FractionLike, *, lowpass: bool = False, smooth: bool = False
 ) -> Take:
-    """Return the take with a sample on every time code at another rate.
+    """Resample a take to another frame rate, with a sample on every time code.
 
     The remainder after its last full frame is cut, with a note (TAKE006).
 

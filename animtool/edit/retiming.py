@@ -213,7 +213,7 @@ class TimeScaleOptions:
 
 
 def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
-    """Return the take at another speed, sampled on its own frame grid.
+    """Play a take at another speed, sampled on its own frame grid.
 
     Curves are evaluated between frames; other values are linear, and a note estimates
     their error (TAKE007).
@@ -359,7 +359,7 @@ def time_warp(
     curve: KeyPairs,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> Take:
-    """Return the take retimed, from the curve's first frame to its last.
+    """Retime a take by a time curve, from the curve's first frame to its last.
 
     The result has the frames of the take's grid, extended beyond its ends if the curve
     reaches there. The curve may run backwards or be constant. Curves of the take are

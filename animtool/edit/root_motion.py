@@ -39,7 +39,7 @@ MIN_TRAVEL, MIN_RATIO = 0.2, 2.0
 
 
 class RootMode(StrEnum):
-    """Direction of the transfer."""
+    """Whether root motion is extracted to a root joint or recomposed."""
 
     EXTRACT = "extract"
     RECOMPOSE = "recompose"
@@ -72,7 +72,7 @@ class RootMotionOptions:
 def extract_root(
     take: Take, root: str = "root", axes: str = "", *, yaw: bool = True, hips: str = ""
 ) -> Take:
-    """Return the take with hip travel moved to a root joint above.
+    """Extract root motion: move the hips' travel to a root joint above.
 
     A joint named ``root`` gets the travel instead of its own motion; if the rig has
     none, it is added directly above the hips. Joints below keep their world transforms.

@@ -51,7 +51,7 @@ def thin_samples(
     *,
     joint_tolerances: Mapping[str, float] | None = None,
 ) -> ThinnedSamples:
-    """Return the samples that reproduce a motion within a tolerance > 0 [m].
+    """Select samples that reproduce a motion within a tolerance > 0 [m].
 
     Between two samples USD interpolates translations, scales and weights linearly, and
     rotations along the shortest arc. An interval beyond the tolerance is split at its
@@ -128,7 +128,7 @@ def _drop_alternate(
 
 
 class _RestoredError:
-    """Error of the motion restored from the kept samples."""
+    """Measures the error of the motion interpolated from the kept samples."""
 
     def __init__(
         self,

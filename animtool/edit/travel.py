@@ -82,13 +82,13 @@ FRAME_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class FramePositions:
-    """Sample positions: at or between two frames."""
+    """Sample positions as a frame index and a fraction towards the next frame."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
     fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
 
     def interpolate(self, channel: Channel) -> Channel:
-        """Return the channel at these positions.
+        """Interpolate a channel at these positions.
 
         On a frame the result equals that frame exactly. Between two frames, rotations
         (K = 4) follow the shortest arc and other values are linear.
@@ -108,7 +108,7 @@ class FramePositions:
         return Channel(channel.rest, channel.animated, values)
 
     def interpolate_spline(self, channel: Channel) -> Channel:
-        """Return the channel at these positions, on a spline through its frames.
+        """Interpolate a channel at these positions by a Catmull-Rom spline.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
         splines, 1974), of class C1; rotations (K = 4) are interpolated by component and
@@ -218,7 +218,7 @@ STATIC_FRACTION = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class CycleTravel:
-    """How each joint's local transform continues from one cycle to the next.
+    """Map of each joint's local transform from one cycle to the next.
 
     ``translation`` becomes ``linear · translation + shift``, and ``rotation`` becomes
     ``rotations[j] · rotation``. Joints that do not travel have identities.

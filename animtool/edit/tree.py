@@ -248,7 +248,7 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
 
 
 def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
-    """Return the bind poses of a rig without a joint."""
+    """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
     for rig_joint in rig.joints:

@@ -109,7 +109,7 @@ class _ChainBuilder:
         return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(rotation))
 
     def _add_slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
-        """Append a slide along an axis; return the frame that it moves."""
+        """Append a prismatic node along an axis; return the frame that it moves."""
         self.columns.append(column)
         self.lengths.append(True)
         self.periods.append((-np.inf, np.inf))
@@ -378,7 +378,7 @@ def _node_rows(
 
 
 def _priority_levels(goals: Sequence[Goal]) -> list[int]:
-    """Return the goals' priorities as levels 0, 1, … without gaps."""
+    """Renumber the goals' priorities to consecutive levels 0, 1, …"""
     ranks = sorted({goal.priority for goal in goals})
     return [ranks.index(goal.priority) for goal in goals]
 

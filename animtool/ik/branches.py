@@ -46,7 +46,7 @@ RANDOM_SPREADS = (0.5, 1.5, 3.0)
 
 @dataclass(frozen=True)
 class Interval:
-    """Consecutive frames for which another branch of solutions is searched."""
+    """Consecutive frames in which the search looks for another solution branch."""
 
     problem: Problem  # goals and joints
     targets: Targets  # targets of all F frames of the clip
@@ -139,7 +139,7 @@ def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
 
 
 def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
-    """Return costs of paths ``(K, L)``, equal for misses near the smallest.
+    """Equalize the costs of paths ``(K, L)`` whose misses are near the smallest.
 
     In each frame, a path whose miss exceeds the smallest by at most ``slack``
     [fraction of the length] costs as little as that one.
@@ -152,7 +152,7 @@ def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
 
 
 def miss_of_cost(costs: FloatArray) -> FloatArray:
-    """Return the weighted miss of a cost; the inverse of `miss_cost`."""
+    """Return the weighted miss that has a given cost: the inverse of `miss_cost`."""
     return np.sqrt(np.maximum(costs / MISS_COST - 1.0, 0.0))
 
 

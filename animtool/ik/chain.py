@@ -85,7 +85,7 @@ class Chain:
 
 
 def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return rotations ``(B, T, 4)`` expressed in rotated frames ``(T, 4)``."""
+    """Conjugate rotations ``(B, T, 4)`` by frame rotations ``(T, 4)``."""
     return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 
 
@@ -131,7 +131,7 @@ def _joint_columns(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 
 
 def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
+    """Unwrap the angles of unlimited pins in poses ``(F, C)``."""
     columns = _joint_columns(chain)[0][_unlimited_pins(chain)]
     unwrapped_poses = poses.copy()
     unwrapped_poses[:, columns] = np.unwrap(poses[:, columns], axis=0)

@@ -162,7 +162,7 @@ def _moving_sources(
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
-    """Return a rig whose control defaults are the values of a frame."""
+    """Return a rig whose control defaults are set to the control values of a frame."""
     if not values:
         return rig
     controls = tuple(
@@ -231,7 +231,7 @@ def _with_rest_pose(
 def _carrier_transforms(
     world: WorldTransforms, joints: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joints' positions ``(F, E, 3)`` and rotations ``(F, E, 4)``; -1: world."""
+    """Return joint positions ``(F, E, 3)`` and rotations; the identity for joint -1."""
     count = len(world.positions)
     positions = np.zeros((count, len(joints), 3))
     rotations = np.tile(so3.IDENTITY, (count, len(joints), 1))

@@ -194,7 +194,7 @@ def _search_full_clip(clip: ClipPath, result: IkResult, attempt: int) -> IkResul
 
 
 def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return a result whose frames that miss goals are searched individually.
+    """Search the frames that miss goals individually, and return the improved result.
 
     A frame solved from a missed one stays on its branch; here it may switch to a nearer
     one.
@@ -239,7 +239,7 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
 
 
 def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
-    """Return a result with a better path to a frame that jumps."""
+    """Search windows before a jump for a better path; return the improved result."""
     poses = clip.chain_poses(result)
     smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
     best_result: tuple[slice, FloatArray] | None = None

@@ -272,17 +272,17 @@ class Programs:
 
 
 def _multiply_rows(factor: float) -> list[_Row]:
-    """Return the rows that multiply by a factor; none for 1."""
+    """Return the program rows that multiply by a factor; no rows for 1."""
     return [] if factor == 1.0 else [("number", 0, (factor,)), ("*", 0, ())]
 
 
 def _add_rows(term: float) -> list[_Row]:
-    """Return the rows that add a term; none for 0."""
+    """Return the program rows that add a term; no rows for 0."""
     return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
 
 
 def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
-    """Return weights of twist, two swings and swing angle, and the twist's middle."""
+    """Return the weights that select a ball's part, and the middle of the twist."""
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)

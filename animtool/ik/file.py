@@ -279,7 +279,7 @@ class _TargetsReader:
     def _read_spans(
         self, location: Location, spans_in_file: list[list[float]]
     ) -> list[tuple[float, float]]:
-        """Return spans in order; reversed or overlapping ones are faults."""
+        """Return spans in ascending order; record reversed or overlapping spans."""
         spans: list[tuple[float, float, int]] = []
         for i, span in enumerate(spans_in_file):
             if self.document.is_placeholder((*location, i)):
@@ -304,7 +304,7 @@ class _TargetsReader:
         return [(first, last) for first, last, _ in spans]
 
     def _read_axis(self, location: Location, axis: list[float]) -> Vector:
-        """Return a unit direction; a fault if it has zero length."""
+        """Normalize a direction; record a fault if it has zero length."""
         length = math.hypot(*axis)
         if not length > MIN_DIRECTION:
             message = f"direction {axis} has zero length"

@@ -77,7 +77,7 @@ def fit(
     path: FloatArray | None = None,
     first: int = 0,
 ) -> FitResult:
-    """Return poses of F frames that fit targets which no pose reaches exactly.
+    """Fit poses of F frames to noisy targets by robust least squares over all frames.
 
     Minimises the sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's
     weighted miss r, plus squared joint accelerations over the typical one, by

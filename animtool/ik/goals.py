@@ -186,7 +186,7 @@ class Goal:
 
     @property
     def kinds(self) -> tuple[GoalKind, ...]:
-        """Kinds with a weight above 0."""
+        """Goal kinds with a weight above 0."""
         return tuple(kind for kind in KINDS if getattr(self, kind.name) > 0)
 
     @property
@@ -380,7 +380,7 @@ def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
 
 
 def _all_values_valid(packed: FloatArray) -> bool:
-    """Return whether all values are valid, whether used or not."""
+    """Return whether all packed values are valid, including unused ones."""
     rotations_valid = all(
         packed[:, :, TARGET_COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS

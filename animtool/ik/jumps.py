@@ -28,7 +28,7 @@ MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A joint that moves much farther in a frame than in the source motion.
+    """A discontinuity: a joint moves much farther in a frame than in the source.
 
     Attributes:
         frame: Index of the frame after the jump.
@@ -140,7 +140,7 @@ def _moving_joints(
     solved_poses: LocalTransforms,
     windings: FloatArray | None,
 ) -> IntArray:
-    """Return the joints that move: static ones cannot jump."""
+    """Return the joints that move in the solved or the source motion."""
     is_moving = np.zeros(solved_poses.rotations.shape[1], np.bool_)
     for poses in (solved_poses, source_poses):
         if poses is not None:

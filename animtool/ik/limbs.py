@@ -211,7 +211,7 @@ class SoftReach:
 
 
 def extend_softly(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
-    """Return targets moved within reach of their limbs, and bone length scales.
+    """Move targets within reach of their limbs; also return bone length scales.
 
     The bones grow by the distance that the softened extension lacks, up to their
     stretch; then the target is moved within reach.

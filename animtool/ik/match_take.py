@@ -244,7 +244,7 @@ class _ValueBuilder:
         return unique
 
     def _keys_per_frame(self, rows: FloatArray) -> ClipChannel:
-        """Return a key for each frame."""
+        """Return a channel with a key for each frame."""
         count, width = rows.shape
         is_rotation = width == 4
         tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)

@@ -113,7 +113,7 @@ def _goal_of_chain(chain: IkChain) -> Goal:
 
 @dataclass(frozen=True, slots=True)
 class _BendingLimb:
-    """A limb with a bending middle joint.
+    """A limb from root to tip with a middle joint that bends it.
 
     Attributes:
         root, middle, tip: Joints.

@@ -113,7 +113,7 @@ def solve_take(
     only: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeIk:
-    """Return a take solved for targets.
+    """Solve a take for targets, and return the solved take with its misses.
 
     Each frame starts at its source pose. Joints that move no goal keep it, and so do
     all joints in frames without active goals, except that joints that move a goal are
@@ -172,7 +172,7 @@ def _solve_take(
     only: int | None,
     progress: Callable[[float], None],
 ) -> TakeIk:
-    """Return a take solved for targets with their fade sources."""
+    """Solve a take for targets that fade from and to the given takes."""
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_types(take.rig)
     rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))

@@ -252,7 +252,7 @@ def _find_jumps(
     steps: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
-    """Return the jumps of coordinates ``(F, Q)``, with stretched bones if any."""
+    """Find the jumps of coordinates ``(F, Q)``, including stretched bones."""
     local = local_from_coordinates(problem.rig, rows)
     if translations is not None:
         local = replace(local, translations=translations)

@@ -30,7 +30,7 @@ LIMIT_TOLERANCE = 1e-8
 
 
 class IkStatus(StrEnum):
-    """How a solve ended.
+    """Status of a solve: whether goals are reached, or why not.
 
     Attributes:
         CONVERGED: Every goal is reached.

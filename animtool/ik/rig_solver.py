@@ -70,7 +70,7 @@ def _closed_form(problem: Problem) -> ClosedForm:
 
 
 def build_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
-    """Return a solver of a problem; it keeps the last solved frame."""
+    """Build the kernel solver of a problem; it caches the last solved frame."""
     form = (
         closed_form(problem)
         if options.method in CLOSED_FORM_METHODS

@@ -98,7 +98,7 @@ def solve(
 
 
 def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
-    """Return a kernel solver's output as a result."""
+    """Convert the output of a kernel solver to a result."""
     rows, misses, reports, seconds, reached, scales, positions, linear = solution
     if problem.rig.is_driven:
         rows = with_mimics(problem.rig, rows, problem.joints)
@@ -203,7 +203,7 @@ def check_options(options: IkOptions) -> None:
 def pose_rows(
     problem: Problem, pose: ArrayLike | None, batch: int, name: str
 ) -> FloatArray:
-    """Return poses ``(B, Q)``; a single one is repeated."""
+    """Return poses as ``(B, Q)``; a single pose is repeated for the batch."""
     width = problem.coordinates
     rows = rest_pose(problem) if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(width,), (batch, width)}:

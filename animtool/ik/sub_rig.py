@@ -157,7 +157,7 @@ def _is_joint_available(name: str, available_names: Collection[str]) -> bool:
 
 
 def with_types(rig: Rig) -> Rig:
-    """Return a rig with joint types: balls where all joints are free.
+    """Return the rig with all but root joints as balls, if all its joints are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
     all but the roots become balls.

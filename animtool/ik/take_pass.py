@@ -92,7 +92,7 @@ def solve_options(options: Any) -> TakeOptions:
 
 
 def _options_without_tolerance(options: Any) -> TakeOptions:
-    """Return the solve options without the tolerance, which is text."""
+    """Return the solve options without the tolerance, which is still text."""
     names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
         angle_tolerance=math.radians(options.angle_tolerance),

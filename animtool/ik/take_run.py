@@ -101,7 +101,7 @@ class TakeIk:
 
     @property
     def mean_iterations(self) -> float:
-        """Mean iterations of a frame."""
+        """Mean number of iterations per frame."""
         return float(self.iterations.mean())
 
     @property
@@ -116,12 +116,12 @@ class TakeIk:
 
     @property
     def seconds_per_frame(self) -> float:
-        """Mean time of a frame [s]."""
+        """Mean solve time per frame [s]."""
         return self.seconds / self.frames
 
     @property
     def microseconds_per_frame(self) -> float:
-        """Mean time of a frame [µs]."""
+        """Mean solve time per frame [µs]."""
         return 1e6 * self.seconds / self.frames
 
     @property
@@ -132,7 +132,7 @@ class TakeIk:
 
     @property
     def limit_counts(self) -> dict[str, int]:
-        """Number of frames in which joints are on a limit, without zeros."""
+        """Number of frames in which each joint is at a limit; zeros are left out."""
         counts = {name: int(on.sum()) for name, on in self.on_limits.items()}
         return {name: count for name, count in counts.items() if count}
 
@@ -160,7 +160,7 @@ class Smoothing:
 
 @dataclass(frozen=True, slots=True)
 class SpanSolution:
-    """The solution of one span of frames.
+    """Targets, solved poses and solve time of one span of frames.
 
     Attributes:
         span: The frame span.
@@ -186,7 +186,7 @@ def gather_take(
     solutions: Sequence[SpanSolution],
     rate: float,
 ) -> TakeIk:
-    """Return a take with the solved poses of its frame spans."""
+    """Assemble a take from the solved poses of its frame spans."""
     results = [solved_part.result for solved_part in solutions]
     motion = take.motion
     rig = solutions[0].span.rig

@@ -138,7 +138,7 @@ class Constant:
     value: tuple[float, ...]
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the value for each time."""
+        """Return the constant repeated for each sample time."""
         return np.tile(np.array(self.value, np.float64), (len(frames.times), 1))
 
 
@@ -191,7 +191,7 @@ class ArrayRows:
 
 
 def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
-    """Return rows interpolated at row numbers ``(F,)``, held at both ends.
+    """Interpolate rows at fractional row numbers ``(F,)``, clamped at both ends.
 
     Rotations ``(R, 4)`` are interpolated along the shortest arc, points linearly.
 

@@ -172,7 +172,7 @@ class DriverRun:
         return unwrapped
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
-        """Record the first frame at which a twist jumps by a full revolution."""
+        """Record the first frame at which a twist jumps by over half a revolution."""
         previous_twist = self._twists.get(name, twists[0] if len(twists) else 0.0)
         steps = np.abs(np.diff(twists, prepend=previous_twist))
         if (steps > HALF_REVOLUTION).any():
@@ -211,7 +211,7 @@ class DriverRun:
         return _is_posed(motion.rotations, j, rig.rest_rotations[j])
 
     def _current_controls(self, motion: Motion) -> dict[str, FloatArray]:
-        """Return the values of all controls, by default those of the rig."""
+        """Return the values of all controls; controls without values have defaults."""
         if motion.controls is None:
             return {c.name: np.array([c.default]) for c in self.rig.controls}
         return {

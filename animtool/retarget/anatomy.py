@@ -373,7 +373,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
 def _split_hand(
     search: _RoleSearch, path: list[int], side: str
 ) -> tuple[list[int], int]:
-    """Return an arm's chain without fingers, and the joint the fingers branch from."""
+    """Split an arm into the chain without fingers, and the joint that forks."""
     votes = search.body.votes
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:

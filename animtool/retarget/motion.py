@@ -424,7 +424,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return rotations with ankles at their goals and planted feet."""
+        """Return rotations with ankles at their goals and feet as they are planted."""
         target, placed = self.transfer.target, self.contact_frames.placed
         assert placed is not None
         world = rotations.world.copy()

@@ -73,7 +73,7 @@ def solve_controls(
     *,
     keyed: Set[str] = frozenset(),
 ) -> SolvedControls:
-    """Return control values within their ranges that drive targets to goals.
+    """Solve for control values within their ranges that drive targets to goals.
 
     Controls that share a target, or read each other, are solved together: sweeps find
     each control's segment by the nearest point on its own polyline, then Newton steps
@@ -184,7 +184,7 @@ def _reset_if_unneeded(
 
 
 def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
-    """Return the names of controls that share targets or read each other."""
+    """Return groups of control names that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
         affected_names = {control.name}

@@ -50,7 +50,7 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A named animator value."""
+    """A named animation control with a range, a default value and drives."""
 
     name: str  # a Python identifier, as used in expressions
     low: float | None = None  # lower end of the intended range; None for no limit

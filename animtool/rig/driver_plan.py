@@ -180,7 +180,7 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:
-    """Return the targets that a driver reads, as keys of a dict."""
+    """Return the distinct targets that a driver reads, in order."""
     if driver is None:
         return {}
     joints = ((split_coordinate(name)[0], name) for name in driver.names)

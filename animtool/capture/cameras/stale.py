@@ -139,7 +139,7 @@ def find_shifted_ranges(
 def find_stale_ranges(
     triangulated_counts: FloatArray, rejected: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
-    """Return the ranges in which an unused camera does not fit; one range if all.
+    """Return ranges in which an unused camera does not fit; the full take by default.
 
     Arguments are those of `find_shifted_ranges`.
     """

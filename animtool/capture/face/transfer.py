@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferredWeights:
-    """Weights transferred to another face, and the shapes that were lost.
+    """Weights transferred to another face, with the shape links and the fit.
 
     Attributes:
         weights: Weights of the target's shapes ``(F, S)``.

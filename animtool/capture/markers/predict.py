@@ -153,10 +153,10 @@ def predict_from_parent_joint(
     distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Predict a marker from its parent joint's markers; None if these are missing.
+    """Predict a marker in the frame of its parent joint; None if that is unknown.
 
-    It is expressed in the frame of the parent joint, and in one rotated towards a
-    marker on the same joint if there is any. Its motion there is learnt as in
+    The marker is expressed in the frame of the parent joint, and in frames rotated
+    towards each marker on the same joint. Its motion in these frames is learnt as in
     `predict_from_markers`, with the same arguments.
     """
     neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
