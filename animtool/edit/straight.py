@@ -29,7 +29,7 @@ BLOCK_FRAMES = 4096
 
 @dataclass(frozen=True, slots=True)
 class InterpolationError:
-    """The largest error of one kind of channel between frames."""
+    """The largest interpolation error of one kind of channel between frames."""
 
     channel: str  # field of a motion
     row: int  # index of the joint, shape or control

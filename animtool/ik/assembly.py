@@ -378,7 +378,7 @@ def _node_rows(
 
 
 def _priority_levels(goals: Sequence[Goal]) -> list[int]:
-    """Renumber the goals' priorities to consecutive levels 0, 1, …"""
+    """Renumber the goals' priorities to consecutive levels from 0."""
     ranks = sorted({goal.priority for goal in goals})
     return [ranks.index(goal.priority) for goal in goals]
 

@@ -104,7 +104,7 @@ class ClipPath:
 
     @property
     def slack(self) -> float:
-        """Extra miss allowed for a smoother path [fraction of the length]."""
+        """Additional miss accepted for a smoother path [fraction of the length]."""
         return MISS_SLACK / self.problem.length
 
     def chain_poses(self, result: IkResult) -> FloatArray:

@@ -282,7 +282,7 @@ def _add_rows(term: float) -> list[_Row]:
 
 
 def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
-    """Return the weights that select a ball's part, and the middle of the twist."""
+    """Return weights of twist, two swings and swing angle, and the twist's middle."""
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)

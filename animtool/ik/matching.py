@@ -166,7 +166,7 @@ def _bending_limb(
 
 
 def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
-    """Return a limb's pole positions ``(F, 3)`` [m]."""
+    """Return poles that determine a limb's bend in each frame ``(F, 3)`` [m]."""
     root, middle, tip = (
         world.positions[:, j] for j in (limb.root, limb.middle, limb.tip)
     )

@@ -164,7 +164,7 @@ class FramePath:
 def build_frame_path(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
 ) -> FramePath:
-    """Return the path of a problem; a start ``(F, Q)`` is motion to keep."""
+    """Build the path of a problem; the motion of a start ``(F, Q)`` is preserved."""
     packed = pack_for_chain(problem, targets)
     drifts = np.zeros((max(len(packed) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:

@@ -160,7 +160,7 @@ def zero_length_fault(
 def unpaired_body_fault(
     source: Rig, roles: tuple[str, ...], target: Rig
 ) -> Fault | None:
-    """Return a fault if a body has no paired joint (MAP010), else None."""
+    """Return the fault of a body without paired joints (MAP010); None for props."""
     limbs = _complete_limbs(roles)
     if not limbs:
         return None
