@@ -57,24 +57,24 @@ MAX_LISTED_JOINTS = 6
 
 @dataclass(frozen=True, slots=True)
 class CleanedSignal:
-    """Cleaning result of a joint's translations or rotations."""
+    """Spikes, noise and cut-off frequency of a joint's translations or rotations."""
 
     joint: str
-    rotation: bool  # of its rotations, or of its translations
+    rotation: bool  # whether the signal is rotations, not translations
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
-    cutoff: float | None  # [Hz]; None if it was not filtered
-    motion: float = 0.0  # deviation from the mean, root mean square [m] or [rad]
-    change: float = 0.0  # change by the filter, root mean square
-    max_change: float = 0.0  # and its maximum
+    cutoff: float | None  # cut-off frequency [Hz]; None if not filtered
+    motion: float = 0.0  # root mean square deviation from the mean [m] or [rad]
+    change: float = 0.0  # root mean square change by the filter [m] or [rad]
+    max_change: float = 0.0  # largest change by the filter [m] or [rad]
 
     @property
     def name(self) -> str:
-        """Joint and channel, as text."""
+        """Name of the joint and its channel, such as ``hips rotation``."""
         return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
 
     def text(self, value: float) -> str:
-        """Return a value of the signal with its unit."""
+        """Return the text of a value in the signal's unit: an angle or a length."""
         if self.rotation:
             return angle_text(math.degrees(value))
         return length_text(value)
@@ -90,7 +90,7 @@ class _JointCleaner:
     signals: list[CleanedSignal] = field(default_factory=list)
 
     def clean_channel(self, channel: Channel, min_size: float) -> Channel:
-        """Return a channel of translations or rotations cleaned, joint by joint."""
+        """Return a channel with spikes removed and each joint low-pass filtered."""
         rotation = channel.rest.shape[1] == 4
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
@@ -133,7 +133,7 @@ class _JointCleaner:
 def _with_change(
     cleaned: CleanedSignal, signal: FloatArray, filtered: FloatArray
 ) -> CleanedSignal:
-    """Return a cleaning result with its motion and the change by the filter."""
+    """Return a cleaning result completed with the sizes of motion and change."""
     mean = signal.mean(axis=0)
     if cleaned.rotation:
         deviation = so3.angle_between(signal, so3.normalize(mean))
@@ -170,7 +170,7 @@ def bridge_gaps(
 def _spike_frames(
     signal: FloatArray, max_length: int, min_size: float, *, rotation: bool
 ) -> BoolArray:
-    """Return which frames of a signal ``(F, K)`` are part of a spike ``(F,)``."""
+    """Return a mask ``(F,)`` of the frames of a signal ``(F, K)`` within a spike."""
     is_spike = np.zeros(len(signal), np.bool_)
     for _ in range(MAX_SPIKE_SEARCHES if max_length else 0):
         spikes = np.zeros_like(is_spike)
@@ -222,13 +222,13 @@ def _run_deviations(
 
 
 def _align_signs(rotations: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return quaternions ``(F, 4)`` with signs aligned to a reference."""
+    """Return quaternions ``(F, 4)`` in the same hemisphere as a reference."""
     dots = np.sum(rotations * reference, axis=-1, keepdims=True)
     return np.where(dots < 0, -rotations, rotations)
 
 
 def _roughness(signal: FloatArray) -> FloatArray:
-    """Return the typical change of speed around each frame ``(F,)``."""
+    """Return the running median of second differences around each frame ``(F,)``."""
     if len(signal) < 3:
         return np.zeros(len(signal))
     second_differences = np.linalg.norm(np.diff(signal, 2, axis=0), axis=-1)
@@ -250,7 +250,7 @@ def clean(
     keep_noise: bool = _DEFAULTS.keep_noise,
     cutoff: float | None = None,
 ) -> Take:
-    """Return a take without spikes, each joint filtered by its noise.
+    """Return a take without spikes, its joints low-pass filtered by their noise.
 
     Filters have no lag. A joint whose noise a filter would barely reduce is not
     filtered, so that a take without noise stays unchanged. A note lists what was done
@@ -336,9 +336,9 @@ def cleaning_notices(
 
 
 def _removed_motion(signals: list[CleanedSignal]) -> CleanedSignal | None:
-    """Return the signal that lost most, if the cut-off removes most of the motion.
+    """Return the signal that the filter changes most, or None if most motion is kept.
 
-    Rotations decide where there are any: the root often moves slowly.
+    Only rotations are compared if there are any, since the root often moves slowly.
     """
     signals = [s for s in signals if s.rotation] or signals
     affected = [s for s in signals if s.change > NOISE_FACTOR * s.noise]
@@ -349,7 +349,7 @@ def _removed_motion(signals: list[CleanedSignal]) -> CleanedSignal | None:
 
 
 def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
-    """Return the chosen cut-offs, and the noise they are based on."""
+    """Return text that states the range of cut-off frequencies and the noise."""
     order = sorted(signals, key=lambda s: s.cutoff or 0.0)
     lowest, highest = order[0], order[-1]
     text = (
@@ -363,7 +363,7 @@ def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
 
 
 def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
-    """Return noise scores of a take, and the cleaned joints, worst first."""
+    """Return the noise scores of a take, and its cleaned joints, the worst first."""
     filtered_signals = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
@@ -420,7 +420,7 @@ def _check_cutoff(cutoff: float | None) -> None:
 
 
 def _option_checks(options: CleanOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "spikes": lambda: _check_spikes(options.spikes),
         "cutoff": lambda: _check_cutoff(options.cutoff),

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
-    """Options of cleaning.
+    """Options of removing spikes and filtering noise.
 
     Attributes:
         spikes: Longest spike that is removed [frames]; 0 leaves them.
@@ -111,7 +111,7 @@ class FaceOptions:
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class FillOptions:
-    """Which repairs to make.
+    """Which defects of marker tracks to repair: gaps, spikes, swapped names.
 
     Attributes:
         keep_gaps: Whether gaps stay.

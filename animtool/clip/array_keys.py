@@ -43,7 +43,7 @@ def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
 def _load_keys(
     document: Document, location: Location, text: str, archives: Archives
 ) -> PlainKeys | list[object]:
-    """Return the keys of a reference; none if faulty."""
+    """Return the keys of an array reference; an empty list if it is faulty."""
     name, array = split_reference(text, DEFAULT_ARRAY)
     path = (
         None

@@ -81,7 +81,7 @@ class _BlockSampler:
             self._run = DriverRun(self.rig, report_replaced=True)
 
     def sample_motion(self, times: FloatArray) -> Motion:
-        """Return the motion at times."""
+        """Return the motion of the rig at the given times."""
         first, last = float(times.min()), float(times.max())
         channels_near = [_near_keys(channel, first, last) for channel in self.channels]
         values = evaluate_channels(channels_near, times)
@@ -95,7 +95,7 @@ class _BlockSampler:
         return sampled.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
-        """Return the worst notices so far; ``times`` of all blocks."""
+        """Return the worst notice of each target, given the ``times`` of all blocks."""
         notices = [
             with_keys(notice, self.channels, self.rig, times)
             for notice in self._worst.values()
@@ -105,7 +105,7 @@ class _BlockSampler:
 
 
 def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
-    """Return a channel with only the keys that its values between two times need."""
+    """Return a channel with only the keys that affect values between two times."""
     has_few_keys = len(channel.times) < MANY_KEYS
     if has_few_keys or not {channel.pre, channel.post} <= _END_MODES:
         return channel
@@ -126,7 +126,7 @@ def _near_keys(channel: ClipChannel, first: float, last: float) -> ClipChannel:
 
 @dataclass(slots=True)
 class _BlockLayout:
-    """Animated rows of all blocks, by part; parts that no block has are absent."""
+    """Masks of the rows that move in any block, by channel name."""
 
     is_moving_by_part: dict[str, BoolArray] = field(default_factory=dict)
     _rest: dict[str, FloatArray] = field(default_factory=dict, init=False)
@@ -134,7 +134,7 @@ class _BlockLayout:
     _last: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
 
     def add_moving_parts(self, motion: Motion) -> None:
-        """Add what moves in a block."""
+        """Mark the rows that move in a block's motion."""
         for part in _CHANNEL_PARTS:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
@@ -144,18 +144,18 @@ class _BlockLayout:
                 ] = True
 
     def covers(self, targets: set[tuple[str, int]]) -> bool:
-        """Return whether all targets, as part and index, move."""
+        """Return whether all targets, as channel name and row, are marked as moving."""
         return all(
             part in self.is_moving_by_part and self.is_moving_by_part[part][i]
             for part, i in targets
         )
 
     def arrange(self, motion: Motion, skipped_frames: int) -> Motion:
-        """Return a block with the same rest and animated joints as all.
+        """Return a block's motion with the rest values and animated rows of the layout.
 
         Args:
-            motion: Of the block.
-            skipped_frames: Number of its frames that the block before has.
+            motion: Motion of the block.
+            skipped_frames: Number of leading frames that the previous block contains.
         """
         channels: dict[str, Any] = {
             part: self._arrange_channel(
@@ -194,7 +194,7 @@ def _find_layout(
     *,
     clamp: bool,
 ) -> _BlockLayout:
-    """Return what moves at any time; stops once all that can move has moved."""
+    """Return the rows that move in any span; stop once all keyed rows have moved."""
     layout, blocks = _BlockLayout(), _BlockSampler(channels, rig, clamp)
     targets = _moving_targets(channels, rig)
     for span in spans:
@@ -207,7 +207,7 @@ def _find_layout(
 def _moving_targets(
     channels: Sequence[ClipChannel], rig: Rig
 ) -> set[tuple[str, int]] | None:
-    """Return all that can move, as part and index; None if more than keys decide."""
+    """Return the targets that keys move; None if controls or drivers move others."""
     has_indirect_motion = (
         rig.controls
         or rig.is_driven

@@ -56,7 +56,7 @@ class ChannelReader:
             location: Location of the curve.
             model: The curve.
             target: Target of the channel, also for messages.
-            kind: Its kind, such as ``angle``, ``translation`` or ``rotation``.
+            kind: Target kind, such as ``angle``, ``translation`` or ``rotation``.
             unit: Size of a value of 1.
         """
         is_quaternion = kind == "rotation" and model.euler is None
@@ -125,7 +125,7 @@ class ChannelReader:
     def _plain_channel(
         self, location: Location, model: CurveModel, target: str, kind: str, unit: float
     ) -> ClipChannel | None:
-        """Return the channel of plain keys; None on a fault."""
+        """Return the channel of plain keys; record a fault and return None if bad."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         is_quaternion = kind == "rotation" and model.euler is None
@@ -171,7 +171,7 @@ class ChannelReader:
         is_quaternion: bool,
         components: int,
     ) -> None:
-        """Record why the keys of an array do not fit their target."""
+        """Record a fault that states why an array's keys do not fit their target."""
         keys = model.keys
         assert isinstance(keys, PlainKeys)
         self._check_interps(
@@ -241,7 +241,7 @@ class ChannelReader:
             )
 
     def _add_time_fault(self, location: Location, keys: PlainKeys) -> None:
-        """Record the first wrong time of an array."""
+        """Record the first invalid time of an array of keys."""
         times = keys.times
         rows_beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
         if len(rows_beyond):
@@ -257,7 +257,7 @@ class ChannelReader:
         self.document.add("CLIP004", location, f"{message}{times[k - 1]:g}", hint)
 
     def _check_handles(self, curve_location: Location, model: CurveModel) -> None:
-        """Refuse handles on the wrong side of their keys."""
+        """Record handles that point to the wrong side of their keys."""
         for k, key in enumerate(_key_models(model)):
             for name, handle, sign in (("in", key.in_, -1), ("out", key.out, 1)):
                 if not isinstance(handle, list) or isinstance(handle[0], list):
@@ -273,7 +273,7 @@ class ChannelReader:
     def _check_no_slopes(
         self, curve_location: Location, model: CurveModel, keys: Sequence[KeyModel]
     ) -> None:
-        """Refuse handles and tangents on quaternion keys."""
+        """Record handles and tangents of quaternion keys, which do not support them."""
         hint = "write euler: XYZ to key three angles, which have them"
         locations: list[tuple[Location, CurveModel | KeyModel, tuple[str, ...]]]
         locations = [(curve_location, model, ("tangents", "parametrization"))]
@@ -394,7 +394,7 @@ class ChannelReader:
     def _read_quaternions(
         self, curve_location: Location, values: FloatArray, array_name: str = ""
     ) -> FloatArray:
-        """Return unit (x, y, z, w) of [w, x, y, z]."""
+        """Convert quaternions [w, x, y, z] to unit (x, y, z, w); record zero ones."""
         rotations, zero_rows = file_quaternions(values)
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
@@ -417,7 +417,7 @@ class ChannelReader:
 
 
 def _form_hint(model: CurveModel, count: int, components: int) -> str | None:
-    """Return a hint where a rotation's keys have the form of another kind."""
+    """Return a hint if a rotation's keys have the width of another representation."""
     if components == 4 and count == 3:
         return "add 'euler: XYZ' to the channel, or write quaternions [w, x, y, z]"
     if model.euler and count == 4:
@@ -431,7 +431,7 @@ def _key_models(model: CurveModel) -> list[KeyModel]:
 
 
 def file_quaternions(values: FloatArray) -> tuple[FloatArray, list[int]]:
-    """Return unit (x, y, z, w) of rows [w, x, y, z], and a mask of zero ones.
+    """Convert rows [w, x, y, z] to unit (x, y, z, w); also return rows of zeros.
 
     Signs are continuous from row to row.
 

@@ -54,7 +54,7 @@ class ClipChannel:
 
 
 def target_kind(target: str, rig: Rig | None) -> str | Fault:
-    """Return the kind of a target, or its fault.
+    """Return the kind of a target, such as ``angle``, or a fault if it is invalid.
 
     One of control, shape, angle, slide, translation, rotation, scale. Without a rig,
     all names are valid.
@@ -85,7 +85,7 @@ local_rotation, scale
 
 
 def _full_target(text: str, rig: Rig | None) -> str | None:
-    """Return a hint with the target that the bare name of a part of a rig means."""
+    """Return a hint with the full target of a joint, shape or control given by name."""
     if rig is None:
         return None
     for kind, names in (("control", rig.control_names), ("shape", rig.shape_names)):
@@ -101,7 +101,7 @@ def _full_target(text: str, rig: Rig | None) -> str | None:
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
-    """Return the kind of a joint target, or its fault."""
+    """Return the kind of a joint target, or a fault if it is invalid."""
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
         return _part_fault(name, rig)
@@ -124,7 +124,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
-    """Return the fault of a joint target without a known part."""
+    """Return the fault of a joint target whose part is missing or unknown."""
     joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
     if part and rig is not None and joint in rig.names:
         hint = f"write joint/{joint}.{part}"
@@ -139,7 +139,7 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Refuse targets that the rig lacks."""
+    """Raise the faults of all targets that the rig lacks."""
     kinds = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds if isinstance(result, Fault)]
     if faults:
@@ -226,7 +226,7 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
 
 
 def _concatenate_or_empty(parts: list[FloatArray]) -> FloatArray:
-    """Return concatenated arrays; an empty one without any."""
+    """Concatenate arrays; return an empty array if there are none."""
     return np.concatenate([np.zeros(0), *parts])
 
 

@@ -56,10 +56,10 @@ class Clip:
 
         Args:
             path: The file.
-            rig: Its rig or rig file; None uses the rig named by the clip.
+            rig: The clip's rig or rig file; None uses the rig named by the clip.
 
         Raises:
-            FormatError: The clip or its rig is malformed; has every fault.
+            FormatError: The clip or its rig is malformed; lists every fault.
             OptionError: The clip names no rig (CLIP011).
         """
         load = load_object("animtool.clip.file:load_clip_of")
@@ -144,7 +144,7 @@ class Clip:
         return Take(rig, clock, sampled_motion.motion, notices, curve=keyed_curve)
 
     def __repr__(self) -> str:
-        """Return the name and counts."""
+        """Return the name, the numbers of channels and keys, and the frame range."""
         keys = counted(sum(len(channel.times) for channel in self.channels), "key")
         channels = counted(len(self.channels), "channel")
         return (
@@ -154,12 +154,12 @@ class Clip:
 
 
 def _rate_or_default(fps: FractionLike | None, default: Fraction) -> Fraction:
-    """Return a frame rate as a fraction; None is the default."""
+    """Return a frame rate as a fraction; the default if it is None."""
     return default if fps is None else rate_option(fps)
 
 
 def _exact_step(step: Fraction | float) -> Fraction:
-    """Return a step as a fraction; refuse one that is not positive and finite."""
+    """Return a step as a fraction; raise unless it is positive and finite."""
     try:
         # The decimal as written, not the nearest float.
         codes_per_frame = Fraction(str(step))
@@ -175,7 +175,7 @@ Choice = TypeVar("Choice", bound=Hashable)
 
 
 def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
-    """Return a clip as the text of a clip file, in the units of its rig.
+    """Format a clip as the text of a clip file, in the units of its rig.
 
     Numbers that do not round-trip exactly in the rig's unit are written in
     metres or radians instead; the file says which.
@@ -226,7 +226,7 @@ def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
-    """Return whether all values keep their bits when written in a unit."""
+    """Return whether all values round-trip exactly when written in a unit."""
     return all(float(scaled_decimal(value, unit)) * unit == value for value in values)
 
 
@@ -282,11 +282,11 @@ def _key_entries(
 
 
 def _value_text(row: Sequence[float], unit: float) -> str:
-    """Return a value as text, in a unit."""
+    """Format a value as a number or YAML list, divided by a unit."""
     numbers = [scaled_decimal(value, unit) for value in row]
     return numbers[0] if len(numbers) == 1 else flow_list(numbers)
 
 
 def _most_common(choices: Sequence[Choice], default: Choice) -> Choice:
-    """Return the most common choice; the default if there are none."""
+    """Return the most common of the choices; the default if there are no choices."""
     return Counter(choices).most_common(1)[0][0] if choices else default

@@ -121,7 +121,7 @@ def _snap_to_constant(values: FloatArray, default: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class FittedControls:
-    """Keys of the controls that leave their defaults."""
+    """Sparse keys of the controls that differ from their defaults."""
 
     channels: list[ReducedChannel]  # one channel each, in the rig's order
     # Values of every control from its keys, by target ``(F or 1, 1)``.
@@ -188,7 +188,7 @@ def fit_controls(
 
 
 class _Effect:
-    """Measures how far controls move a rig in a take."""
+    """Measures the errors that changed control values cause in a take."""
 
     def __init__(
         self,
@@ -209,7 +209,7 @@ class _Effect:
     def error_ratio(
         self, values: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
-        """Return the largest error of control values, in units of the tolerance."""
+        """Return the largest error that control values cause, over the tolerance."""
         take, rig = self.take, self.rig
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
         exact_values = {
@@ -255,7 +255,7 @@ def driven_pose(
     exact_controls: Motion,
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
-    """Return a motion whose control-driven joints follow other values."""
+    """Return a motion whose control-driven joints follow the fitted controls."""
 
     def mixed(kind: ChannelKind, name: str) -> Channel:
         """Return a channel of the take with control-driven joints replaced."""

@@ -58,7 +58,7 @@ class JointMotion:
     shift_error: float  # largest translation that the joint's type does not allow [m]
     # whether the local rotation is exactly that of the rest pose
     is_rotation_at_rest: bool
-    is_shift_at_rest: bool  # whether the local translation is
+    is_shift_at_rest: bool  # whether the local translation is that of the rest pose
 
 
 def relative_joint_motions(
@@ -135,7 +135,7 @@ def _joint_motion(
 def _with_best_revolution(
     rig: Rig, motions: Sequence[JointMotion], j: int, tolerances: Tolerances
 ) -> JointMotion:
-    """Return a pin's motion, shifted by whole turns to fit its mimic joints."""
+    """Return a pin's motion, shifted by full revolutions to fit its mimic joints."""
     joint, joint_motion = rig.joints[j], motions[j]
     followers = [
         (motions[i], follower.mimic, follower.type)
@@ -144,7 +144,7 @@ def _with_best_revolution(
     ]
 
     def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
-        """Return the cost of a number of revolutions."""
+        """Return the sort key of a shift by full revolutions; smaller fits better."""
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
         excess_sum = False
         for motion, mimic, follower_type in followers:
@@ -173,10 +173,10 @@ def required_control_values(
     initial_values: Mapping[str, FloatArray],
     tolerances: Tolerances,
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Return what controls must add to joints, and the unreachable targets.
+    """Return the values that controls must add to joints, and unreachable targets.
 
-    Returns target values ``(F or 1,)``, and the targets of joints that also move along
-    axes that no control drives.
+    Returns values ``(F or 1,)`` by target, and the targets of joints that also move
+    along axes that no control drives.
     """
     requested_values: dict[str, FloatArray] = {}
     keyed_names: set[str] = set()
@@ -236,7 +236,7 @@ def joint_tracks(
     fitted_values: Mapping[str, FloatArray],
     tolerances: Tolerances,
 ) -> list[KeyTrack]:
-    """Return tracks of joint motion beyond controls and mimics."""
+    """Return key tracks of the joint motion that controls and mimics do not produce."""
     tracks: dict[int, list[KeyTrack]] = {}
     coordinates: dict[str, FloatArray] = {}
     mimic_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
@@ -266,7 +266,7 @@ def joint_tracks(
 
 @dataclass(frozen=True, slots=True)
 class _KeyedJoint:
-    """A joint whose remaining motion is keyed."""
+    """A joint whose motion beyond its controls is keyed."""
 
     joint: Joint
     index: int
@@ -365,7 +365,7 @@ class _KeyedJoint:
     def _differs(
         self, difference: FloatArray, tolerance: float, *, is_at_rest: bool
     ) -> bool:
-        """Return whether a coordinate needs keys."""
+        """Return whether a difference exceeds its tolerance, so that it needs keys."""
         name = f"joint/{self.joint.name}."
         is_driven = any(target.startswith(name) for target in self.control_values)
         if not is_driven and self.joint.mimic is None:
@@ -407,5 +407,5 @@ class _KeyedJoint:
 
 
 def _wrap_angles(angles: FloatArray) -> FloatArray:
-    """Return angles wrapped to within half a revolution of 0."""
+    """Wrap angles to half a revolution on either side of 0 [rad]."""
     return np.asarray(angles - 2 * np.pi * np.round(angles / (2 * np.pi)))

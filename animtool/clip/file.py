@@ -44,8 +44,8 @@ class ClipFile:
 
     # Its text, with locations and with the faults of its keys and types.
     document: Document
-    model: ClipModel  # its content
-    rig: Path | None  # resolved path of its rig file; None if it names none
+    model: ClipModel  # content of the file
+    rig: Path | None  # resolved path of the clip's rig file; None if it names none
 
     def required_rig(self) -> Path:
         """Return the rig that the clip names."""
@@ -66,7 +66,7 @@ def open_clip(path: Path | str) -> ClipFile:
 
 
 def clip_of_document(document: Document) -> ClipFile:
-    """Return the clip file of a document; see `open_clip`."""
+    """Return the unchecked clip file of a document; see `open_clip`."""
     check_version(document, "clip")
     model = with_array_keys(document, validate_document(document, ClipModel))
     rig = None
@@ -135,7 +135,7 @@ def check_clip(file: ClipFile) -> None:
 
 
 def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
-    """Return the units of a clip's numbers, by default its rig's."""
+    """Return the units of a clip's numbers, by default those of its rig."""
     length, angle = model.units.length, model.units.angle
     units = ClipUnits(1.0, 1.0)
     if rig is not None:
@@ -200,7 +200,7 @@ class _ClipReader:
         return Clip(name, fps, first, last, tuple(channels), notices)
 
     def _add_rig_fault(self) -> None:
-        """Record once, and not for each channel, that the rig is another one."""
+        """Record a single fault if the clip is for another rig, not one per channel."""
         faults, count = self.document.faults, len(self.model.channels)
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
         if self.rig is None or not unknown_targets:
@@ -269,7 +269,7 @@ class _ClipReader:
     def _check_duplicate(
         self, location: Location, target: str, channel_of_target: dict[str, int], i: int
     ) -> None:
-        """Refuse duplicate targets, and both motion and local motion of a joint."""
+        """Record a duplicate target, or a joint keyed both from rest and locally."""
         name, part = split_part(target, _REPLACED_BY)
         claimed_target = f"{name}.{_REPLACED_BY[part]}" if part else target
         if claimed_target in channel_of_target:

@@ -1,4 +1,4 @@
-"""Errors of a keyed take by channel, and notes on departures from the rig."""
+"""Errors of a keyed take by channel, and notes on motion beyond the rig."""
 
 from __future__ import annotations
 
@@ -106,7 +106,7 @@ def channel_errors(
 def _channel_values(
     channel: Channel | None, rows: IntArray, frames: int, default: float = 0.0
 ) -> FloatArray:
-    """Return the values of rows of a channel, or a default without one."""
+    """Return the values of a channel's rows, or a default if the channel is None."""
     if channel is None:
         return np.full((frames, 1, 1), default)
     return channel.gather(rows)
@@ -136,7 +136,7 @@ _Note = tuple[str, str, str | None]
 
 
 def _released_notes(solution: SolvedControls) -> Iterator[_Note]:
-    """Yield a note on controls without values that reproduce their targets."""
+    """Yield a note on controls for which no values reproduce their targets."""
     if solution.released_names:
         names = listed(solution.released_names, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"

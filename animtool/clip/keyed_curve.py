@@ -1,4 +1,4 @@
-"""Keyed motion that can be evaluated at any time, with its source clip."""
+"""Keyed motion that can be evaluated at arbitrary times, with its source clip."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ EQUAL_VALUES = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KeyedCurve:
-    """A `animtool.motion.motion.MotionCurve` from keys.
+    """An `animtool.motion.motion.MotionCurve` that evaluates keys.
 
     Attributes:
         sample: Returns the motion at times ``(F,)`` [time code].
@@ -26,8 +26,8 @@ class KeyedCurve:
             codes; None if there is none.
         is_foreign: Whether the keys are from a file of another format.
         native_keys: The keys in that format, for its writer.
-        sample_blocks: Yields the motion at times block by block; None samples them at
-            once.
+        sample_blocks: Yields the motion at times block by block; None samples all times
+            in one call.
     """
 
     sample: Callable[[FloatArray], Motion]

@@ -63,9 +63,9 @@ REFINEMENT_FACTOR = 0.5
 
 @dataclass(frozen=True, slots=True)
 class KeyedTake:
-    """A clip of sparse keys and its error."""
+    """A clip of sparse keys, with its errors against the take."""
 
-    clip: Clip  # for the rig
+    clip: Clip  # clip of the sparse keys
     # Keys of the clip; their errors are those of the clip sampled on the rig.
     reduction: Reduction
     controls: tuple[str, ...]  # names of the rig's controls that have keys
@@ -92,7 +92,7 @@ def fit_take_keys(
 
     Args:
         take: A take of at least one frame.
-        rig: Its rig as read with the clip.
+        rig: Rig of the take, as read with the clip.
         name: Name of the clip.
         tolerance: Largest error of any joint > 0 [m].
         joint_tolerances: Tolerances by joint name or pattern > 0 [m].
@@ -169,7 +169,7 @@ class _KeyingJob:
     base: Take | None
 
     def reduce(self, factor: float) -> KeyedTake:
-        """Return the take's keys at a fraction of the tolerance."""
+        """Return the take's keys, fitted with the tolerance times ``factor``."""
         take, rig, scaled_tolerances = self.take, self.rig, self.joint_tolerances
         scaled_tolerances = {
             pattern: factor * value for pattern, value in scaled_tolerances.items()
@@ -266,7 +266,7 @@ class _KeyingJob:
         return driven_pose(self.take.motion, fitted_motion, exact_motion, keyed_tracks)
 
     def _scale_tracks(self) -> list[KeyTrack]:
-        """Return tracks of the scales; controls do not change them."""
+        """Return key tracks of joint scales, which controls do not change."""
         motion = self.take.motion
         if motion.scales is None:
             return []
@@ -280,7 +280,7 @@ class _KeyingJob:
     def _weight_tracks(
         self, exact: Mapping[str, FloatArray], fitted: Mapping[str, FloatArray]
     ) -> list[KeyTrack]:
-        """Return tracks of weights less controls and combination shapes."""
+        """Return key tracks of shape weights that controls and products do not give."""
         tracks = []
         zero = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):
@@ -303,7 +303,7 @@ class _KeyingJob:
 
 
 def _combination_growth(rig: Rig, tracks: list[KeyTrack]) -> float:
-    """Return the error growth of combination shapes [1], at least 1."""
+    """Return the factor by which combination shapes amplify errors [1], at least 1."""
     keyed_shapes = {track.index for track in tracks}
     shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}
     for shape in combination_order(rig.shapes):
@@ -318,7 +318,7 @@ def _measure_errors(
     base: Take | None,
     bounds: FloatArray,
 ) -> Reduction:
-    """Return a reduction with measured errors."""
+    """Return a reduction whose errors are measured against the take."""
     weight_error = _weight_error(take.motion.weights, keyed.weights)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)

@@ -19,8 +19,8 @@ _NUMBERS = {int, float}
 class PlainKeys:
     """K keys of D components without interpolation settings."""
 
-    times: FloatArray  # ``(K,)`` [frames]
-    values: FloatArray  # ``(K, D)``, as in the file
+    times: FloatArray  # key times ``(K,)`` [frames]
+    values: FloatArray  # key values ``(K, D)``, in the units of the file
     name: str = ""  # reference to their array; empty for key lists
 
     def __len__(self) -> int:
@@ -29,7 +29,7 @@ class PlainKeys:
 
     @staticmethod
     def from_entries(entries: Any) -> PlainKeys | None:
-        """Return keys as columns; None if one is invalid or has more than `t` and `v`.
+        """Return keys as columns; None if any is invalid or has more than `t` and `v`.
 
         >>> keys = PlainKeys.from_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()
@@ -86,6 +86,6 @@ def _have_equal_lengths(rows: list[list[Any]]) -> bool:
 
 
 def plain_keys_or_check(entries: Any, check: Callable[[Any], Any]) -> Any:
-    """Return plain keys as columns; pass others to ``check``."""
+    """Return keys of only time and value as columns, else the result of ``check``."""
     keys = PlainKeys.from_entries(entries)
     return check(entries) if keys is None else keys

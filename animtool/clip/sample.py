@@ -40,7 +40,7 @@ class ClipNotice:
     fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
     frame: float | None = None  # the worst frame; None if it concerns all frames
-    amount: float = 0.0  # the excess there [rad], [m], [1]
+    amount: float = 0.0  # excess in the worst frame [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +54,7 @@ class SampledMotion:
 
     @property
     def notices(self) -> list[Fault]:
-        """The faults of ``targeted``."""
+        """The notices as faults, without their targets."""
         return [notice.fault for notice in self.clip_notices]
 
 
@@ -97,7 +97,7 @@ MAX_LISTED_FRAMES = 8
 def with_keys(
     notice: ClipNotice, channels: Sequence[ClipChannel], rig: Rig, times: FloatArray
 ) -> ClipNotice:
-    """Return a notice with the key frames at which a control is out of range."""
+    """Add to a notice the key frames at which a control is out of range."""
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
@@ -140,11 +140,11 @@ def sample_values(
     Args:
         keyed: Values ``(F, D)`` by target, or ``(1, D)`` where one never moves;
             rotations as quaternions.
-        rig: Its rig.
-        times: Of the values ``(F,)``.
+        rig: Rig of the targets.
+        times: Times of the values ``(F,)``.
         clamp: Bring controls into their ranges and joints into their limits.
-        run: Evaluates the rig's drivers and keeps their notices, where the times go on
-            from earlier ones.
+        run: Evaluates the rig's drivers and collects their notices, if the times
+            continue earlier ones.
     """
     count = len(times)
     notices: list[ClipNotice] = []
@@ -270,7 +270,7 @@ def _parts_by_joint(
 
 
 def _drop_replaced_parts(parts: Mapping[str, Parts]) -> list[ClipNotice]:
-    """Drop control contributions where a local channel replaces the joint's motion."""
+    """Drop control contributions to motion that a local channel replaces."""
     notices = []
     for name, part in parts.items():
         for local, replaced_parts in _ADDED_PARTS.items():
@@ -454,7 +454,7 @@ class _JointValues:
 def _add_values(
     keyed_values: FloatArray | None, driven_values: FloatArray | None
 ) -> FloatArray | None:
-    """Return the sum of a channel ``(F, 1)`` and controls ``(F,)``."""
+    """Add a channel's values ``(F, 1)`` and driven values ``(F,)``; None is 0."""
     if driven_values is None:
         return keyed_values
     return (
@@ -486,7 +486,7 @@ def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
 def _weight_channel(
     rig: Rig, keyed: Mapping[str, FloatArray], driven: DrivenValues, count: int
 ) -> Channel | None:
-    """Return the shapes' weights; None if all are zero."""
+    """Return the shape weights as a channel; None if all are zero."""
     weights: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"

@@ -86,10 +86,10 @@ def warn_of_numbers(
 
     Args:
         document: The clip file.
-        channels: Its channels.
-        fps: Its frames per second.
+        channels: Channels of the clip.
+        fps: Frames per second of the clip.
         units: Units of its numbers.
-        rig: Its rig, if it is known.
+        rig: Rig of the clip, if it is known.
         has_unit: Whether the file names its unit of length.
     """
     _warn_of_order(document, channels)
@@ -205,8 +205,8 @@ def _warn_of_angles(
 class AngleCurve:
     """Keyed angles of a file."""
 
-    location: Location  # of the curve, whose ``keys`` are below
-    name: str  # target or effector
+    location: Location  # location of the curve, which contains ``keys``
+    name: str  # name of the target or effector
     values: FloatArray  # ``(K, D)`` [rad]
 
 
@@ -222,7 +222,7 @@ def warn_of_angle_keys(
 
     Args:
         document: The file.
-        curves: Its angles.
+        curves: Keyed angles of the file.
         label: What the keys are called, such as ``rotation keys of``.
         noun: What has them, such as ``channel``.
         units: Units of the file's numbers.
@@ -307,7 +307,7 @@ def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
 
 
 def _exceeds_revolution(values: FloatArray) -> bool:
-    """Return whether the largest of some angles is more than a revolution [rad]."""
+    """Return whether the largest absolute angle exceeds a revolution [rad]."""
     return bool(FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES)
 
 
@@ -475,7 +475,7 @@ def _warn_of_controls(
 def _driving_controls(
     rig: Rig, target: str, keyed: Mapping[str, FloatArray]
 ) -> list[str]:
-    """Return the keyed controls that drive a target, or all that are keyed."""
+    """Return the keyed controls that drive a target; all keyed controls without one."""
     names = [
         control.name
         for control in rig.controls

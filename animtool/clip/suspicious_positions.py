@@ -48,13 +48,13 @@ def root_translations(
 def warn_of_positions(
     document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
 ) -> None:
-    """Warn of translations that count from elsewhere, or along other axes.
+    """Warn of translations that seem to have another origin or other axes.
 
     Args:
         document: The clip file.
-        channels: Its channels.
+        channels: Channels of the clip.
         units: Units of its numbers.
-        rig: Its rig.
+        rig: Rig of the clip.
     """
     _warn_of_rest(document, channels, rig)
     if any(HINGE_NAMES.search(n) or FOOT_NAMES.search(n) for n in rig.names):
@@ -65,7 +65,7 @@ def warn_of_positions(
 def _warn_of_rest(
     document: Document, channels: Sequence[ClipChannel], rig: Rig
 ) -> None:
-    """Warn of translations from the parent, which rest is added to again (CLIP112)."""
+    """Warn of translations that already include the rest offset (CLIP112)."""
     size = rest_size(rig)
     for i, channel in enumerate(channels):
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
@@ -114,7 +114,7 @@ def _is_near_rest_position(values: FloatArray, rest: FloatArray) -> bool:
 def _warn_of_offsets(
     document: Document, channels: Sequence[ClipChannel], units: ClipUnits, rig: Rig
 ) -> None:
-    """Warn of moves from rest where positions from the parent are keyed (CLIP122)."""
+    """Warn of offsets from rest that are keyed as local translations (CLIP122)."""
     size = rest_size(rig)
     for i, channel in enumerate(channels):
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)

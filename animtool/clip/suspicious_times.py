@@ -44,7 +44,7 @@ def _warn_of_seconds(
     fps: Fraction,
     frames: tuple[float, float] | None,
 ) -> bool:
-    """Warn of key times in seconds, and return whether they are (CLIP110)."""
+    """Warn of key times in seconds (CLIP110); return whether they are in seconds."""
     texts = seconds_texts([channel.times for channel in channels], fps, frames)
     if texts is None:
         return False
@@ -87,8 +87,8 @@ def _warn_of_range(
 ) -> None:
     """Warn of keys outside the clip's range that have no effect (CLIP201).
 
-    The first one on either side shapes the curve on its way there, and all are played
-    where a channel repeats them.
+    The nearest key outside on either side shapes the curve inside the range, and all
+    keys are played if the channel repeats them.
     """
     keys_outside = {
         i: keys_without_effect(c, first, last) for i, c in enumerate(channels)

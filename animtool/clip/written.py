@@ -24,7 +24,7 @@ MAX_NAMES = 6
 
 
 def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
-    """Return a take as files: a clip within a tolerance, its rig, the rig's arrays.
+    """Return the files of a take: a sparse clip, its rig, and the rig's arrays.
 
     Args:
         take: The take; deltas for an additive take.

@@ -29,7 +29,7 @@ CURVE_CHANNELS = ("translations", "rotations", "scales", "weights", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TakeSampler:
-    """A take that can be sampled at any time.
+    """A take that can be sampled at arbitrary times.
 
     A row is a joint, a shape or a control of a channel. If the take has a curve and all
     samples of a row are on it, the row is evaluated between frames. Other rows, which
@@ -109,9 +109,9 @@ class TakeSampler:
     def retimed_curve(
         self, source_times: Callable[[FloatArray], FloatArray]
     ) -> MotionCurve | None:
-        """Return the curve of a take that shows time ``source_times(t)`` of this at t.
+        """Return the motion curve whose value at t is the take at ``source_times(t)``.
 
-        None if no row has a curve.
+        Return None if no row has a curve.
         """
         if not self.rows_on_curve:
             return None
@@ -172,9 +172,9 @@ class TakeSampler:
 
 
 def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
-    """Return which rows of two channels have equal values in all frames ``(J,)``.
+    """Return a mask of the rows with equal values in all frames ``(J,)``.
 
-    None if there is nothing to compare.
+    Return None if the channels cannot be compared.
     """
     if a is None or b is None or a.rest.shape != b.rest.shape:
         return None
@@ -187,7 +187,7 @@ def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
 
 
 def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Return a mask of equal values ``(F, J, K)``: ``(F, J)``."""
+    """Return a mask ``(F, J)`` of rows whose components ``(F, J, K)`` are equal."""
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
     tolerance = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))

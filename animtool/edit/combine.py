@@ -36,7 +36,7 @@ MAX_NAMED = 6
 
 
 def align_signs(motion: Motion, previous: FloatArray | None = None) -> Motion:
-    """Return the motion with rotation signs continuous along its frames.
+    """Make the quaternion signs of a motion continuous along its frames.
 
     ``previous``: last rotations before the motion ``(A, 4)``.
     """
@@ -70,14 +70,14 @@ class ChannelOperations:
 class BlendStrength:
     """Weight of the second motion, and the joints it affects."""
 
-    weights: FloatArray  # [1] ``(F,)``
+    weights: FloatArray  # weight in each frame [1] ``(F,)``
     is_constant: bool = True  # whether the weight is constant, in all blocks
     # Affected joints; None affects all, including shapes and controls.
     joints: Sequence[int] | None = None
 
 
 def check_same_rig(rig: Rig, other: Rig) -> None:
-    """Refuse two takes whose joints differ in name or parent (SCN017)."""
+    """Raise if two rigs differ in a joint's name or parent (SCN017)."""
     if rig.names == other.names and np.array_equal(rig.parents, other.parents):
         return
     missing_joints = sorted(set(rig.names) ^ set(other.names))
@@ -97,7 +97,7 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
 
 
 def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
-    """Return another take of a rig in the axes and the order of that rig.
+    """Convert another take to the up axis, shape order and control order of a rig.
 
     Its up axis becomes that of the rig, and its shapes and controls have its order.
 
@@ -152,7 +152,7 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
 def _part_order(
     noun: str, parts: Sequence[Shape | Control], others: Sequence[Shape | Control]
 ) -> IntArray | None:
-    """Return the index in another rig of each part; None if both have one order."""
+    """Return each part's index in the other rig; None if the orders are equal."""
     names, other_names = ([part.name for part in row] for row in (parts, others))
     if names == other_names or not names or not other_names:
         return None
@@ -164,7 +164,7 @@ def _part_order(
 
 
 def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
-    """Return a channel with its rows reordered; None and no order change nothing."""
+    """Reorder the rows of a channel; None or no order changes nothing."""
     if channel is None or order is None:
         return channel
     return Channel.from_dense(channel.dense()[:, order])
@@ -176,7 +176,7 @@ def combine(
     """Return the combination of two motions with the same frames and rig.
 
     A motion without scales has scale 1, one without shape weights has 0; controls
-    change only if both motions have some.
+    change only if both motions have controls.
     """
     is_unmasked = strength.joints is None
 
@@ -222,7 +222,7 @@ def combine(
 
 
 def _require_channel(channel: Channel | None) -> Channel:
-    """Return a channel that is known to exist."""
+    """Return a channel; assert that it is not None."""
     assert channel is not None
     return channel
 
@@ -233,14 +233,14 @@ def _checked_channel(value: object) -> Channel | None:
 
 
 def _neutral_values(like: Channel, value: float) -> Channel:
-    """Return a channel of one constant value, with the rows of another."""
+    """Return a constant channel with the same rows as another."""
     return Channel.static(np.full(like.rest.shape, value), len(like.values))
 
 
 def _combine_channels(
     a: Channel, b: Channel, operation: Operation, strength: BlendStrength
 ) -> Channel:
-    """Return the result of an operation on two channels."""
+    """Apply an operation to the affected rows of two channels, with the weights."""
     is_affected = (
         np.arange(len(a.rest))
         if strength.joints is None
@@ -294,7 +294,7 @@ def subtract_base(source: Motion, base: Motion) -> Motion:
 
 
 def _full_difference(operation: additive.Difference) -> Operation:
-    """Return a difference as an operation that ignores weights."""
+    """Wrap a difference function as an operation that ignores weights."""
 
     def apply(source: FloatArray, base: FloatArray, _: FloatArray) -> FloatArray:
         """Return the difference; the weight is ignored."""
@@ -318,7 +318,7 @@ _SUBTRACT = ChannelOperations(
 
 
 def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) -> Motion:
-    """Return a motion between two, weight 0 to 1.
+    """Interpolate between two motions with a weight from 0 to 1.
 
     Rotations follow the shortest arc (slerp), other values are linear; at weight 0 and
     1 the values are exactly those of one motion. Signs of rotations may jump.
@@ -335,14 +335,14 @@ def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) ->
 
 
 def _interpolate_linear(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
-    """Return values between two, exact at weights 0 and 1."""
+    """Interpolate values linearly, exact at weights 0 and 1."""
     return np.where(weight == 1, b, a + (b - a) * weight)
 
 
 def _interpolate_rotations(
     a: FloatArray, b: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Return rotations between two, exact at weights 0 and 1."""
+    """Interpolate rotations by slerp, exact at weights 0 and 1."""
     interpolated = so3.slerp(a, b, weight[..., 0])
     # Equal values stay bit-identical.
     is_unchanged = (weight == 0) | (a == b).all(axis=-1, keepdims=True)

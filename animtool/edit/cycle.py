@@ -49,11 +49,11 @@ BLOCK_FRAMES = 1024
 
 @dataclass(frozen=True, slots=True)
 class Cycle:
-    """A part of a take that ends as it began."""
+    """A frame range of a take to repeat, and the difference between its ends."""
 
-    first: float  # time code of its first frame
+    first: float  # time code of the first frame
     last: float  # time code of the frame that shows the first pose again
-    apart: float  # distance of the two poses [m], see `animtool.edit.cycle`
+    apart: float  # distance between the two poses [m], see `animtool.edit.cycle`
     # Largest distance of the frames in between from the first [m], at least a
     # ten-thousandth of the rig's size.
     moved: float
@@ -134,7 +134,7 @@ def find_cycle(
 def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
-    """Return how well the two ends of a cycle match."""
+    """Measure the pose difference between the first and last frame of a cycle."""
     first_index, last_index = _end_indices(take.clock, first, last)
     if first_index >= last_index:
         raise _no_cycle_error(f"from frame {first} to {last}")
@@ -183,7 +183,7 @@ def _build_cycle(clock: Clock, i: int, j: int, distance: float, extent: float) -
 
 @dataclass(frozen=True, slots=True)
 class _PoseView:
-    """Frames of a take as columns of comparable numbers [m]."""
+    """Frames of a take as columns of weighted positions and velocities [m]."""
 
     take: Take
     main_joint: int
@@ -195,7 +195,7 @@ class _PoseView:
 
     @staticmethod
     def from_take(take: Take) -> _PoseView:
-        """Return the comparable points and weights of a take."""
+        """Select the points of a take that are compared, and their weights."""
         rig = take.rig
         if not rig.joints:
             raise _no_cycle_error(
@@ -283,7 +283,7 @@ class _PoseView:
 
 
 def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the distance of columns ``(D, N)``: ``(N,)`` [m]."""
+    """Return distances ``(N,)`` between corresponding columns ``(D, N)`` [m]."""
     # Summing rows in order rounds equally on every machine.
     difference = a - b
     np.multiply(difference, difference, out=difference)
@@ -293,7 +293,7 @@ def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
 def _best_cycle(
     table: FloatArray, min_lag: int, max_lag: int, static_extent: float
 ) -> tuple[int, int, float] | None:
-    """Return start, length and extent of the best cycle, in columns."""
+    """Return start, length [columns] and extent [m] of the best cycle."""
     count = table.shape[1]
     distances_from_mean = _pose_distance(table, table.mean(axis=1, keepdims=True))
     min_extent = max(
@@ -321,7 +321,7 @@ def _best_cycle(
 
 
 def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
-    """Return the distance of columns ``lag`` apart, in cache-sized blocks."""
+    """Return distances between all columns ``lag`` apart, in cache-sized blocks."""
     count = table.shape[1] - lag
     block_starts = range(0, count, BLOCK_FRAMES)
     ranges = [
@@ -334,7 +334,7 @@ def _pose_distances_by(table: FloatArray, lag: int) -> FloatArray:
 
 
 def _first_minimum(values: FloatArray) -> tuple[float, int]:
-    """Return the minimum value, to a thousandth, and its first index."""
+    """Return the minimum, and the first index within a thousandth of it."""
     # Otherwise rounding, which differs between machines, would decide.
     coarse = np.round(values, 3)
     index = int(np.argmin(coarse))
@@ -353,7 +353,7 @@ def _shortest_cycle(scores: FloatArray) -> int:
 
 
 def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:
-    """Return the pairs of frames around a coarse pair ``(2, N)``."""
+    """Return all pairs of frames near a pair of the coarse search ``(2, N)``."""
     offsets = np.arange(1 - stride, stride)
     candidates = (np.unique(np.clip(frame + offsets, *ends)) for frame in (i, j))
     return np.stack([grid.ravel() for grid in np.meshgrid(*candidates, indexing="ij")])

@@ -23,7 +23,7 @@ def exact_fraction(number: float, name: str) -> Fraction:
 
 
 def check_range(first: float | None, last: float | None) -> None:
-    """Refuse a reversed range of frames; None is an end of the take."""
+    """Raise if a frame range is reversed; None stands for an end of the take."""
     range_ends = [
         exact_fraction(range_end, name)
         for range_end, name in ((first, "first"), (last, "last"))
@@ -66,10 +66,10 @@ def seconds_hint(
     fps: Fraction,
     last: Fraction | None = None,
 ) -> str | None:
-    """Return which frames options mean if they are in seconds, or None.
+    """Return a hint with the frames for options that look like seconds, or None.
 
     Args:
-        options: Values of options by name; some must be fractions.
+        options: Values of options by name; at least one must be fractional.
         start: First time code of the take.
         fps: Frames per second.
         last: Last time code; None if it is unknown.
@@ -99,7 +99,7 @@ def seconds_hint(
 
 
 def check_count(count: int) -> None:
-    """Refuse a result of more than 10 million frames."""
+    """Raise if a result would have more than 10 million frames."""
     if count > MAX_FRAMES:
         message = f"the take would have {count} frames; the limit is {MAX_FRAMES}"
         raise OptionError(Fault("SCN021", message))

@@ -55,7 +55,7 @@ MIN_DISPLACED = 0.01
 
 @dataclass(frozen=True, slots=True)
 class BlendOptions:
-    """The other take of a blend, its weight and timing.
+    """The second take of a blend, its weight and timing.
 
     Attributes:
         take: File of the other take.
@@ -128,7 +128,7 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
 
 
 def _check_blend(options: BlendOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "take": lambda: required_take_path(options.take),
         "weight": lambda: weights_at(options.weight, np.zeros(0)),
@@ -191,7 +191,7 @@ def rest_take(rig: Rig, clock: Clock) -> Take:
 
 
 def _base_take(base: Take, frame: float | None) -> Take:
-    """Return the base, or its frame to subtract; refuse scales of 0."""
+    """Return the base take, or its given frame; raise if a scale is 0."""
     if frame is not None:
         index = frame_index(base.clock, frame, "frame")
         motion = base.motion.select(slice(index, index + 1)).map(Channel.compact)
@@ -213,7 +213,7 @@ def _subtract_stream(stream: TakeStream, base: Take) -> TakeStream:
 
 
 def _difference_blocks(stream: TakeStream, base: Take) -> Iterator[Motion]:
-    """Yield the deltas, with continuous signs."""
+    """Yield the deltas from the base, with continuous quaternion signs."""
     first, previous = 0, None
     rate, sampler = stream.fps / stream.step, TakeSampler.from_take(base)
     for block in stream.blocks:
@@ -258,7 +258,7 @@ class LayerMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LayerOptions:
-    """The layer take, its joints and weight.
+    """The take of a layer, the affected joints, and the weight.
 
     Attributes:
         take: File of the other take.
@@ -293,7 +293,7 @@ def layer(
     children: bool = False,
     delay: float = 0.0,
 ) -> Take:
-    """Return a take with another layered on top.
+    """Layer another take on top of a take.
 
     The result has the frames of ``take``. The other take starts with it, ``delay``
     later, is resampled to its rate and clamped at its ends.
@@ -397,7 +397,7 @@ class _LayerPlan:
 
 
 class _Displacements:
-    """Largest displacement of joints that a pass before has put at targets."""
+    """Largest displacement, by a layer, of joints that an earlier pass placed."""
 
     def __init__(self, rig: Rig, placed: Sequence[PlacedJoint]) -> None:
         self.rig = rig
@@ -405,7 +405,7 @@ class _Displacements:
         self.largest, self.effector, self.time = 0.0, "", 0.0
 
     def add(self, times: FloatArray, before: Motion, after: Motion) -> None:
-        """Compare the frames of a block."""
+        """Update the displacements from a block's frames before and after the layer."""
         if not self.placed:
             return
         old, new = (motion.world(self.rig).positions for motion in (before, after))
@@ -496,7 +496,7 @@ def _run_layer(
 
 
 def _check_layer(options: LayerOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     is_bounded = options.mode is LayerMode.OVERRIDE
     return {
         "take": lambda: required_take_path(options.take),

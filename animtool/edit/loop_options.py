@@ -9,7 +9,7 @@ from animtool.core.record import dataclass
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class LoopOptions:
-    """The cycle and how often it is repeated.
+    """The cycle of a loop, and the number of its repetitions.
 
     Attributes:
         find: Whether to search for the best cycle between ``first`` and ``last``.

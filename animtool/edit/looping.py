@@ -52,7 +52,7 @@ NATURAL_CHANGE = 0.25
 
 @dataclass(frozen=True, slots=True)
 class SeamBlend:
-    """A cycle within some frames, and the blend weights of its corrections."""
+    """A cycle, the frames around it, and the blend weights at its seam."""
 
     cycle_length: int  # number of frames of the cycle, L
     frames_before: int  # 1 if there is a frame before the cycle, else 0
@@ -88,11 +88,11 @@ class SeamBlend:
         )
 
     def cycle_and_next(self, values: npt.NDArray[_Value]) -> npt.NDArray[_Value]:
-        """Return the frames of the cycle and the one after it ``(L + 1, ...)``."""
+        """Return the frames of the cycle and the next frame ``(L + 1, ...)``."""
         return values[self.frames_before : self.frames_before + self.cycle_length + 1]
 
     def end_frames(self, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the frames that determine speed at the start and at the end.
+        """Return the frames from which start and end speeds are estimated.
 
         They are the frames on either side if both ends have them; else, if the cycle
         spans the full take, three frames at each end.
@@ -107,7 +107,7 @@ class SeamBlend:
 def close_vectors(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Return a cycle of vectors that continues into its successor ``(L, A, K)``."""
+    """Blend a cycle of vectors so that its end meets the next cycle ``(L, A, K)``."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     missing_velocity = _missing_speed(
@@ -128,7 +128,7 @@ def close_vectors(
 def close_rotations(
     values: FloatArray, blend: SeamBlend, to_next_cycle: NextCycle
 ) -> FloatArray:
-    """Return a cycle of rotations that continues into its successor ``(L, A, 4)``."""
+    """Blend a cycle of rotations so that its end meets the next ``(L, A, 4)``."""
     cycle = blend.cycle_and_next(values)
     start_frames, end_frames = blend.end_frames(values)
     offset = so3.multiply(so3.conjugate(cycle[-1]), to_next_cycle(cycle[:1])[0])
@@ -157,9 +157,10 @@ def _missing_speed(
     measure_steps: Callable[[], FloatArray],
     blend: SeamBlend,
 ) -> FloatArray:
-    """Return the speed missing at the end of a cycle ``(A, K)`` [1/frame].
+    """Return the speed that a cycle's end lacks to match its start ``(A, K)``.
 
-    ``measure_steps`` returns the steps between frames ``(L, A, K)``.
+    The speed is in units per frame. ``measure_steps`` returns the steps between frames
+    ``(L, A, K)``.
     """
     extra_frames = blend.frames_before + blend.frames_after
     if extra_frames:
@@ -253,7 +254,7 @@ def loop(
     repeats: int = _DEFAULTS.repeats,
     blend: int = _DEFAULTS.blend,
 ) -> Take:
-    """Return a cycle of the take, repeated; `find_cycle` searches for one.
+    """Repeat a cycle of a take seamlessly; `find_cycle` searches for a cycle.
 
     The frame ``last`` is the first of the next cycle and is not shown itself. Over the
     ``blend`` frames before it, the missing offset and speed are added, so that neither
@@ -373,7 +374,7 @@ def _loop_track(
 
 @dataclass(frozen=True, slots=True)
 class _CycleState:
-    """Loops the channels of a cycle."""
+    """Closes the channels of a cycle and repeats them with the cycle's travel."""
 
     travel: CycleTravel
     blend: SeamBlend
@@ -388,12 +389,12 @@ class _CycleState:
         )
 
     def loop_numbers(self, channel: Channel) -> Channel:
-        """Return a channel without travel, repeated."""
+        """Return a channel closed and repeated, without travel."""
         cycle = close_vectors(channel.values, self.blend, lambda values: values)
         return replace(channel, values=np.concatenate([cycle] * self.repeats))
 
     def loop_translations(self, channel: Channel) -> Channel:
-        """Return translations, repeated with the travel of each joint."""
+        """Return translations closed and repeated, with the travel of each joint."""
         linear = self.travel.linear[channel.animated]
         shifts = self.travel.shifts[channel.animated]
 
@@ -405,7 +406,7 @@ class _CycleState:
         return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
     def loop_rotations(self, channel: Channel) -> Channel:
-        """Return rotations, repeated with the travel of each joint."""
+        """Return rotations closed and repeated, with the travel of each joint."""
         travel = self.travel.rotations[channel.animated]
 
         def to_next_cycle(values: FloatArray) -> FloatArray:
@@ -416,7 +417,7 @@ class _CycleState:
         return replace(channel, values=self.repeat_cycle(cycle, to_next_cycle))
 
     def repeat_cycle(self, cycle: FloatArray, to_next_cycle: NextCycle) -> FloatArray:
-        """Return a cycle and its repeats, each continued from the previous one."""
+        """Repeat a cycle; each repetition continues where the previous one ended."""
         cycles = [cycle]
         # One step per repeat: each adds the travel to the previous one.
         for _ in range(self.repeats - 1):
@@ -432,7 +433,7 @@ def _check_minimum(number: int, minimum: int, name: str) -> None:
 
 
 def _option_checks(options: LoopOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "last": lambda: check_range(options.first, options.last),
         "repeats": lambda: _check_minimum(options.repeats, 1, "repeats"),
@@ -462,7 +463,7 @@ def _run(take: Take, options: LoopOptions, context: PassContext) -> Take:
 
 
 def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
-    """Return the best cycle of a take if it closes far better than the chosen one."""
+    """Return the best cycle of a take if its relative error is below half the given."""
     try:
         best = find_cycle(take)
     except OptionError:

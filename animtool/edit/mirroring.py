@@ -39,7 +39,7 @@ EFFECT_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ControlMirror:
-    """How values of each control map to its partner."""
+    """Maps values of controls to their mirror partners, with sign and pivot."""
 
     partners: IntArray  # index of each control's partner ``(C,)``
     # 1 for equal signs, -1 for opposite signs ``(C,)``.
@@ -54,7 +54,7 @@ class ControlMirror:
         shapes: IntArray,
         normal: FloatArray,
     ) -> ControlMirror:
-        """Return how a rig's controls are mirrored.
+        """Determine the partner and the sign of each control of a rig.
 
         A control and its partner have opposite signs if the mirror image of one's
         effect on joints and shapes is nearer to the other's negative effect: for
@@ -107,7 +107,7 @@ def _pivot(control: Control) -> float:
 
 
 def _flatten_effect(effect: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return an effect on joints and shapes as one vector."""
+    """Concatenate an effect on joints and shapes to one vector."""
     return np.concatenate([part.ravel() for part in effect])
 
 
@@ -116,9 +116,9 @@ def _control_effect(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the effect of a small change of a control, in direction 1 or -1.
 
-    On each joint in the world ``(J, 6)``, a rotation vector [rad] and a translation
-    [m]; and on each shape ``(S,)``. ``rest_rotations``: world rotations of the joints
-    at rest ``(J, 3, 3)``.
+    On a joint, the effect is a world-space rotation vector [rad] and a translation [m]
+    ``(J, 6)``; on a shape, a weight ``(S,)``. ``rest_rotations``: world rotations of
+    the joints at rest ``(J, 3, 3)``.
     """
     control = rig.controls[control_index]
     range_width = 1.0
@@ -184,7 +184,7 @@ class MirrorOptions:
 def mirror(
     take: Take, axis: Axis | str = Axis.X, pairs: Sequence[Sequence[str]] = ()
 ) -> Take:
-    """Return the mirrored take, on the same rig.
+    """Mirror a take on its rig: left and right are swapped.
 
     The world motion of a joint beyond its rest frame is mirrored and given to its
     partner. Each joint keeps its rest offset, so that rigs whose halves have different
@@ -213,7 +213,7 @@ def mirror(
 
 
 def _pair_tuples(pairs: Sequence[Sequence[str]]) -> tuple[tuple[str, str], ...]:
-    """Return pairs as tuples; refuse anything but pairs of names."""
+    """Return pairs as tuples; raise if an entry is not a pair of names."""
     if any(isinstance(pair, str) or len(pair) != 2 for pair in pairs):
         message = f"pairs must be pairs of joint names, not {list(pairs)!r:.80}"
         raise OptionError(Fault("SCN019", message))
@@ -276,7 +276,7 @@ def _run_mirror(
 
 
 def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
-    """Return which joints have no partner but a parent that has one ``(J,)``."""
+    """Return a mask of unpaired joints whose parent has a partner ``(J,)``."""
     parents = rig.parents
     is_unpaired = partners == np.arange(len(partners))
     return np.asarray(is_unpaired & (parents >= 0) & (partners[parents] != parents))
@@ -313,7 +313,7 @@ def _unpaired_warnings(
 def _asymmetry_warnings(
     rig: Rig, partners: IntArray, is_checked: BoolArray, axis: int
 ) -> Iterator[Fault]:
-    """Yield a warning where the rest pose is not its own mirror image."""
+    """Yield a warning if the rest pose is not symmetric."""
     if not is_checked.any():
         return
     positions = rest_world(rig).positions[0]
@@ -344,7 +344,7 @@ def _asymmetry_warnings(
 
 
 def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) -> None:
-    """Refuse stated pairs whose parents are not partners."""
+    """Raise if the parents of a stated pair are not partners."""
     faults = []
     for a, b in pairs:
         parents_of_pair = [rig.joints[rig.index(name)].parent for name in (a, b)]
@@ -370,7 +370,7 @@ def _check_stated(rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray) 
 
 
 def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
-    """Refuse a joint whose parent is not the partner of its partner's parent."""
+    """Raise if a joint's parent is not the partner of its partner's parent."""
     for i, joint in enumerate(rig.joints):
         if is_kept[i]:
             continue
@@ -386,7 +386,7 @@ def _check_tree(rig: Rig, partners: IntArray, is_kept: BoolArray) -> None:
 
 @dataclass(frozen=True, slots=True)
 class _JointMirror:
-    """How values of each joint map to its partner."""
+    """Maps local values of joints to their mirror partners."""
 
     partners: IntArray
     is_kept: BoolArray  # mask of the joints that keep their values (J,)
@@ -399,7 +399,7 @@ class _JointMirror:
     def from_rig(
         rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
     ) -> _JointMirror:
-        """Return how the joints of a rig are mirrored."""
+        """Collect the rest rotations and translations that mirroring a rig requires."""
         rest_world_rotations = rig.rest_rotations.copy()
         parent_rotations = np.tile(so3.IDENTITY, (len(rest_world_rotations), 1))
         for i, joint in enumerate(rig.joints):
@@ -507,7 +507,7 @@ def _swap_partners(
 def _mirror_channel(
     channel: Channel, partners: IntArray, map_values: _ValueMap
 ) -> Channel:
-    """Return a channel with the values of each row given to its partner."""
+    """Return a channel in which each row has the mapped values of its partner."""
     all_joints = np.arange(len(channel.rest))
     rest_values = map_values(channel.rest, all_joints)[partners]
     values = map_values(channel.values, channel.animated)

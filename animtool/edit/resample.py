@@ -37,7 +37,7 @@ BLOCK_FRAMES = 512
 
 @dataclass(frozen=True, slots=True)
 class SampleTimes:
-    """Sample times of a take, exact."""
+    """Exact sample times of a take, as fractions."""
 
     first: Fraction  # time code of the first frame
     last: Fraction  # time code of the last frame
@@ -172,9 +172,9 @@ def missing_frames_fault(
     Args:
         frame_range: The frames.
         first: First frame of the take.
-        last: Its last frame.
+        last: Last frame of the take.
         name: Argument that names the frames.
-        noun: What has the frames.
+        noun: Noun for the object that has the frames.
 
     >>> missing = FrameRange(0, 0)
     >>> missing_frames_fault(missing, Fraction(1), Fraction(64), name="rest").message
@@ -188,7 +188,7 @@ def missing_frames_fault(
 
 
 def _time_codes(first: Fraction, frames: range) -> FloatArray:
-    """Return the time codes of frames from a first one."""
+    """Return the time codes of frames counted from a first time code."""
     return time_codes(Fraction(first), Fraction(frames.step), len(frames))
 
 
@@ -197,7 +197,7 @@ def _covered_frames(
 ) -> range:
     """Return the frames of the range that the take covers, from ``floor(start)``.
 
-    With ``extend``, all frames of the range.
+    With ``extend``, return all frames of the range.
     """
     origin = math.floor(start)
     step = frame_range.step
@@ -247,7 +247,7 @@ def dropped_notice(dropped: Fraction, fps: Fraction, last: Fraction) -> Fault:
 def single_frame_warning(
     times: SampleTimes, clock: Clock, fps: Fraction
 ) -> list[Fault]:
-    """Return a warning that one frame remains of a take with several (TAKE010)."""
+    """Warn if resampling leaves one frame of a take with several frames (TAKE010)."""
     if len(times.codes) != 1 or clock.count < 2:
         return []
     message = (
@@ -309,7 +309,7 @@ def filter_motion(motion: Motion, cutoff: float, rate: float) -> Motion:
 def resampled(
     take: Take, fps: FractionLike, *, lowpass: bool = False, smooth: bool = False
 ) -> Take:
-    """Return the take with a sample on every time code at another rate.
+    """Resample a take to another frame rate, with a sample on every time code.
 
     The remainder after its last full frame is cut, with a note (TAKE006).
 
@@ -386,7 +386,7 @@ def _run(take: Take, options: ResampleOptions, context: PassContext) -> Take:
 
 
 def _checks(options: ResampleOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     if options.fps is None:
         return {}
     fps = options.fps
@@ -394,7 +394,7 @@ def _checks(options: ResampleOptions) -> OptionChecks:
 
 
 def _linear_time(options: ResampleOptions, clock: Clock) -> LinearTime | None:
-    """Return how the pass maps time codes of the take."""
+    """Return the linear map of time codes that the pass applies, if any."""
     if options.fps is None or options.lowpass:
         return None
     start = float(clock.start)

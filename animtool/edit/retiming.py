@@ -64,7 +64,7 @@ class TrimOptions:
 
 
 def trim(take: Take, first: float | None = None, last: float | None = None) -> Take:
-    """Return the frames of a take between two time codes, both included.
+    """Return the frames of a take between two time codes, inclusive.
 
     Frames and their time codes stay unchanged; if a time code is between two frames,
     the range starts after it or ends before it.
@@ -138,7 +138,7 @@ def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | No
 
 
 def _trim_checks(options: TrimOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"last": lambda: check_range(options.first, options.last)}
 
 
@@ -227,7 +227,7 @@ class TimeScaleOptions:
 
 
 def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
-    """Return the take at another speed, sampled on its own frame grid.
+    """Play a take at another speed, sampled on its own frame grid.
 
     Curves are evaluated between frames; other values are linear, and a note estimates
     their error (TAKE007).
@@ -317,7 +317,7 @@ def _percentage_warnings(
 
 
 def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"speed": lambda: _check_speed(options.speed)}
 
 
@@ -334,7 +334,7 @@ def _run_time_scale(
 
 
 def _linear_time(options: TimeScaleOptions, clock: Clock) -> LinearTime | None:
-    """Return how the pass maps time codes of the take."""
+    """Return the linear map of time codes that the pass applies, if any."""
     if options.speed <= 0:
         return None
     pivot = float(clock.start) if options.pivot is None else options.pivot
@@ -373,7 +373,7 @@ def time_warp(
     curve: KeyPairs,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> Take:
-    """Return the take retimed, from the curve's first frame to its last.
+    """Retime a take by a time curve, from the curve's first frame to its last.
 
     The result has the frames of the take's grid, extended beyond its ends if the curve
     reaches there. The curve may run backwards or be constant. Curves of the take are
@@ -448,7 +448,7 @@ def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -
 
 
 def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
 
 

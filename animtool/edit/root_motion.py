@@ -39,7 +39,7 @@ MIN_TRAVEL, MIN_RATIO = 0.2, 2.0
 
 
 class RootMode(StrEnum):
-    """Direction of the transfer."""
+    """Whether root motion is extracted to a root joint or recomposed."""
 
     EXTRACT = "extract"
     RECOMPOSE = "recompose"
@@ -47,7 +47,7 @@ class RootMode(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RootMotionOptions:
-    """What the root joint carries.
+    """Which motion is moved between the hips and the root joint.
 
     Attributes:
         mode: ``extract`` moves the travel to the root joint, ``recompose`` moves it
@@ -72,7 +72,7 @@ class RootMotionOptions:
 def extract_root(
     take: Take, root: str = "root", axes: str = "", *, yaw: bool = True, hips: str = ""
 ) -> Take:
-    """Return the take with hip travel moved to a root joint above.
+    """Extract root motion: move the hips' travel to a root joint above.
 
     A joint named ``root`` gets the travel instead of its own motion; if the rig has
     none, it is added directly above the hips. Joints below keep their world transforms.
@@ -137,7 +137,7 @@ def recompose_root(take: Take, root: str = "root", *, keep: bool = False) -> Tak
 
 
 def _check_axes(axes: str) -> None:
-    """Raise unless axes are some of x, y and z."""
+    """Raise if an axis is not x, y or z."""
     if not set(axes.lower()) <= set("xyz"):
         raise _root_error(
             f"axes {axes!r} may contain only x, y and z", "write xz, for example"
@@ -145,7 +145,7 @@ def _check_axes(axes: str) -> None:
 
 
 def _option_checks(options: RootMotionOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {"axes": lambda: _check_axes(options.axes)}
 
 

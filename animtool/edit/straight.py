@@ -29,7 +29,7 @@ BLOCK_FRAMES = 4096
 
 @dataclass(frozen=True, slots=True)
 class InterpolationError:
-    """The largest error of one kind of channel between frames."""
+    """The largest interpolation error of one kind of channel between frames."""
 
     channel: str  # field of a motion
     row: int  # index of the joint, shape or control
@@ -44,7 +44,7 @@ def interpolation_errors(
 
     A smooth curve f deviates from the line between two frames by at most s (1 - s) / 2
     · |f''| at the fraction s; f'' is estimated from differences of neighbouring frames.
-    Rotations likewise, from the change of angular velocity. A motion that jumps
+    For rotations, f'' is the change of angular velocity. A motion that jumps
     deviates more than a smooth one.
     """
     motion = sampler.take.motion
@@ -67,7 +67,7 @@ def interpolation_errors(
 def interpolation_notices(
     sampler: TakeSampler, positions: FramePositions, hint: str
 ) -> list[Fault]:
-    """Return the note of the estimated interpolation error (TAKE007), if it matters.
+    """Return a note with the interpolation error (TAKE007), unless it is negligible.
 
     hint: How the caller can avoid it.
     """
@@ -108,7 +108,7 @@ def interpolation_notices(
 def _largest_error(
     channel: Channel, columns: IntArray, positions: FramePositions
 ) -> tuple[float, int, float] | None:
-    """Return frame, column and size of the largest error of some columns."""
+    """Return frame, column and magnitude of the largest error in the given columns."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
     count = len(channel.values)
     if not len(indices_between) or not len(columns) or count < 3:
@@ -154,7 +154,7 @@ def _largest_error(
 
 
 def _blocks(indices: IntArray) -> Iterator[IntArray]:
-    """Yield indices in blocks."""
+    """Yield consecutive blocks of indices, to limit memory."""
     for start in range(0, len(indices), BLOCK_FRAMES):
         yield indices[start : start + BLOCK_FRAMES]
 

@@ -28,12 +28,12 @@ MAX_DROP_PASSES = 8
 
 @dataclass(frozen=True, slots=True)
 class ThinnedSamples:
-    """Which samples are kept, and the resulting error."""
+    """The kept samples of a motion, and the errors of interpolating the others."""
 
     samples: int  # number of samples before thinning
     kept_samples: IntArray  # indices of the kept samples, ascending ``(N,)``
     error: float  # largest distance of a point from its original position [m]
-    joint_index: int  # of the joint of that point
+    joint_index: int  # index of the joint of that point
     code: float  # time code of that error
     weight_error: float  # largest error of a shape's weight [1]
 
@@ -51,7 +51,7 @@ def thin_samples(
     *,
     joint_tolerances: Mapping[str, float] | None = None,
 ) -> ThinnedSamples:
-    """Return the samples that reproduce a motion within a tolerance > 0 [m].
+    """Select samples that reproduce a motion within a tolerance > 0 [m].
 
     Between two samples USD interpolates translations, scales and weights linearly, and
     rotations along the shortest arc. An interval beyond the tolerance is split at its
@@ -71,7 +71,7 @@ def thin_samples(
 
 
 def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
-    """Add samples until every interval is within the tolerance."""
+    """Split intervals at their worst sample until all are within the tolerance."""
     frames = np.setdiff1d(np.arange(len(measure.codes)), kept_samples)
     while len(frames):
         ratios = measure.ratios(kept_samples, frames)
@@ -105,7 +105,7 @@ def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
 def _drop_alternate(
     measure: _RestoredError, kept_samples: IntArray, first_dropped: int
 ) -> IntArray:
-    """Return the samples without every second unnecessary one."""
+    """Drop those of every second sample whose removal stays within the tolerance."""
     dropped_positions = np.arange(1 + first_dropped, len(kept_samples) - 1, 2)
     if not len(dropped_positions):
         return kept_samples
@@ -128,7 +128,7 @@ def _drop_alternate(
 
 
 class _RestoredError:
-    """Error of the motion restored from the kept samples."""
+    """Measures the error of the motion interpolated from the kept samples."""
 
     def __init__(
         self,
@@ -160,13 +160,13 @@ class _RestoredError:
         return point_errors(self.points, truth, world), weights
 
     def ratios(self, kept_samples: IntArray, frames: IntArray) -> FloatArray:
-        """Return the largest error at each frame, over its tolerance ``(N,)``."""
+        """Return the largest error at each frame, divided by its tolerance ``(N,)``."""
         joints, weights = self.errors(kept_samples, frames)
         largest = (joints / self.bounds).max(axis=1, initial=0.0)
         return np.asarray(np.maximum(largest, weights / WEIGHT_TOLERANCE))
 
     def report(self, kept_samples: IntArray) -> ThinnedSamples:
-        """Return the result for the kept samples."""
+        """Measure the errors of the kept samples; return both."""
         count = len(self.codes)
         joints, weights = self.errors(kept_samples, np.arange(count))
         if not joints.shape[1]:

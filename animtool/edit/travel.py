@@ -18,7 +18,7 @@ from animtool.rig.skeleton import JointType, Rig
 class JointFrame:
     """A joint's world frame in every frame of a take."""
 
-    position: FloatArray  # its origin ``(F, 3)`` [m]
+    position: FloatArray  # world position of the origin ``(F, 3)`` [m]
     # Product of the rotations of the joint and its ancestors, without scales ``(F,
     # 4)``.
     rotation: FloatArray
@@ -45,7 +45,7 @@ def rest_rotation(rig: Rig, joint: int) -> FloatArray:
 
 
 def _product_frame(motion: Motion, joints: list[int]) -> JointFrame:
-    """Return the product of the local transforms of joints, from the first on."""
+    """Multiply the local transforms of joints in order, the first leftmost."""
     position = np.zeros((motion.frames, 3))
     rotation = np.tile(so3.IDENTITY, (motion.frames, 1))
     linear = np.tile(np.eye(3), (motion.frames, 1, 1))
@@ -82,13 +82,13 @@ FRAME_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class FramePositions:
-    """Sample positions: at or between two frames."""
+    """Sample positions as a frame index and a fraction towards the next frame."""
 
     frames: IntArray  # frame at or before each sample ``(N,)``
     fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
 
     def interpolate(self, channel: Channel) -> Channel:
-        """Return the channel at these positions.
+        """Interpolate a channel at these positions.
 
         On a frame the result equals that frame exactly. Between two frames, rotations
         (K = 4) follow the shortest arc and other values are linear.
@@ -108,7 +108,7 @@ class FramePositions:
         return Channel(channel.rest, channel.animated, values)
 
     def interpolate_spline(self, channel: Channel) -> Channel:
-        """Return the channel at these positions, on a spline through its frames.
+        """Interpolate a channel at these positions by a Catmull-Rom spline.
 
         The cubic of four frames (E. Catmull and R. Rom, A class of local interpolating
         splines, 1974), of class C1; rotations (K = 4) are interpolated by component and
@@ -144,7 +144,7 @@ def even_positions(
 ) -> FramePositions:
     """Return positions ``(index + offset) · ratio`` in ``count`` frames.
 
-    They are exact, and clamped at the ends of the take.
+    The positions are exact, and clamped at the ends of the take.
 
     >>> even_positions(np.arange(4), 0, Fraction(1, 2), 9).fractions.tolist()
     [0.0, 0.5, 0.0, 0.5]
@@ -168,7 +168,7 @@ def even_positions(
 
 
 def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
-    """Return the frame positions of numbers ``(N,)`` [frame], 0 the first.
+    """Return the frame positions of fractional frame indices ``(N,)``.
 
     A number within 1e-9 of a frame is that frame; positions are clamped to the take.
 
@@ -187,7 +187,7 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
 
 
 def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePositions:
-    """Return positions of times ``(N,)`` among the times of samples ``(F,)``.
+    """Locate times ``(N,)`` between the times of samples ``(F,)``.
 
     Times are clamped at the ends.
 
@@ -218,15 +218,15 @@ STATIC_FRACTION = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class CycleTravel:
-    """How each joint's local transform continues from one cycle to the next.
+    """Map of each joint's local transform from one cycle to the next.
 
     ``translation`` becomes ``linear · translation + shift``, and ``rotation`` becomes
     ``rotations[j] · rotation``. Joints that do not travel have identities.
     """
 
-    rotations: FloatArray  # ``(J, 4)``
-    linear: FloatArray  # ``(J, 3, 3)``
-    shifts: FloatArray  # ``(J, 3)`` [m]
+    rotations: FloatArray  # rotation of each joint per cycle ``(J, 4)``
+    linear: FloatArray  # linear map of translations per cycle ``(J, 3, 3)``
+    shifts: FloatArray  # shift of translations per cycle ``(J, 3)`` [m]
 
 
 def travelling_joint(
@@ -289,7 +289,7 @@ def _store_travel(
     world_rotation: FloatArray,
     displacement: FloatArray,
 ) -> None:
-    """Store a world step as a step in the frame of a joint's parent."""
+    """Convert a world-space step to a joint's parent space, and store it."""
     if rig.joints[joint].parent < 0:
         travel.rotations[joint], travel.shifts[joint] = world_rotation, displacement
         travel.linear[joint] = so3.to_matrix(world_rotation)

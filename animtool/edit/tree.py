@@ -81,7 +81,7 @@ class JointTransforms:
 
 
 def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
-    """Return the take with a joint moved, its children left in place."""
+    """Replace a joint's local transforms; its children keep their world transforms."""
     motion = take.motion
     children = np.flatnonzero(take.rig.parents == joint)
     family = np.concatenate([[joint], children])
@@ -130,9 +130,9 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
 
 
 def insert_joint(take: Take, name: str, child: int) -> Take:
-    """Return the take with a new static joint right above another.
+    """Insert a static joint between a joint and its parent.
 
-    The new joint takes the other's index, and the other the next one.
+    The new joint takes the child's index; the child's index grows by one.
     """
     joints = [
         replace(j, parent=j.parent + (j.parent >= child)) for j in take.rig.joints
@@ -155,7 +155,7 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
 
 
 def remove_joint(take: Take, joint: int) -> Take:
-    """Return the take without a joint at its parent's origin and orientation.
+    """Remove a joint that coincides with its parent.
 
     Its children move to its parent and take over its scale and rest pose.
     """
@@ -197,7 +197,7 @@ def remove_joint(take: Take, joint: int) -> Take:
 
 
 def _move_scale_to_children(take: Take, joint: int) -> Take:
-    """Return the take with a joint's scale moved to its children."""
+    """Multiply the scale of a joint into its children, and reset it."""
     scales = take.motion.scales
     if scales is None:
         return take
@@ -218,7 +218,7 @@ def _move_scale_to_children(take: Take, joint: int) -> Take:
 def _with_changed_channels(
     take: Take, rig: Rig, change: Callable[[Channel, FloatArray], Channel]
 ) -> Take:
-    """Return a take on a rig with other joints, with changed channels."""
+    """Return a take with another rig, its channels changed accordingly."""
     motion = take.motion
     return replace(
         take,
@@ -238,7 +238,7 @@ def _rest_pose(joint: Joint) -> Pose:
 
 
 def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
-    """Return a pose relative to another, in the frame of that pose's parent."""
+    """Compose a parent's pose with a child's, relative to the parent's parent."""
     translation = (
         so3.rotate(parent_pose.rotation, pose.translation) + parent_pose.translation
     )
@@ -248,7 +248,7 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
 
 
 def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
-    """Return the bind poses of a rig without a joint."""
+    """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
     bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
     for rig_joint in rig.joints:
@@ -407,7 +407,7 @@ def _shortest_rotations(
 def _to_parent_space(
     world: WorldTransforms, parent: int, positions: FloatArray, rotations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return world transforms of a joint in the space of its parent."""
+    """Convert world transforms of a joint to the space of its parent."""
     if parent < 0:
         return positions, rotations
     inverse_linear = np.linalg.inv(world.linear[:, parent])
@@ -419,7 +419,7 @@ def _to_parent_space(
 
 
 def _check_scales(take: Take, world: WorldTransforms, joint: int) -> None:
-    """Refuse a joint below a zero scale: no local value can place it."""
+    """Raise for a joint below a zero scale, since no local value can place it."""
     parent = take.rig.joints[joint].parent
     if parent < 0:
         return
@@ -465,7 +465,7 @@ def _run(take: Take, options: HangOptions, context: PassContext) -> Take:
 
 
 def _checks(options: HangOptions) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "joint": lambda: _require_option(options, "joint"),
         "system": lambda: _require_option(options, "system"),

@@ -27,7 +27,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 @dataclass
 class _Frame:
-    """A joint's frame in its parent node [m]."""
+    """Transform of a joint's frame relative to a node of the chain [m]."""
 
     node: int
     translation: FloatArray
@@ -40,7 +40,7 @@ class _Frame:
 
 
 class _ChainBuilder:
-    """Collects the nodes and coordinates of a chain."""
+    """Builds a chain joint by joint: its nodes, coordinates and limits."""
 
     def __init__(self, rig: Rig, pose: FloatArray) -> None:
         self.rig = rig
@@ -109,7 +109,7 @@ class _ChainBuilder:
         return _Frame(len(self.nodes) - 1, np.zeros(3), so3.conjugate(rotation))
 
     def _add_slide(self, column: int, frame: _Frame, axis: FloatArray) -> _Frame:
-        """Append a slide along an axis; return the frame that it moves."""
+        """Append a prismatic node along an axis; return the frame that it moves."""
         self.columns.append(column)
         self.lengths.append(True)
         self.periods.append((-np.inf, np.inf))
@@ -185,7 +185,7 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
 
 
 def _leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
-    """Return the joint that leads a mimic joint, with gain and offset."""
+    """Return the leader of a mimic joint, with gain and offset."""
     gain, shift = 1.0, 0.0
     visited_joints = set()
     while (
@@ -220,7 +220,7 @@ def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 def assemble(
     rig: Rig, goals: Sequence[Goal], moving: set[int], pose: FloatArray
 ) -> tuple[Chain, list[Fault]]:
-    """Return the chain of the moving joints; the others are fixed at a pose ``(Q,)``.
+    """Return the chain of the moving joints; other joints are fixed at a pose ``(Q,)``.
 
     At least one joint above each goal moves.
     """
@@ -258,7 +258,7 @@ def _limbs(
     frames: dict[int, _Frame],
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
-    """Return the root and middle node of each goal's limb."""
+    """Return the root and middle node of each goal's limb, and the faults of limbs."""
     if not any(goal.pole > 0 for goal in goals):
         return [(-1, -1)] * len(goals), []
     world = forward_kinematics(rig, local.translations, local.rotations)
@@ -290,7 +290,7 @@ def _build_chain(
     frames: dict[int, _Frame],
     limbs: list[tuple[int, int]],
 ) -> Chain:
-    """Return the finished chain of a builder, with lengths relative to its own."""
+    """Return the chain of a builder, with lengths divided by the chain's length."""
     goal_frames = [frames[rig.index(goal.joint)] for goal in goals]
     tools = [
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
@@ -340,9 +340,9 @@ def _build_chain(
 def _node_rows(
     builder: _ChainBuilder, scales: FloatArray, length: float
 ) -> tuple[IntArray, FloatArray]:
-    """Return the nodes of a chain ``(N, 4)`` and their numbers, in chain lengths.
+    """Return the kernel arrays of a chain: nodes ``(N, 4)`` and their numbers.
 
-    scales: Of the coordinates ``(D,)`` [m] or 1.
+    scales: Divisor of each coordinate ``(D,)``: chain length [m], or 1 for angles.
     """
     nodes = np.array(builder.nodes, np.int64).reshape(-1, 4)
     node_scales = np.where(nodes[:, 0] == SLIDE, length, 1.0)
@@ -378,7 +378,7 @@ def _node_rows(
 
 
 def _priority_levels(goals: Sequence[Goal]) -> list[int]:
-    """Return the goals' priorities as levels 0, 1, … without gaps."""
+    """Renumber the goals' priorities to consecutive levels from 0."""
     ranks = sorted({goal.priority for goal in goals})
     return [ranks.index(goal.priority) for goal in goals]
 

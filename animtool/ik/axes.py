@@ -19,7 +19,7 @@ MAX_REACH = 1.5
 
 
 def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
-    """Return a hint if a missed target is in reach with the other up axis.
+    """Return a hint if a missed target would be in reach with the other up axis.
 
     Args:
         solved_take: The solved take.
@@ -43,7 +43,7 @@ def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | No
 
 
 def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
-    """Return a hint if a missed target is in reach with a smaller unit.
+    """Return a hint if a missed target would be in reach with a smaller unit.
 
     Args:
         solved_take: The solved take.

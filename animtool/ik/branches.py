@@ -46,11 +46,11 @@ RANDOM_SPREADS = (0.5, 1.5, 3.0)
 
 @dataclass(frozen=True)
 class Interval:
-    """Consecutive frames for which another branch of solutions is searched."""
+    """Consecutive frames in which the search looks for another solution branch."""
 
     problem: Problem  # goals and joints
-    targets: Targets  # of all F frames of the clip
-    frames: range  # of the interval; paths differ from the first on
+    targets: Targets  # targets of all F frames of the clip
+    frames: range  # frames of the interval; paths differ from the first on
     jump_frame: int  # the frame that should be reached without a jump
     poses: FloatArray  # the current path, chain coordinates ``(L, C)``
     costs: FloatArray  # miss cost of each frame, see `miss_cost` ``(L,)``
@@ -81,7 +81,7 @@ class Interval:
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Track a pose through rows; return poses and how many reach the goals."""
+        """Track a pose through rows; return poses and their number before a miss."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
@@ -100,13 +100,13 @@ class Interval:
     def _solve(
         self, starts: FloatArray, frames: IntArray, options: IkOptions
     ) -> IkResult:
-        """Return the solved poses of frames."""
+        """Return the IK solutions of the given frames from their starts."""
         targets = targets_of_frames(self.targets, frames)
         preferred = self.preferred[frames]
         return solve(self.problem, starts, targets, options, prefer=preferred)
 
     def _empty_rows(self, count: int) -> FloatArray:
-        """Return rig coordinates of which only those of the chain matter."""
+        """Return zero rig coordinates, as a buffer for coordinates of the chain."""
         return np.zeros((count, self.problem.coordinates))
 
     def difference_from_reference(self, poses: FloatArray, row: int) -> FloatArray:
@@ -118,7 +118,7 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     """Return misses ``(F, E, 4)`` [m], [rad] weighted for a search ``(F, E, 4)`` [1].
 
     As in the solver, misses are scaled by goal weights, and goals of lower priority
-    count little. The largest weight of a frame is normalised to 1; lengths are
+    have small weights. The largest weight of a frame is normalised to 1; lengths are
     fractions of the problem's length.
     """
     counts = np.array([goal.weights for goal in problem.goals])
@@ -139,7 +139,7 @@ def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
 
 
 def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
-    """Return costs of paths ``(K, L)``, equal for misses near the smallest.
+    """Equalize the costs of paths ``(K, L)`` whose misses are near the smallest.
 
     In each frame, a path whose miss exceeds the smallest by at most ``slack``
     [fraction of the length] costs as little as that one.
@@ -152,7 +152,7 @@ def equalize_near_misses(costs: FloatArray, slack: float) -> FloatArray:
 
 
 def miss_of_cost(costs: FloatArray) -> FloatArray:
-    """Return the weighted miss of a cost; the inverse of `miss_cost`."""
+    """Return the weighted miss that has a given cost: the inverse of `miss_cost`."""
     return np.sqrt(np.maximum(costs / MISS_COST - 1.0, 0.0))
 
 
@@ -186,7 +186,7 @@ def find_branches(
 def branch_tracks(
     interval: Interval, rows: IntArray, count: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Return candidate paths ``(K, L, C)`` from solutions at some rows, and costs.
+    """Return candidate paths ``(K, L, C)`` tracked from the given rows, and costs.
 
     They are the current path and, for each of the rows, its pose, that of the row
     before and the nearest other solutions, each tracked to both ends of the interval.
@@ -247,21 +247,21 @@ def search_long_interval(
 
 
 def _index_slice(rows: slice) -> slice:
-    """Return a slice with a negative stop replaced, so that it reaches index 0."""
+    """Replace a negative stop of a slice by None, so that it includes index 0."""
     return slice(rows.start, None, rows.step) if rows.stop < 0 else rows
 
 
 def _random_starts(
     interval: Interval, centre: FloatArray, count: int, seed: int
 ) -> Iterator[FloatArray]:
-    """Return random poses within the limits, or around a pose without limits."""
+    """Yield random poses: joints within their limits, others around ``centre``."""
     return random_poses(interval.chain, centre, count, [seed, interval.jump_frame])
 
 
 def random_poses(
     chain: Chain, centre: FloatArray, count: int, seed: Sequence[int]
 ) -> Iterator[FloatArray]:
-    """Yield random poses within the limits, or around a pose without limits."""
+    """Yield random poses: joints within their limits, others around ``centre``."""
     rng = np.random.default_rng(seed)
     for i in range(count):
         step = rng.normal(size=chain.degrees) * RANDOM_SPREADS[i % len(RANDOM_SPREADS)]
@@ -278,7 +278,7 @@ def random_poses(
 
 
 def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return poses that differ by more than `SAME_BRANCH` from the earlier ones."""
+    """Return the poses that differ from all earlier ones by more than `SAME_BRANCH`."""
     distinct: list[FloatArray] = []
     for pose in poses:
         if not distinct or (
@@ -292,7 +292,7 @@ def _distinct(chain: Chain, poses: FloatArray) -> FloatArray:
 def track_both_directions(
     interval: Interval, poses: FloatArray, start_row: int, steps: int = START_ITERATIONS
 ) -> tuple[FloatArray, FloatArray]:
-    """Return poses ``(K, C)`` of a row tracked to both ends of the interval."""
+    """Track poses ``(K, C)`` from a row to both ends; return paths and costs."""
     length = len(interval.frames)
     tracks = np.zeros((len(poses), length, poses.shape[1]))
     costs = np.zeros((len(poses), length))
@@ -311,7 +311,7 @@ def track_both_directions(
 def _blend_paths(
     interval: Interval, tracks: FloatArray, end_row: int
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """Yield blends from the current path to others over the rows before ``end_row``."""
+    """Yield paths that blend from the current path to a track before ``end_row``."""
     progress = np.clip(np.arange(len(interval.frames)) / max(end_row, 1), 0.0, 1.0)
     weights = (progress**3 * (10 + progress * (6 * progress - 15)))[:, None]
     for track in tracks:
@@ -328,9 +328,9 @@ def best_path(
     fixed_end: bool,
     free_start: bool = False,
 ) -> FloatArray:
-    """Return the poses ``(L, C)`` of the cheapest route across candidate paths.
+    """Return the least-cost route ``(L, C)`` across candidate paths, by Viterbi search.
 
-    Minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
+    It minimises the sum of squared steps and miss costs (A. Viterbi, Error bounds for
     convolutional codes, 1967); steps above ``free_step`` are penalised. The route
     begins on the first path unless ``free_start``, and ends there if ``fixed_end``.
 

@@ -40,7 +40,7 @@ class Chain:
     # ``(first column of a ball, ball_from_joint quaternion)``.
     ball_frames: tuple[tuple[int, FloatArray], ...]
     degrees: int  # degrees of freedom
-    length: float  # [m]
+    length: float  # unit of lengths: the longest bone path to a goal [m]
 
     @property
     def kernel_arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
@@ -85,7 +85,7 @@ class Chain:
 
 
 def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return rotations ``(B, T, 4)`` expressed in rotated frames ``(T, 4)``."""
+    """Conjugate rotations ``(B, T, 4)`` by frame rotations ``(T, 4)``."""
     return np.concatenate([so3.rotate(frame, q[..., :3]), q[..., 3:]], axis=-1)
 
 
@@ -123,7 +123,7 @@ def apply_steps(chain: Chain, start: FloatArray, step: FloatArray) -> FloatArray
 
 
 def _joint_columns(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
-    """Return each joint's first coordinate, first degree of freedom, and if a ball."""
+    """Return each joint's first coordinate and degree of freedom, and a ball mask."""
     nodes = chain.nodes[chain.nodes[:, 3] == 0]
     balls = nodes[:, 0] == BALL
     widths = np.where(balls, 3, 1)
@@ -131,7 +131,7 @@ def _joint_columns(chain: Chain) -> tuple[IntArray, IntArray, BoolArray]:
 
 
 def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
-    """Return poses ``(F, C)`` with the angles of unlimited pins unwrapped."""
+    """Unwrap the angles of unlimited pins in poses ``(F, C)``."""
     columns = _joint_columns(chain)[0][_unlimited_pins(chain)]
     unwrapped_poses = poses.copy()
     unwrapped_poses[:, columns] = np.unwrap(poses[:, columns], axis=0)
@@ -139,7 +139,7 @@ def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def with_periods(chain: Chain) -> FloatArray:
-    """Return the chain's ``numbers`` with limits wider than a revolution filled in.
+    """Return the chain's ``numbers`` with the limits of pins beyond a revolution set.
 
     Limits one revolution apart, or slightly more such as ±180.1°, are left out: an
     angle that crosses one continues at the other.
@@ -156,7 +156,7 @@ def with_periods(chain: Chain) -> FloatArray:
 
 
 def _unlimited_pins(chain: Chain) -> BoolArray:
-    """Return a mask of the joints that are pins without limits."""
+    """Return a mask of the joints that are pins without angle limits."""
     independent = chain.nodes[:, 3] == 0
     is_unlimited = ~np.isfinite(with_periods(chain)[independent, 14:16]).any(axis=1)
     return np.asarray((chain.nodes[independent, 0] == PIN) & is_unlimited)

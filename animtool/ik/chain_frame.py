@@ -39,11 +39,11 @@ class SolveSpan:
     """Consecutive frames that are solved on one rig."""
 
     rig: Rig  # its rest pose contains motion outside the joint coordinates
-    frames: slice  # of the take
-    coordinates: FloatArray  # of the source poses ``(N, Q)``
+    frames: slice  # frames of the take
+    coordinates: FloatArray  # coordinates of the source poses ``(N, Q)``
     # Positions of the frames above the chains ``(N, E, 3)`` [m].
     carrier_positions: FloatArray
-    carrier_rotations: FloatArray  # and rotations ``(N, E, 4)``
+    carrier_rotations: FloatArray  # rotations of these frames ``(N, E, 4)``
 
     def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the span's targets in the carrier frame of its first pose."""
@@ -149,7 +149,7 @@ def spans_of_take(
 def _moving_sources(
     rig: Rig, driven_joints: set[int], solved_joints: set[int], is_changed: BoolArray
 ) -> list[int]:
-    """Return joints that move without being solved and that drivers read."""
+    """Return the unsolved joints that change over the frames and that drivers read."""
     if not rig.is_driven:
         return []
     plan = plan_of(rig)
@@ -162,7 +162,7 @@ def _moving_sources(
 
 
 def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
-    """Return a rig whose control defaults are the values of a frame."""
+    """Return a rig whose control defaults are set to the control values of a frame."""
     if not values:
         return rig
     controls = tuple(
@@ -175,7 +175,7 @@ def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig
 
 
 def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> set[int]:
-    """Return the joints whose rotation moves a goal, without pivots."""
+    """Return the joints whose rotation moves a goal, except those at its own point."""
     rotation_joints: set[int] = set()
     for goal, path in zip(goals, paths, strict=True):
         rotation_joints.update(path[1:] if goal.ignores_joint_rotation else path)
@@ -213,7 +213,7 @@ def _is_rotated(local: LocalTransforms) -> BoolArray:
 def _with_rest_pose(
     rig: Rig, rests: LocalTransforms, frame: int, moving: Sequence[int]
 ) -> Rig:
-    """Return the rig with the rest pose of a frame, where that differs."""
+    """Return the rig with its rest pose replaced by that of a frame, if different."""
     joints = list(rig.joints)
     for j in moving:
         translation, rotation = rests.translations[frame, j], rests.rotations[frame, j]
@@ -231,7 +231,7 @@ def _with_rest_pose(
 def _carrier_transforms(
     world: WorldTransforms, joints: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return joints' positions ``(F, E, 3)`` and rotations ``(F, E, 4)``; -1: world."""
+    """Return joint positions ``(F, E, 3)`` and rotations; the identity for joint -1."""
     count = len(world.positions)
     positions = np.zeros((count, len(joints), 3))
     rotations = np.tile(so3.IDENTITY, (count, len(joints), 1))

@@ -104,7 +104,7 @@ class ClipPath:
 
     @property
     def slack(self) -> float:
-        """Extra miss allowed for a smoother path [fraction of the length]."""
+        """Additional miss accepted for a smoother path [fraction of the length]."""
         return MISS_SLACK / self.problem.length
 
     def chain_poses(self, result: IkResult) -> FloatArray:
@@ -112,7 +112,7 @@ class ClipPath:
         return self.problem.chain.from_rig(result.coordinates)
 
     def solve_frames(self, frames: slice, starts: FloatArray) -> IkResult:
-        """Return frames solved in order, or each from its start if the clip moves."""
+        """Solve frames in order, or each from its start if the clip is a motion."""
         frame_options = replace(
             self.options.solving, ordered=True, warm=not self.is_motion
         )
@@ -134,7 +134,7 @@ class ClipPath:
         )
 
     def jump_ratios(self, poses: FloatArray, first: int = 0) -> FloatArray:
-        """Return the largest step to each next frame over the jump threshold [1].
+        """Return the largest joint step to each next frame over the jump threshold [1].
 
         ``poses`` ``(L, C)`` of the frames from the first on.
         """
@@ -144,7 +144,7 @@ class ClipPath:
         return np.asarray(np.abs(steps).max(axis=1, initial=0.0) / self.jump_threshold)
 
     def max_jump_ratio(self, poses: FloatArray, first: int) -> float:
-        """Return the maximum of `strains`."""
+        """Return the largest of `jump_ratios`."""
         return float(self.jump_ratios(poses, first).max(initial=0.0))
 
     def interval(self, poses: FloatArray, window: slice, frame: int) -> Interval:
@@ -197,7 +197,7 @@ class ClipPath:
         )
 
     def with_steadier_status(self, result: IkResult) -> IkResult:
-        """Return a result with STEADIER status where a nearer pose is known."""
+        """Return a result with status STEADIER in frames with a known nearer pose."""
         all_frames = slice(0, len(self))
         costs = self.interval(self.chain_poses(result), all_frames, 0).costs
         path_misses, least_misses = miss_of_cost(costs), miss_of_cost(self.least_costs)
@@ -220,7 +220,7 @@ class ClipPath:
     def with_window(
         self, result: IkResult, window: slice, poses: FloatArray
     ) -> IkResult:
-        """Return a result with a window replaced and later frames solved again."""
+        """Replace the poses of a window in a result, and solve later frames again."""
         chain = self.problem.chain
         current_poses = self.chain_poses(result)
         misses = self.frame_path.select_frames(window).measure_misses(poses)
@@ -244,13 +244,13 @@ class ClipPath:
 
 
 def _select_frames(result: IkResult, frames: slice) -> IkResult:
-    """Return some of the frames of a result."""
+    """Return the result of the selected frames."""
     values = {name: getattr(result, name)[frames] for name in _per_frame_fields()}
     return replace(result, **values)
 
 
 def _concatenate(results: Sequence[IkResult]) -> IkResult:
-    """Return the concatenated frames of results."""
+    """Concatenate results along the frame axis."""
     values: dict[str, Any] = {}
     for name in _per_frame_fields():
         field_values = [getattr(result, name) for result in results]
@@ -262,5 +262,5 @@ def _concatenate(results: Sequence[IkResult]) -> IkResult:
 
 
 def _per_frame_fields() -> list[str]:
-    """Return the names of the per-frame fields of a result."""
+    """Return the names of the result fields that hold a value for each frame."""
     return [f.name for f in fields(IkResult) if f.name not in {"problem", "jumps"}]

@@ -53,7 +53,7 @@ def follow(
     goals, the solution jumps to another branch. Then other paths are searched over ever
     longer intervals before the jump, until one avoids it: solutions from seeded starts,
     tracked forward and backward in time, and blends to these that stay on the goals.
-    The path with the least sum of squared steps is taken and its speed evened out.
+    The path with the least sum of squared steps is chosen and its speed evened out.
     Reaching goals takes precedence over avoiding jumps. No path is searched where no
     other solution of the frame jumps less.
 
@@ -122,7 +122,7 @@ def _check(options: FollowOptions) -> None:
 
 
 def _solve_in_order(clip: ClipPath) -> IkResult:
-    """Return the frames solved in order, with avoidable jumps removed."""
+    """Solve the frames in order, then remove the jumps that another path avoids."""
     result = clip.solve_frames(slice(0, len(clip)), clip.start)
     for attempt in range(MAX_SEARCHES if _has_small_solution_set(clip) else 0):
         if not _is_worth_search(clip, clip.chain_poses(result), attempt):
@@ -147,13 +147,13 @@ def _solve_in_order(clip: ClipPath) -> IkResult:
 
 
 def _has_small_solution_set(clip: ClipPath) -> bool:
-    """Whether the solution set of a frame is small enough to search exhaustively."""
+    """Return whether a frame's solution set is small enough to search exhaustively."""
     redundancy = clip.problem.degrees - clip.problem.rows
     return not clip.is_motion and redundancy <= MAX_REDUNDANCY
 
 
 def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
-    """Whether the worst step is a jump that another path may avoid."""
+    """Return whether the largest step is a jump that another path may avoid."""
     ratios = clip.jump_ratios(poses)
     if not len(ratios) or ratios.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
         return False
@@ -161,10 +161,10 @@ def _is_worth_search(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
 
 
 def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
-    """Whether a frame has other solutions with a smaller jump.
+    """Return whether a frame has other solutions with a smaller jump.
 
-    Without any, as where targets return into reach and straight limbs bend, searching
-    for a path that avoids the jump is useless.
+    Without such solutions, as where targets return into reach and straight limbs bend,
+    no path can avoid the jump.
     """
     window = slice(frame - 1, frame + 1)
     interval = clip.interval(poses[window], window, frame)
@@ -194,7 +194,7 @@ def _search_full_clip(clip: ClipPath, result: IkResult, attempt: int) -> IkResul
 
 
 def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return a result whose frames that miss goals are searched individually.
+    """Search the frames that miss goals individually, and return the improved result.
 
     A frame solved from a missed one stays on its branch; here it may switch to a nearer
     one.
@@ -239,7 +239,7 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
 
 
 def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
-    """Return a result with a better path to a frame that jumps."""
+    """Search windows before a jump for a better path; return the improved result."""
     poses = clip.chain_poses(result)
     smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
     best_result: tuple[slice, FloatArray] | None = None
@@ -313,7 +313,7 @@ def _best_even_path(
 
 
 def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
-    """Return the best path of a moving clip across branches, if steadier.
+    """Return the best path of a moving clip across branches, if it jumps less.
 
     It may begin and end on any branch, and stays as near to the clip as steps allow.
     """
@@ -338,7 +338,7 @@ def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
 
 
 def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return squared strains of jumps, 0 for other steps ``(F - 1,)``."""
+    """Return the squared jump ratio of each step, 0 without a jump ``(F - 1,)``."""
     ratios = np.zeros(max(len(poses) - 1, 0))
     rows = clip.find_jumping_frames(poses) - 1
     ratios[rows] = clip.jump_ratios(poses)[rows] ** 2
@@ -346,7 +346,7 @@ def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
 
 
 def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return a path with its speed evened out around each jump, where that helps."""
+    """Even out the speed around each jump of a path, where that reduces the jump."""
     poses = poses.copy()
     for frame in clip.find_jumping_frames(poses).tolist():
         for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):

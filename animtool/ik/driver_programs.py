@@ -45,7 +45,7 @@ _Row = tuple[str, int, tuple[float, ...]]
 def with_sources(
     rig: Rig, moving: set[int], goals: Sequence[Goal], joints: Collection[str] | None
 ) -> set[int]:
-    """Return moving joints with the sources of driven ones.
+    """Return the moving joints, including joints that drive a driven joint.
 
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
@@ -67,7 +67,7 @@ def with_sources(
 
 
 def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
-    """Return a goal's joint and those above it, up to its root."""
+    """Return a goal's joint and the joints above it, up to the goal's root."""
     joints_above = rig.upwards(rig.index(goal.joint))
     if goal.root not in rig.names:
         return joints_above
@@ -76,10 +76,10 @@ def _joints_below_root(rig: Rig, goal: Goal) -> list[int]:
 
 @dataclass(frozen=True, slots=True)
 class CoordinateSource:
-    """Location of a joint's coordinate in the chain."""
+    """Column of a joint's coordinate in the chain, with a mimic's gain and shift."""
 
-    column: int  # first of the chain's coordinates
-    gain: float = 1.0  # factor of a mimic joint
+    column: int  # first column in the chain's coordinates
+    gain: float = 1.0  # gain of a mimic joint
     shift: float = 0.0
 
 
@@ -138,7 +138,7 @@ class Programs:
         return [self._numbers[target] for target in self.requested], nodes, numbers
 
     def _targets_read(self, target: str) -> list[str]:
-        """Return the targets whose results a program may read."""
+        """Return the joints and controls whose values a target's program reads."""
         kind, _, name = target.partition("/")
         names: list[str] = []
         if kind == "joint":
@@ -263,7 +263,7 @@ class Programs:
         return [*rows, *_multiply_rows(source.gain), *_add_rows(source.shift)]
 
     def _static_coordinate(self, j: int, part: str) -> float:
-        """Return a coordinate of a static joint."""
+        """Return the value of a static joint's coordinate [rad], [m]."""
         values = self.pose[coordinate_slices(self.rig)[j]][None]
         spec = self.rig.joints[j]
         if spec.type is JointType.BALL:
@@ -272,12 +272,12 @@ class Programs:
 
 
 def _multiply_rows(factor: float) -> list[_Row]:
-    """Return the rows that multiply by a factor; none for 1."""
+    """Return the program rows that multiply by a factor; no rows for 1."""
     return [] if factor == 1.0 else [("number", 0, (factor,)), ("*", 0, ())]
 
 
 def _add_rows(term: float) -> list[_Row]:
-    """Return the rows that add a term; none for 0."""
+    """Return the program rows that add a term; no rows for 0."""
     return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
 
 

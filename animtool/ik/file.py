@@ -53,7 +53,7 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
             else, in metres, and takes every name for a joint.
 
     Raises:
-        FormatError: With every fault of the file, each with line and column.
+        FormatError: The file is faulty; lists every fault with line and column.
         OptionError: The project's settings are malformed.
     """
     return targets_of_document(read_document(Path(path)), rig)
@@ -124,7 +124,7 @@ class _TargetsReader:
         )
 
     def _blame_rig(self) -> None:
-        """Record once, and not for each goal, that the targets are for another rig."""
+        """Merge faults of unknown effectors if the targets are for another rig."""
         faults, count = self.document.faults, len(self.model.goals)
         unknown = [
             fault
@@ -261,7 +261,7 @@ class _TargetsReader:
     def _read_root(
         self, at: Location, model: GoalModel, joint: str | None, chain: IkChain | None
     ) -> str | None:
-        """Return the root of a goal: that of the file, else that of its chain."""
+        """Return the root of a goal from the file, else the root of its chain."""
         name = model.root
         if name is None:
             return None if chain is None else chain.root
@@ -282,7 +282,7 @@ class _TargetsReader:
     def _read_spans(
         self, location: Location, spans_in_file: list[list[float]]
     ) -> list[tuple[float, float]]:
-        """Return spans in order; reversed or overlapping ones are faults."""
+        """Return spans in ascending order; record reversed or overlapping spans."""
         spans: list[tuple[float, float, int]] = []
         for i, span in enumerate(spans_in_file):
             if self.document.is_placeholder((*location, i)):
@@ -307,7 +307,7 @@ class _TargetsReader:
         return [(first, last) for first, last, _ in spans]
 
     def _read_axis(self, location: Location, axis: list[float]) -> Vector:
-        """Return a unit direction; a fault if it has zero length."""
+        """Normalize a direction; record a fault if it has zero length."""
         length = math.hypot(*axis)
         if not length > MIN_DIRECTION:
             message = f"direction {axis} has zero length"
@@ -373,5 +373,5 @@ def _hold_parts(
 
 
 def _enabling_weights(parts: AbstractSet[str]) -> dict[str, float]:
-    """Return weights that enable some parts of a goal."""
+    """Return goal weights: 1 for each of the given parts."""
     return {part: 1.0 if part in parts else 0.0 for part in PARTS}

@@ -34,7 +34,7 @@ class FitOptions:
             problem. Less is smoother.
         robust: Weighted miss above which a goal's influence falls; infinity is plain
             least squares.
-        rounds: Maximum number of iterations over all frames together.
+        rounds: Maximum number of Gauss-Newton iterations over all frames together.
     """
 
     fps: float
@@ -54,7 +54,7 @@ class FitResult:
             frames ``(F,)``.
         target_indices: Index of the target assigned to each goal ``(F, E)``: its own
             unless labels were swapped; -1 without target.
-        rounds: Number of iterations over all frames together.
+        rounds: Number of Gauss-Newton iterations over all frames together.
         cost_before: Objective before these iterations [1].
         cost_after: Objective after these iterations [1].
     """
@@ -77,7 +77,7 @@ def fit(
     path: FloatArray | None = None,
     first: int = 0,
 ) -> FitResult:
-    """Return poses of F frames that fit targets which no pose reaches exactly.
+    """Fit poses of F frames to noisy targets by robust least squares over all frames.
 
     Minimises the sum over the frames of ``r² / (1 + r² / robust²)`` of each goal's
     weighted miss r, plus squared joint accelerations over the typical one, by

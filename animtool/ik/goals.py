@@ -128,7 +128,7 @@ def by_unit(length: float, angle: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class Goal:
-    """A goal of a joint or of a point in its frame.
+    """An IK goal of a joint, or of a point in the joint's frame.
 
     Weights multiply the residuals before these are squared and summed: positions in
     fractions of the problem's length, the others in radians. A weight of 0 disables.
@@ -186,7 +186,7 @@ class Goal:
 
     @property
     def kinds(self) -> tuple[GoalKind, ...]:
-        """Kinds with a weight above 0."""
+        """Goal kinds with a weight above 0."""
         return tuple(kind for kind in KINDS if getattr(self, kind.name) > 0)
 
     @property
@@ -281,7 +281,7 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:
-    """Return the targets of some frames."""
+    """Return the targets of the selected frames."""
     arrays = [getattr(targets, field.name) for field in fields(Targets)]
     return Targets(
         *[None if array is None else np.asarray(array)[frames] for array in arrays]
@@ -331,7 +331,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
 
 
 def _quaternion_w_columns() -> list[int]:
-    """Return the columns of the scalar parts of rotations."""
+    """Return the columns of packed targets that hold the w of a quaternion."""
     return [TARGET_COLUMNS[kind.name].stop - 1 for kind in KINDS if _is_rotation(kind)]
 
 
@@ -341,7 +341,7 @@ def _is_rotation(kind: GoalKind) -> bool:
 
 
 def _limit_direction_sizes(directions: FloatArray) -> None:
-    """Scale huge direction targets so that their squares do not overflow."""
+    """Scale down huge direction targets so that their squares do not overflow."""
     sizes = np.abs(directions).max(axis=2, keepdims=True)
     if (sizes > MAX_COORDINATE).any():
         directions *= MAX_COORDINATE / np.maximum(sizes, MAX_COORDINATE)
@@ -354,7 +354,7 @@ def _checked_shape(
     columns: slice,
     faults: list[Fault],
 ) -> FloatArray | None:
-    """Return the targets of one part; None where missing or of another shape."""
+    """Return the targets of one part as an array; None if missing or misshapen."""
     if values is None:
         return None
     width = columns.stop - columns.start
@@ -380,7 +380,7 @@ def _active_parts(goals: tuple[Goal, ...], packed: FloatArray) -> BoolArray:
 
 
 def _all_values_valid(packed: FloatArray) -> bool:
-    """Return whether all values are valid, whether used or not."""
+    """Return whether all packed values are valid, including unused ones."""
     rotations_valid = all(
         packed[:, :, TARGET_COLUMNS[kind.name]].any(axis=2).all()
         for kind in KINDS

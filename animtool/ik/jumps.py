@@ -28,7 +28,7 @@ MIN_SLIDE, SLIDE_NOISE = 0.1, 0.001
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A joint that moves much farther in a frame than in the source motion.
+    """A discontinuity: a joint moves much farther in a frame than in the source.
 
     Attributes:
         frame: Index of the frame after the jump.
@@ -140,7 +140,7 @@ def _moving_joints(
     solved_poses: LocalTransforms,
     windings: FloatArray | None,
 ) -> IntArray:
-    """Return the joints that move: static ones cannot jump."""
+    """Return the joints that move in the solved or the source motion."""
     is_moving = np.zeros(solved_poses.rotations.shape[1], np.bool_)
     for poses in (solved_poses, source_poses):
         if poses is not None:
@@ -152,7 +152,7 @@ def _moving_joints(
 
 
 def _select_joints(poses: LocalTransforms, joints: IntArray) -> LocalTransforms:
-    """Return the poses of some joints."""
+    """Return the poses of the selected joints."""
     return LocalTransforms(poses.translations[:, joints], poses.rotations[:, joints])
 
 
@@ -162,7 +162,7 @@ def _rotation_steps(rotations: FloatArray) -> FloatArray:
 
 
 def _find_jerks(steps: FloatArray, goal_moves: FloatArray) -> BoolArray:
-    """Return a mask of steps ``(F - 1, N)`` that far exceed their neighbours."""
+    """Return a mask of steps ``(F - 1, N)`` that far exceed the adjacent steps."""
     largest_neighbour = np.zeros_like(steps)
     for offset in range(1, NEIGHBOURS + 1):
         largest_neighbour[offset:] = np.maximum(
@@ -188,7 +188,7 @@ def _jumps_at(
     goal_moves: FloatArray,
     length: float | None = None,
 ) -> list[Jump]:
-    """Return the jumps of flagged steps ``(F - 1, J)``; with a length, slides."""
+    """Return the jumps at flagged steps ``(F - 1, J)``; slides if a length is given."""
     by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
     steps_and_joints: IntArray = np.argwhere(flags)
     return [

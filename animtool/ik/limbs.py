@@ -56,11 +56,11 @@ STRAIGHT = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class GoalLimb:
-    """A limb from a joint with a fixed position to a goal's point."""
+    """A limb from a joint at a fixed position to a goal's point, for soft extension."""
 
     goal: int  # index of the goal in the problem
     joints: tuple[int, ...]  # joints whose translations are the limb's bones
-    origin: FloatArray  # of its root [fraction of the problem's length] ``(3,)``
+    origin: FloatArray  # position of the root [fraction of problem length] ``(3,)``
     max_length: float  # its largest extension within limits [same unit]
     bone_length: (
         float  # growth of the reach per relative growth of the bones [same unit]
@@ -97,7 +97,7 @@ def find_limbs(
 def _goal_limb(
     rig: Rig, goal: Goal, e: int, moving: set[int], chain: Chain
 ) -> GoalLimb:
-    """Return the limb of a goal."""
+    """Return the limb of a goal, with its bones, reach and rest position."""
     path = _goal_nodes(chain, e)
     joints_above = rig.upwards(rig.index(goal.joint))
     top_index = max(i for i, j in enumerate(joints_above) if j in moving)
@@ -204,14 +204,14 @@ class SoftReach:
     is_softened: BoolArray
 
     def __getitem__(self, rows: IntArray) -> SoftReach:
-        """Return the rows of some of the problems."""
+        """Return the rows of the selected problems."""
         return SoftReach(
             self.reachable_targets[rows], self.bone_scales[rows], self.is_softened[rows]
         )
 
 
 def extend_softly(limbs: Sequence[GoalLimb], targets: FloatArray) -> SoftReach:
-    """Return targets moved within reach of their limbs, and bone length scales.
+    """Move targets within reach of their limbs; also return bone length scales.
 
     The bones grow by the distance that the softened extension lacks, up to their
     stretch; then the target is moved within reach.

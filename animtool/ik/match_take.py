@@ -170,13 +170,13 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
 
 
 def _path(rig: Rig, tip: str, root: str | None = None) -> list[int]:
-    """Return the joints from a tip to a root, or to the topmost joint."""
+    """Return the joint path from a tip up to a root, or to the topmost joint."""
     path = rig.upwards(rig.index(tip))
     return path if root is None else path[: path.index(rig.index(root)) + 1]
 
 
 def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> set[int]:
-    """Return the joints that are off their rest values in any frame."""
+    """Return the joints whose values differ from rest in any frame."""
     joint_indices = np.array(sorted(joints), np.int64)
     values, rest_values = channel.gather(joint_indices), rest[joint_indices]
     if values.shape[2] == 4:
@@ -209,20 +209,20 @@ def _track(
 
 @dataclass(slots=True)
 class _ValueBuilder:
-    """Builds target values from rows."""
+    """Builds target values from per-frame rows: constants, keys or arrays."""
 
     clock: Clock  # F frames
-    units: ClipUnits  # of the file
+    units: ClipUnits  # units of the file
     arrays: str | None  # file of arrays; None writes keys
     first: Fraction  # frame of the first row
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
-    names: set[str] = field(default_factory=set)  # of the arrays so far
+    names: set[str] = field(default_factory=set)  # array names in use
 
     def build_value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
-            rows: By frame.
+            rows: Values of each frame.
             name: Name of the array.
             joint: Joint that decides the Euler order.
         """
@@ -235,7 +235,7 @@ class _ValueBuilder:
         return ArrayRows(f"{self.arrays}#{self._unique_name(name)}", rows, self.first)
 
     def _unique_name(self, name: str) -> str:
-        """Return a name that no other array has, with word characters only."""
+        """Return a unique array name of word characters only."""
         unique = identifier = re.sub(r"\W", "_", name)
         number = 2
         while unique in self.names:
@@ -244,7 +244,7 @@ class _ValueBuilder:
         return unique
 
     def _keys_per_frame(self, rows: FloatArray) -> ClipChannel:
-        """Return a key for each frame."""
+        """Return a channel with a key for each frame."""
         count, width = rows.shape
         is_rotation = width == 4
         tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
@@ -262,7 +262,7 @@ class _ValueBuilder:
     def _fit_sparse_keys(
         self, rows: FloatArray, joint: Joint, tolerance: float
     ) -> Value:
-        """Return few keys that stay within the tolerance."""
+        """Fit sparse keys that stay within the tolerance of the rows."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
             channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)

@@ -113,7 +113,7 @@ def _goal_of_chain(chain: IkChain) -> Goal:
 
 @dataclass(frozen=True, slots=True)
 class _BendingLimb:
-    """A limb with a bending middle joint.
+    """A limb from root to tip with a middle joint that bends it.
 
     Attributes:
         root, middle, tip: Joints.
@@ -134,7 +134,7 @@ class _BendingLimb:
 def _bending_limb(
     rig: Rig, chain: IkChain, goal: Goal, rest: WorldTransforms
 ) -> _BendingLimb | None:
-    """Return the limb of a chain as its goal is solved; None without one."""
+    """Return the limb that the solver bends for a chain; None if there is none."""
     if not goal.position:
         return None
     tip, origins = rig.index(chain.tip), rest.positions[0]
@@ -166,7 +166,7 @@ def _bending_limb(
 
 
 def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
-    """Return a limb's pole positions ``(F, 3)`` [m]."""
+    """Return poles that determine a limb's bend in each frame ``(F, 3)`` [m]."""
     root, middle, tip = (
         world.positions[:, j] for j in (limb.root, limb.middle, limb.tip)
     )
@@ -197,7 +197,7 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
 
 
 def _normalize(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:
-    """Return unit vectors ``(F, 3)``, and a mask of those above a length ``(F,)``."""
+    """Normalize vectors ``(F, 3)``; mask those longer than ``min_length`` ``(F,)``."""
     lengths = np.linalg.norm(vectors, axis=1)
     is_longer = lengths > min_length
     return vectors / np.where(is_longer, lengths, 1.0)[:, None], is_longer

@@ -28,7 +28,7 @@ MAX_REFINED = 4
 
 
 def frames_out_of_reach(result: IkResult, options: IkOptions) -> IntArray:
-    """Return the frames that miss goals and may have nearer poses."""
+    """Return the frames of status NEAREST, if options allow a further search."""
     if options.seconds > 0 or options.restarts == 0:
         return np.zeros(0, np.int64)
     return np.flatnonzero([status is IkStatus.NEAREST for status in result.statuses])
@@ -41,7 +41,7 @@ def find_nearest_poses(
     options: IkOptions,
     prefer: ArrayLike,
 ) -> IkResult:
-    """Return B unreachable problems, each at the nearest pose found.
+    """Return the nearest pose found for each of B problems with unreachable goals.
 
     Descent from random starts ends in wide minima, but the pose nearest to unreachable
     targets is usually at limits; therefore combinations of limits are starts, too.
@@ -152,7 +152,7 @@ def _limit_combinations(
 def _replace_rows(
     result: IkResult, replacement: IkResult, rows: IntArray, from_rows: IntArray
 ) -> IkResult:
-    """Return a result with some rows replaced by those of another."""
+    """Return a result whose given rows are replaced by rows of another result."""
     if not len(rows):
         return result
     statuses = list(result.statuses)
@@ -167,7 +167,7 @@ def _replace_rows(
 
 
 def _select_rows(result: IkResult, rows: IntArray) -> IkResult:
-    """Return a subset of a result's problems."""
+    """Return a result with only the selected problems."""
     arrays = {name: getattr(result, name)[rows] for name in _per_problem_arrays()}
     statuses = tuple(result.statuses[row] for row in rows.tolist())
     return replace(result, statuses=statuses, **arrays)

@@ -52,7 +52,7 @@ def count_solves(tracks: TargetTracks) -> int:
 def solve_fade_sources(
     take: Take, tracks: TargetTracks, solve_tracks: SolveTracks
 ) -> tuple[Take, ...]:
-    """Return for each goal the take that it fades from and to.
+    """Return, for each goal, the take from which it fades in and to which it fades out.
 
     That is the take solved for all goals except those with the same spans. Where two
     spans overlap in their eases, the other's ease is ignored.
@@ -76,7 +76,7 @@ _ALWAYS_ACTIVE: object = ()
 
 
 def _span_key(track: GoalTrack) -> object:
-    """Return what goals must share to fade together."""
+    """Return the key of goals that fade together: their active spans and ease."""
     return (track.during, track.ease) if track.during else _ALWAYS_ACTIVE
 
 
@@ -92,7 +92,7 @@ def _solve_for_goals(
     bare_take: Take,
     solve_tracks: SolveTracks,
 ) -> Take:
-    """Return the take solved for some goals; goals with spans fade from a bare one."""
+    """Return the take solved for the given goals, which fade from a bare take."""
     if not goals:
         return take
     fade_sources = tuple(bare_take if track.during else take for track in goals)
@@ -113,7 +113,7 @@ def solve_take(
     only: int | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeIk:
-    """Return a take solved for targets.
+    """Solve a take for targets, and return the solved take with its misses.
 
     Each frame starts at its source pose. Joints that move no goal keep it, and so do
     all joints in frames without active goals, except that joints that move a goal are
@@ -172,7 +172,7 @@ def _solve_take(
     only: int | None,
     progress: Callable[[float], None],
 ) -> TakeIk:
-    """Return a take solved for targets with their fade sources."""
+    """Solve a take for targets that fade from and to the given takes."""
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_types(take.rig)
     rig, indices = sub_rig(typed_rig, (goal.joint for goal in goals))
@@ -215,7 +215,7 @@ def _solve_take(
 def _find_open_poles(
     rig: Rig, indices: IntArray, solved_take: TakeIk, targets: Targets
 ) -> BoolArray:
-    """Return where poles lie on the line of their solved limb ``(F, E)``."""
+    """Return a mask of poles that lie on the line of their solved limb ``(F, E)``."""
     motion = solved_take.take.motion
     local = motion.translations.gather(indices), motion.rotations.gather(indices)
     goals = [track.goal for track in solved_take.tracks.goals]
@@ -255,7 +255,7 @@ def _min_target_distances(
 def _world_like(
     rig: Rig, indices: IntArray, take: Take, reference: WorldTransforms
 ) -> WorldTransforms:
-    """Return world transforms of a take, one frame repeated to another's length."""
+    """Return a take's world transforms, a single frame repeated to the reference's."""
     motion = take.motion
     world = forward_kinematics(
         rig, motion.translations.gather(indices), motion.rotations.gather(indices)

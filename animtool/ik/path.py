@@ -63,14 +63,14 @@ class FramePath:
     options: IkOptions
 
     def select_frames(self, rows: slice) -> FramePath:
-        """Return some consecutive frames."""
+        """Return the path restricted to consecutive frames."""
         drifts = self.preserved_steps[rows.start : rows.stop - 1]
         row_indices = np.arange(len(self.targets))[rows]
         targets, limbs = self.targets[rows], self.soft_reach[row_indices]
         return replace(self, targets=targets, soft_reach=limbs, preserved_steps=drifts)
 
     def steps(self, poses: FloatArray) -> FloatArray:
-        """Return steps of poses ``(F, C)`` from frame to frame, minus the drifts."""
+        """Return steps between poses ``(F, C)``, minus the preserved steps."""
         return (
             difference(self.problem.chain, poses[:-1], poses[1:]) - self.preserved_steps
         )
@@ -122,12 +122,12 @@ class FramePath:
         return self._run_kernel(poses, (1.0, 0.0, 0.0), (0, 0), 0)[1]
 
     def tolerance_ratios(self, misses: FloatArray) -> FloatArray:
-        """Return the miss of each goal in tolerances ``(F, E)``."""
+        """Return the miss of each goal, divided by its tolerance ``(F, E)``."""
         tolerances = by_unit(self.options.tolerance, self.options.angle_tolerance)
         return np.asarray((misses / tolerances).max(axis=2, initial=0.0))
 
     def max_tolerance_ratio(self, misses: FloatArray) -> FloatArray:
-        """Return the largest miss of each frame in tolerances ``(F,)``."""
+        """Return each frame's largest miss, divided by its tolerance ``(F,)``."""
         return np.asarray(self.tolerance_ratios(misses).max(axis=1, initial=0.0))
 
     def _run_kernel(
@@ -164,7 +164,7 @@ class FramePath:
 def build_frame_path(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
 ) -> FramePath:
-    """Return the path of a problem; a start ``(F, Q)`` is motion to keep."""
+    """Build the path of a problem; the motion of a start ``(F, Q)`` is preserved."""
     packed = pack_for_chain(problem, targets)
     drifts = np.zeros((max(len(packed) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:
@@ -197,7 +197,7 @@ def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
 
 
 def _target_steps(value: TargetValue, targets: FloatArray) -> FloatArray:
-    """Return the steps of targets ``(F, E, W)``, lengths or angles ``(F - 1, E)``."""
+    """Return distances or angles ``(F - 1, E)`` between targets ``(F, E, W)``."""
     if value is TargetValue.ROTATION:
         return so3.angle_between(targets[1:], targets[:-1])
     return np.asarray(np.linalg.norm(np.diff(targets, axis=0), axis=2))
@@ -252,7 +252,7 @@ def _find_jumps(
     steps: FloatArray,
     fps: float,
 ) -> tuple[Jump, ...]:
-    """Return the jumps of coordinates ``(F, Q)``, with stretched bones if any."""
+    """Find the jumps of coordinates ``(F, Q)``, including stretched bones."""
     local = local_from_coordinates(problem.rig, rows)
     if translations is not None:
         local = replace(local, translations=translations)

@@ -24,7 +24,7 @@ def poles_on_lines(
     targets: Targets,
     active: BoolArray,
 ) -> BoolArray:
-    """Return where poles lie on the line from root to end of a bent limb ``(F, E)``.
+    """Return a mask of poles on the line from root to end of a bent limb ``(F, E)``.
 
     Args:
         rig: J joints.
@@ -62,7 +62,7 @@ def poles_on_lines(
 
 
 def _distances(points: FloatArray, root: FloatArray, end: FloatArray) -> FloatArray:
-    """Return distances of points from lines through root and end ``(F,)`` [m]."""
+    """Return distances of points from the line through root and end ``(F,)`` [m]."""
     line = end - root
     length = np.maximum(np.linalg.norm(line, axis=1), 1e-300)
     cross_products = np.cross(points - root, line / length[:, None])

@@ -199,7 +199,7 @@ def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
 def find_moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
-    """Return the joints that move a goal, among those allowed; None allows all."""
+    """Return the allowed joints that move a goal; None allows all joints."""
     moving_indices: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)

@@ -45,13 +45,13 @@ OVERFLOW_DISTANCE = 1e150
 
 @dataclass(frozen=True, slots=True)
 class Misses:
-    """Misses of one part of a goal over the frames that use it."""
+    """Statistics of the misses of one part of a goal, over the frames that use it."""
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
-    frames: int  # number of frames that use it
-    mean: float  # over those frames
+    frames: int  # number of frames that use the part
+    mean: float  # mean miss over those frames
     p95: float  # 95th percentile
-    max: float  # in the worst frame
+    max: float  # miss in the worst frame
     frame: float  # time code of the worst frame
 
     json_keys: ClassVar[str] = "unit frames mean p95 max frame"
@@ -75,7 +75,7 @@ class MissedSpan:
     last: float  # time code of the last frame
     # Distance from the target to the reached point, of the worst frame [m].
     distance: float
-    angle: float  # in the worst frame [rad]
+    angle: float  # angular miss in the worst frame [rad]
     frame: float  # time code of the worst frame
     # Status of the worst frame; STEADIER if any frame has it.
     status: IkStatus
@@ -83,13 +83,13 @@ class MissedSpan:
 
 @dataclass(frozen=True, slots=True)
 class GoalReport:
-    """Result of one goal over a take."""
+    """Misses of one goal over a take, and the spans in which it is missed."""
 
-    name: str  # the effector
-    joint: str  # its joint
+    name: str  # name of the effector
+    joint: str  # joint of the effector
     location: tuple[int, int]  # line and column in the targets file
     misses: tuple[Misses, ...]  # one for each part that is used
-    spans: tuple[MissedSpan, ...]  # where it is missed by more than the tolerances
+    spans: tuple[MissedSpan, ...]  # spans in which a tolerance is exceeded
 
     @property
     def residuals(self) -> dict[str, Misses]:
@@ -156,7 +156,7 @@ def _misses(part: str, times: FloatArray, misses: FloatArray) -> Misses:
 def _spans(
     solved_take: TakeIk, misses: FloatArray, is_missed: BoolArray
 ) -> list[MissedSpan]:
-    """Return the spans of frames that miss a goal, from misses ``(F, 4)``."""
+    """Return the runs of frames in which a goal is missed, from misses ``(F, 4)``."""
     times = solved_take.take.clock.times
     spans = []
     for first, end in runs(is_missed):
@@ -205,7 +205,7 @@ def missed_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[Fault
 
 
 def pole_notices(solved_take: TakeIk) -> list[Fault]:
-    """Return a warning for each pole that leaves its limb's plane open (IK103)."""
+    """Return a warning for each pole that leaves a limb's plane undefined (IK103)."""
     if solved_take.open_poles is None:
         return []
     times, notices = solved_take.take.clock.times, []
@@ -344,7 +344,7 @@ def _jump_sort_key(solved_take: TakeIk) -> Callable[[Jump], tuple[bool, float]]:
     """Return a sort key of jumps; slides are measured in chain lengths."""
 
     def bad(jump: Jump) -> tuple[bool, float]:
-        """Return whether goals do not explain a jump, and its excess."""
+        """Return whether a jump is not explained by goals, and its excess."""
         unit = solved_take.problem.length if jump.slides else 1.0
         return (not jump.by_goals, (jump.size - jump.source) / unit)
 
@@ -480,7 +480,7 @@ def independent_frame_notices(
 
 
 def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fault:
-    """Return a warning about one of the goals."""
+    """Return a warning with a code and a message, located at a goal."""
     line, column = solved_take.tracks.goals[goal].location
     return Fault(
         code,
@@ -494,7 +494,7 @@ def _goal_warning(solved_take: TakeIk, code: str, goal: int, message: str) -> Fa
 
 
 def _miss_text(report: GoalReport) -> str:
-    """Return where and by how much a goal is missed, as text."""
+    """Return text that states the frames, the part and the size of a goal's miss."""
     worst = max(report.spans, key=lambda span: span.distance + span.angle)
     frames_text = listed([_frames_text(span) for span in report.spans], max_items=6)
     amounts = []

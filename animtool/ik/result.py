@@ -30,7 +30,7 @@ LIMIT_TOLERANCE = 1e-8
 
 
 class IkStatus(StrEnum):
-    """How a solve ended.
+    """Status of a solve: whether goals are reached, or why not.
 
     Attributes:
         CONVERGED: Every goal is reached.
@@ -104,7 +104,7 @@ class IkResult:
 
     @property
     def positions(self) -> FloatArray:
-        """Position misses of each goal ``(B, E)`` [m]; 0 without one."""
+        """Position misses of each goal ``(B, E)`` [m]; 0 without a position."""
         return self.misses[:, :, PARTS.index("position")]
 
     @property
@@ -177,7 +177,7 @@ class IkResult:
         return drive_take(Take(rig, clock, motion))
 
     def limits_active(self, index: int = 0) -> list[str]:
-        """Return the joints on a limit in one of the poses."""
+        """Return the names of the joints that are at a limit in pose ``index``."""
         row = self.coordinates[index][None]
         names = frames_on_limits(self.problem, row)
         return [name for name, is_on_limit in names.items() if is_on_limit[0]]
@@ -205,7 +205,7 @@ def frames_on_limits(problem: Problem, coordinates: FloatArray) -> dict[str, Boo
 
 
 def _is_on_limit(limit: RangeLimit | BallLimit, coordinates: FloatArray) -> BoolArray:
-    """Return in which poses a coordinate is on its limit ``(B,)``."""
+    """Return a mask of the poses in which a coordinate is at its limit ``(B,)``."""
     if isinstance(limit, RangeLimit):
         distance = np.minimum(
             coordinates[:, 0] - limit.low, limit.high - coordinates[:, 0]

@@ -47,7 +47,7 @@ COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
 
 
 class ClosedForm(IntEnum):
-    """Closed forms of problems, as numbered in the kernel."""
+    """Closed-form solutions, with their numbers in the kernel."""
 
     NONE = 0
     LIMB = 1  # two bones and a position
@@ -70,7 +70,7 @@ def _closed_form(problem: Problem) -> ClosedForm:
 
 
 def build_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
-    """Return a solver of a problem; it keeps the last solved frame."""
+    """Build the kernel solver of a problem; it caches the last solved frame."""
     form = (
         closed_form(problem)
         if options.method in CLOSED_FORM_METHODS

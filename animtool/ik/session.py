@@ -30,14 +30,14 @@ RequestedKinds: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
 @dataclass(frozen=True, slots=True)
 class _PackedProblem:
-    """A problem, its solver, and its target buffer."""
+    """A problem with its kernel solver and a target buffer that each call fills."""
 
     problem: Problem
     solver: _kernels.RigSolver
     has_branches: bool
     rest: FloatArray  # rest pose ``(1, Q)``
-    targets: FloatArray  # ``(1, E, W)``
-    views: tuple[FloatArray, ...]  # views into it, one per used part in order
+    targets: FloatArray  # packed target buffer ``(1, E, W)``
+    views: tuple[FloatArray, ...]  # views into the buffer, one per used part
 
 
 class Session:
@@ -84,7 +84,7 @@ class Session:
         options: IkOptions | None = None,
         rest_weight: float = 0.0,
     ) -> None:
-        """Store what is common to all calls."""
+        """Store the rig, goals and options that all calls share."""
         self.rig = rig
         self.options = options or IkOptions()
         check_options(self.options)
@@ -152,7 +152,7 @@ class Session:
         start: ArrayLike | None = None,
         **named: Any,
     ) -> FloatArray:
-        """Return all poses ``(N, Q)`` of an arm that reach a target pose of its end.
+        """Return all poses ``(N, Q)`` with which an arm's end reaches a target pose.
 
         Within the limits, the nearest to ``start`` first; angles that are free, where
         axes align, are those of the start.
@@ -211,7 +211,7 @@ class Session:
         return OptionError(Fault("TGT001", message, hint=hint))
 
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
-        """Return the packed problem of some goals, with an initial target buffer."""
+        """Return the packed problem of the given goals, with a target buffer."""
         goals = [
             _goal_of_call(self._goals[name], name, kind_mask)
             for name, kind_mask in requested
@@ -265,7 +265,7 @@ def _goals_by_name(
 def _target_parts(
     name: str, goal: Goal | None, value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
-    """Return the targets in a goal's value, and a mask of their kinds."""
+    """Split the value of a goal into targets, and a mask of the kinds they set."""
     if goal is None and (not isinstance(value, tuple) or len(value) == 3):
         return (value,), (True, False)
     kinds = JOINT_KINDS if goal is None else goal.kinds
@@ -287,7 +287,7 @@ def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> 
 
 
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
-    """Return the error of targets whose shapes do not fit their goals."""
+    """Return the error that the shapes of targets do not match the goals."""
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
     hint = "of a joint a point (3,), or the pair of that and a quaternion (4,); of a "
     hint += "Goal a value for each of its kinds"

@@ -98,7 +98,7 @@ def solve(
 
 
 def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
-    """Return a kernel solver's output as a result."""
+    """Convert the output of a kernel solver to a result."""
     rows, misses, reports, seconds, reached, scales, positions, linear = solution
     if problem.rig.is_driven:
         rows = with_mimics(problem.rig, rows, problem.joints)
@@ -184,7 +184,7 @@ def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
 
 
 def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
-    """Return the fault of an option unless it is valid."""
+    """Return a fault of an option if it is invalid, else no fault."""
     message = f"{name} must be {rule}, not {value}"
     return [] if is_valid else [Fault("IK014", message)]
 
@@ -203,7 +203,7 @@ def check_options(options: IkOptions) -> None:
 def pose_rows(
     problem: Problem, pose: ArrayLike | None, batch: int, name: str
 ) -> FloatArray:
-    """Return poses ``(B, Q)``; a single one is repeated."""
+    """Return poses as ``(B, Q)``; a single pose is repeated for the batch."""
     width = problem.coordinates
     rows = rest_pose(problem) if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(width,), (batch, width)}:
@@ -289,5 +289,5 @@ def _translating_joints(problem: Problem) -> list[str]:
 
 
 def _sliding_text(sliding: list[str]) -> str:
-    """Return why joints that slide are not supported, as text."""
+    """Return text that states which sliding joints a method does not support."""
     return f"is for joints that only rotate, but {listed(sliding)} may translate"

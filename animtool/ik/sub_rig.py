@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
     """Return the joints that mimic or are driven by given joints, in rig order.
 
-    Joints driven from them count too.
+    Joints driven by one of those joints are included.
 
     >>> from animtool.rig.skeleton import Joint, JointType, Mimic
     >>> lead = Joint("lead", -1, JointType.PIN)
@@ -75,7 +75,7 @@ def _apply_mimics(
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
-    """Return a rig of some joints and all above them, and the joints' indices.
+    """Return a rig of the named joints and their ancestors, and their indices.
 
     Mimic joints of these joints, and the joints that they mimic, are included, with all
     joints above.
@@ -122,7 +122,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
 
 
 def _driver_links(rig: Rig) -> dict[int, list[int]]:
-    """Return for each joint the joints that its driver reads or that it drives."""
+    """Return, for each joint, the joints that its driver reads and those it drives."""
     linked_joints: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).joints_read.items():
         for source_name in sources:
@@ -133,7 +133,7 @@ def _driver_links(rig: Rig) -> dict[int, list[int]]:
 
 
 def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
-    """Return the controls with the drivers and drives that a reduced rig supports."""
+    """Return controls without drives of joints, and without unsupported drivers."""
     available = set(names)
     return tuple(
         replace(
@@ -157,7 +157,7 @@ def _is_joint_available(name: str, available_names: Collection[str]) -> bool:
 
 
 def with_types(rig: Rig) -> Rig:
-    """Return a rig with joint types: balls where all joints are free.
+    """Return the rig with all but root joints as balls, if all its joints are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
     all but the roots become balls.
@@ -174,8 +174,8 @@ def with_types(rig: Rig) -> Rig:
 def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     """Return a rig with the joint data of another rig, matched by name.
 
-    Copies types, axes, limits and rest poses, and the chains whose joints all exist in
-    the rig.
+    Types, axes, limits and rest poses are copied, and the chains whose joints all exist
+    in the rig.
 
     >>> from animtool.rig.skeleton import Joint
     >>> plain = Rig("a", (Joint("hip", -1), Joint("knee", 0)))

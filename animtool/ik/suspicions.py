@@ -31,7 +31,7 @@ MAX_OFFSET, PLAUSIBLE_OFFSET = 2.0, 1.0
 
 
 def warn_of_order(document: Document) -> None:
-    """Warn of [0, 0, 0, 1], which is no rotation only where w is last (TGT108)."""
+    """Warn of [0, 0, 0, 1], which is the identity only if w is last (TGT108)."""
     rows: list[tuple[Location, list[float]]] = []
     for i, goal in enumerate(document.value["goals"]):
         value = goal.get("orientation")
@@ -66,7 +66,7 @@ def warn_of_seconds(
         document: The targets file.
         fps: Frames per second.
         frames: First and last frame of its range; None without a range.
-        goals: Its goals.
+        goals: Goals of the file.
     """
     times = [
         value.channel.times
@@ -86,7 +86,7 @@ def warn_of_seconds(
 def warn_of_angles(
     document: Document, goals: Sequence[GoalTrack], units: ClipUnits, rig: Rig | None
 ) -> None:
-    """Warn of Euler angles of orientations in another unit (CLIP107)."""
+    """Warn of orientation angles that seem to be in another unit (CLIP107)."""
     curves = [
         AngleCurve(("goals", i, "orientation"), track.name, value.channel.values)
         for i, track in enumerate(goals)

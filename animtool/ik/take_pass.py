@@ -92,7 +92,7 @@ def solve_options(options: Any) -> TakeOptions:
 
 
 def _options_without_tolerance(options: Any) -> TakeOptions:
-    """Return the solve options without the tolerance, which is text."""
+    """Return the solve options without the tolerance, which is still text."""
     names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
         angle_tolerance=math.radians(options.angle_tolerance),
@@ -109,7 +109,7 @@ def _targets_file(options: IkPassOptions) -> Path:
 
 
 def _length(text: str) -> float:
-    """Return a length as text in metres."""
+    """Parse a length with its unit; return metres."""
     try:
         return parse_length(text)
     except ValueError as error:
@@ -117,7 +117,7 @@ def _length(text: str) -> float:
 
 
 def _option_checks(options: Any) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     faults_by_name = take_option_faults(_options_without_tolerance(options))
     numbers = {
         name: partial(_raise_faults, faults) for name, faults in faults_by_name.items()

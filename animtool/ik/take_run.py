@@ -1,4 +1,4 @@
-"""Solves the frame spans of a take, and gathers the resulting take."""
+"""Solves the frame spans of a take, and assembles the resulting take."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ class TakeIk:
         seconds: Time of all frames [s], the only field that differs between runs.
         jumps: Jumps of joints that no path avoids.
         on_limits: Masks by joint of the frames in which it is on a limit ``(F,)``.
-        moving_between: Joints between the solved ones that move too, or move
+        moving_between: Joints between the solved ones that also move, or that move
             outside their types: each frame was then solved individually.
         away: Smallest distance of each goal's position targets from its effector in the
             source take ``(E,)`` [m]; 0 without any.
@@ -101,7 +101,7 @@ class TakeIk:
 
     @property
     def mean_iterations(self) -> float:
-        """Mean iterations of a frame."""
+        """Mean number of iterations per frame."""
         return float(self.iterations.mean())
 
     @property
@@ -116,12 +116,12 @@ class TakeIk:
 
     @property
     def seconds_per_frame(self) -> float:
-        """Mean time of a frame [s]."""
+        """Mean solve time per frame [s]."""
         return self.seconds / self.frames
 
     @property
     def microseconds_per_frame(self) -> float:
-        """Mean time of a frame [µs]."""
+        """Mean solve time per frame [µs]."""
         return 1e6 * self.seconds / self.frames
 
     @property
@@ -132,7 +132,7 @@ class TakeIk:
 
     @property
     def limit_counts(self) -> dict[str, int]:
-        """Number of frames in which joints are on a limit, without zeros."""
+        """Number of frames in which each joint is at a limit; zeros are left out."""
         counts = {name: int(on.sum()) for name, on in self.on_limits.items()}
         return {name: count for name, count in counts.items() if count}
 
@@ -160,7 +160,7 @@ class Smoothing:
 
 @dataclass(frozen=True, slots=True)
 class SpanSolution:
-    """The solution of one span of frames.
+    """Targets, solved poses and solve time of one span of frames.
 
     Attributes:
         span: The frame span.
@@ -186,7 +186,7 @@ def gather_take(
     solutions: Sequence[SpanSolution],
     rate: float,
 ) -> TakeIk:
-    """Return a take with the solved poses of its frame spans."""
+    """Assemble a take from the solved poses of its frame spans."""
     results = [solved_part.result for solved_part in solutions]
     motion = take.motion
     rig = solutions[0].span.rig
@@ -332,7 +332,7 @@ class TakeSolver:
     def _find_steadier_smoothing(
         self, result: IkResult, targets: Targets, start: FloatArray | None
     ) -> Smoothing | None:
-        """Return the smoothing with the smallest remaining jumps, if any helps."""
+        """Return the trial smoothing that leaves the smallest jumps, or None."""
         angles = [jump.size for jump in result.jumps if not jump.slides]
         if not angles or self.options.smooth > 0:
             return None
@@ -418,7 +418,7 @@ class TakeSolver:
         restarts: int | None = None,
         prefer: FloatArray | None = None,
     ) -> tuple[IkResult, float]:
-        """Return a solution, and its time [s]."""
+        """Solve a problem; return the result and the elapsed time [s]."""
         options = self.options
         frame_options = self._solver_options(problem, warm=warm, restarts=restarts)
         start_time = time.perf_counter()
@@ -483,7 +483,7 @@ def _has_bend_direction(
 def _distant_pole(
     rig: Rig, track: GoalTrack, world: WorldTransforms, frame: int
 ) -> FloatArray:
-    """Return a distant point along the pole direction of a chain ``(3,)`` [m]."""
+    """Return a point far along a chain's pole direction from its root ``(3,)`` [m]."""
     chain = track.chain
     assert chain is not None
     root = rig.index(chain.root)

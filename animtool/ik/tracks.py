@@ -45,20 +45,20 @@ DEFAULT_RATE = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class FreeEffector:
-    """An effector's motion without its goal."""
+    """Motion of an effector while its goal is inactive."""
 
     rig: Rig  # J joints
     goal: Goal  # the effector, its point and axis
-    world: WorldTransforms  # of the joints without the goal, F frames
+    world: WorldTransforms  # joints in F frames, solved without the goal
 
     def position(self) -> FloatArray:
-        """Return the world positions of its point ``(F, 3)`` [m]."""
+        """Return the world positions of the effector's point ``(F, 3)`` [m]."""
         j = self.rig.index(self.goal.joint)
         offset = self.world.linear[:, j] @ np.array(self.goal.offset)
         return np.asarray(self.world.positions[:, j] + offset)
 
     def orientation(self) -> FloatArray:
-        """Return the world rotations of its joint ``(F, 4)``."""
+        """Return the world rotations of the effector's joint ``(F, 4)``."""
         linear = self.world.linear[:, self.rig.index(self.goal.joint)]
         return so3.align_signs(so3.split_scale(linear)[0])
 
@@ -102,7 +102,7 @@ class FreeEffector:
     def _blend_positions(
         self, values: FloatArray, rows: BoolArray, fraction: FloatArray
     ) -> FloatArray:
-        """Return blended positions of some rows ``(N, 3)``."""
+        """Return the blended positions of the selected rows ``(N, 3)``."""
         start, end = self.position()[rows], values[rows]
         straight = start + fraction[:, None] * (end - start)
         limb = self._limb()
@@ -140,7 +140,7 @@ class FreeEffector:
         return limb_joints(self.rig, self.goal, moving, origins, point)
 
     def _is_complete(self, root: int) -> bool:
-        """Whether no joint above a limb's root moves for its goal."""
+        """Return whether the goal moves no joint above the limb's root."""
         if self.goal.root is not None:
             return True
         parent = self.rig.joints[root].parent
@@ -204,14 +204,14 @@ def swing_towards(
 class GoalTrack:
     """A goal and its targets over frames."""
 
-    name: str  # the effector, as the file has it
+    name: str  # name of the effector as the file spells it
     goal: Goal  # with all parts that are active at some time
     chain: IkChain | None  # the rig's chain whose tip it is; None for a plain joint
     # By part; None for unused parts, and for parts that are only held.
     values: Mapping[str, Value | None]
-    weights: Mapping[str, Value]  # by part; 1 for parts that are left out
+    weights: Mapping[str, Value]  # weights by part; missing parts have weight 1
     spans: tuple[Span, ...]  # held frames, ascending
-    ease: float  # before and after each span [frame]
+    ease: float  # length of the ease before and after each span [frame]
     hold_parts: frozenset[str]  # the parts that the spans apply to
     # Line and column in the file; its first line if unknown.
     location: tuple[int, int] = (1, 1)
@@ -396,7 +396,7 @@ def _sample_part(
 
 
 def _mentioned_range(track: GoalTrack) -> list[float]:
-    """Return the first and last frames that a goal mentions."""
+    """Return the ends of all spans, key ranges and arrays of a goal [frame]."""
     mentioned_frames = [end for span in (*track.spans, *track.during) for end in span]
     for value in (*track.values.values(), *track.weights.values()):
         if isinstance(value, Keyed):

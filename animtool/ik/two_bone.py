@@ -20,7 +20,7 @@ ZERO_LENGTH = 1e-12
 
 
 def incompatibility(problem: Problem) -> str | None:
-    """Return why a problem is not a limb of two bones with a position goal."""
+    """Return why the two-bone closed form does not apply; None if it does."""
     nodes, goal = problem.chain.nodes, problem.goals[0]
     if len(problem.goals) != 1:
         return "the problem has more than one goal"
@@ -64,7 +64,7 @@ def _joint_obstacle(chain: Chain) -> str | None:
 
 
 def _is_unlimited(numbers: FloatArray) -> bool:
-    """Return whether a joint has no limits, from its node numbers."""
+    """Return whether the node numbers of a joint contain no limits."""
     low_side = np.array([np.inf, np.inf, -np.inf, np.inf])
     return bool((numbers[14:18] == low_side).all())
 
@@ -94,7 +94,7 @@ def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray
 
 
 def perpendicular_vectors(vectors: FloatArray) -> FloatArray:
-    """Return unit vectors at right angles to others ``(..., 3)``."""
+    """Return a unit vector perpendicular to each of the vectors ``(..., 3)``."""
     smallest = np.argmin(np.abs(vectors), axis=-1)
     normals = np.cross(vectors, np.eye(3)[smallest])
     size = np.linalg.norm(normals, axis=-1, keepdims=True)

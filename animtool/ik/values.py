@@ -80,12 +80,12 @@ def hold_weights(times: FloatArray, spans: Sequence[Span], ease: float) -> Float
 def blend_holds(
     values: FloatArray, weights: FloatArray, hold_values: FloatArray
 ) -> FloatArray:
-    """Return a motion with held spans.
+    """Blend a motion towards the values that spans hold.
 
     Args:
         values: The free motion ``(F, 3)``, or rotations ``(F, 4)``, which take the
             shortest arc to the held one.
-        weights: From `hold_weights` ``(H, F)``.
+        weights: Hold weights from `hold_weights` ``(H, F)``.
         hold_values: Value that each span holds ``(H, 3)`` or ``(H, 4)``.
 
     >>> weights = np.array([[0.5, 1.0]])
@@ -114,7 +114,7 @@ def blend_holds(
 class SampleFrames:
     """Times at which values are sampled."""
 
-    times: FloatArray  # [frame] ``(F,)``
+    times: FloatArray  # sample times [frame] ``(F,)``
     fps: Fraction  # frames a second
 
     @property
@@ -127,7 +127,7 @@ class Value(Protocol):
     """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the values at times."""
+        """Return the values at the sample times."""
         ...
 
 
@@ -138,18 +138,18 @@ class Constant:
     value: tuple[float, ...]
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the value for each time."""
+        """Return the constant repeated for each sample time."""
         return np.tile(np.array(self.value, np.float64), (len(frames.times), 1))
 
 
 @dataclass(frozen=True, slots=True)
 class Keyed:
-    """A value with keys."""
+    """A value that a key curve gives."""
 
     channel: ClipChannel
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the curve at times."""
+        """Return the values of the key curve at the sample times."""
         values = evaluate_channels([self.channel], frames.times)[self.channel.target]
         return np.array(np.broadcast_to(values, (len(frames.times), values.shape[1])))
 
@@ -158,13 +158,13 @@ class Keyed:
 class ArrayRows:
     """An array with a row for each frame."""
 
-    name: str  # as the file spells it
-    values: FloatArray = field(repr=False)  # ``(R, 3)`` or ``(R, 4)``
+    name: str  # array reference as the file spells it
+    values: FloatArray = field(repr=False)  # array rows ``(R, 3)`` or ``(R, 4)``
     first: Fraction | None  # frame of the first row; None is 1
     location: tuple[int, int] = (1, 1)  # line and column of the name in the file
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the rows at times, interpolated between rows.
+        """Return the array's values at the sample times, interpolated between rows.
 
         Raises:
             OptionError: There is no row for a time (TGT015).
@@ -185,13 +185,13 @@ class ArrayRows:
         return interpolate_rows(self.values, row_numbers)
 
     def rows_fault(self, message: str, hint: str, path: str | None = None) -> Fault:
-        """Return a fault of frames and rows, located at the array's name (TGT015)."""
+        """Return a fault about an array's rows, located at its name (TGT015)."""
         line, column = self.location
         return Fault("TGT015", message, path, (line,), hint, column=column)
 
 
 def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
-    """Return rows interpolated at row numbers ``(F,)``, held at both ends.
+    """Interpolate rows at fractional row numbers ``(F,)``, clamped at both ends.
 
     Rotations ``(R, 4)`` are interpolated along the shortest arc, points linearly.
 
@@ -224,11 +224,11 @@ def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
 class PrimPoint:
     """A point in the frame of a prim."""
 
-    motion: PrimMotion  # of the prim
-    offset: tuple[float, ...]  # the point in its frame [m]
+    motion: PrimMotion  # motion of the prim
+    offset: tuple[float, ...]  # the point in the prim's frame [m]
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the positions of the point."""
+        """Return the world positions of the point at the sample times ``(F, 3)``."""
         positions, rotations = self.motion(frames.seconds)
         return np.asarray(positions + so3.rotate(rotations, np.array(self.offset)))
 
@@ -237,22 +237,22 @@ class PrimPoint:
 class PrimRotation:
     """A rotation relative to a prim."""
 
-    motion: PrimMotion  # of the prim
-    rotation: tuple[float, ...]  # from its frame, quaternion
+    motion: PrimMotion  # motion of the prim
+    rotation: tuple[float, ...]  # quaternion relative to the prim's frame
 
     def sample(self, frames: SampleFrames) -> FloatArray:
-        """Return the rotations."""
+        """Return the rotations that follow the prim at the sample times ``(F, 4)``."""
         _, prim_rotations = self.motion(frames.seconds)
         return so3.align_signs(so3.multiply(prim_rotations, np.array(self.rotation)))
 
 
 @dataclass(frozen=True, slots=True)
 class ValueReader:
-    """Builds target values from a document; faults are added to it."""
+    """Builds target values from a document, and records faults in the document."""
 
     document: Document  # the file
     rig: Rig | None  # prims are read in its world space; None reads no prims
-    units: ClipUnits  # of the file
+    units: ClipUnits  # units of the file
     roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens arrays while values are read
     first: Fraction | None  # frame of the first row of arrays; None without a range
@@ -261,7 +261,7 @@ class ValueReader:
     def read_curve(
         self, location: Location, model: CurveModel, key: str
     ) -> Keyed | None:
-        """Return a curve of keys; ``weight`` is a key too."""
+        """Return a curve of keys; ``weight`` may be a curve, too."""
         reader = ChannelReader(self.document)
         reader.check_curve(location, model)
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
@@ -288,7 +288,7 @@ class ValueReader:
     def _read_rotation(
         self, location: Location, numbers: list[float]
     ) -> Constant | None:
-        """Return a constant rotation; None with a fault if its length is 0."""
+        """Return a constant rotation; record a fault and return None if it is zero."""
         rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
         if is_invalid:
             message = f"quaternion {numbers} has zero length"

@@ -25,7 +25,7 @@ DEFAULT_EASE = float(GoalModel.model_fields["ease"].default)
 class TargetsText:
     """The text of a targets file, and the arrays it refers to."""
 
-    text: str  # of the file
+    text: str  # text of the targets file
     # By their references, ``file.npz#name``, in the units of the file and quaternions w
     # x y z.
     arrays: dict[str, FloatArray] = field(repr=False)
@@ -37,7 +37,7 @@ def targets_text(tracks: TargetTracks, units: ClipUnits) -> TargetsText:
     Numbers are read back exactly, apart from the last digit after a unit conversion.
 
     Args:
-        tracks: With constants, keys and arrays, whose names contain their files.
+        tracks: Target tracks of constants, keys and arrays named with their files.
         units: Units of the file.
     """
     writer = _TargetsWriter(units)
@@ -147,7 +147,7 @@ def _wrap_in_braces(lines: Iterator[str]) -> Iterator[str]:
 
 
 def _to_file_order(values: FloatArray) -> FloatArray:
-    """Return points ``(R, 3)`` as they are, quaternions ``(R, 4)`` as w x y z."""
+    """Reorder quaternions ``(R, 4)`` to w x y z; points ``(R, 3)`` stay unchanged."""
     return values[:, [3, 0, 1, 2]] if values.shape[1] == 4 else values
 
 

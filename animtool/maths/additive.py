@@ -53,7 +53,8 @@ def multiply_scale(
 ) -> FloatArray:
     """Return scales ``(..., 3)`` multiplied by a delta.
 
-    Weighted in proportion, not by powers: scales may be negative.
+    The weight interpolates the factor linearly, not by powers, since scales may be
+    negative.
     """
     if weight is None:
         return base * delta

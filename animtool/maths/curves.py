@@ -119,8 +119,8 @@ class Curves:
     """
 
     first: IntArray  # index of each curve's first key, and K at the end ``(C + 1,)``
-    times: FloatArray  # of the keys, strictly ascending within a curve ``(K,)``
-    values: FloatArray  # ``(K,)``
+    times: FloatArray  # key times, strictly ascending within a curve ``(K,)``
+    values: FloatArray  # key values ``(K,)``
     # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
     # key.
     kinds: IntArray
@@ -233,7 +233,7 @@ def _indices_by_value(values: Sequence[_Group]) -> Iterator[tuple[_Group, IntArr
 def _indices_by_tangent(
     tangents: Sequence[tuple[Tangent, Tangent]], keys: IntArray, side: int
 ) -> Iterator[tuple[Tangent, IntArray]]:
-    """Yield the distinct tangents of keys on a side, each with indices of keys."""
+    """Yield each distinct tangent on a side of keys, with the keys that have it."""
     if tangents.count(tangents[0]) == len(tangents):
         yield tangents[0][side], np.arange(len(keys))
     else:
@@ -241,7 +241,7 @@ def _indices_by_tangent(
 
 
 def _free_slopes(handles: FloatArray) -> FloatArray:
-    """Return the slopes of handles ``(N, 1 + D)``; 0 for handles without a time."""
+    """Return the slopes of handles ``(N, 1 + D)``; 0 for handles of zero duration."""
     times = handles[:, :1]
     slopes = handles[:, 1:] / np.where(times != 0, times, 1.0)
     return np.where(times != 0, slopes, 0.0)
@@ -266,7 +266,7 @@ def cubic_curves(
     keys, width = values.shape
 
     def handles(offsets: FloatArray) -> FloatArray:
-        """Return handles of all curves from their value offsets."""
+        """Return handles with the given value offsets and time offsets of 0."""
         return np.stack([np.zeros(keys * width), offsets.T.ravel()], axis=-1)
 
     return Curves(
@@ -374,7 +374,7 @@ def end_slopes(curves: Curves) -> FloatArray:
 def _slopes(
     curves: Curves, keys: IntArray, next_keys: IntArray, handles: FloatArray
 ) -> FloatArray:
-    """Return slopes of segments at the end with the given handles."""
+    """Return the slopes of segments at the end where the given handles are."""
     spans = curves.times[next_keys] - curves.times[keys]
     kinds = curves.kinds[keys]
     spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
@@ -392,7 +392,7 @@ def _end_keys(curves: Curves) -> tuple[IntArray, IntArray]:
 
 
 def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
-    """Return the curves that are extrapolated without hold at some of the times."""
+    """Return the curves with times beyond their keys that are not held constant."""
     if not len(times):
         return np.zeros(0, np.int64)
     starts, ends = _end_keys(curves)

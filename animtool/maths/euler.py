@@ -16,7 +16,7 @@ ORDERS = ("XYZ", "XZY", "YXZ", "YZX", "ZXY", "ZYX")
 
 
 def axes_of(order: str) -> tuple[int, int, int]:
-    """Return the axis indices of an order.
+    """Return the axis indices of an Euler order.
 
     >>> axes_of("ZXY")
     (2, 0, 1)

@@ -12,7 +12,7 @@ def directed_edges(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the directed edges of polygons: each corner and the next ``(C, 2)``.
 
     Args:
-        counts: Corners of each ``(M,)``.
+        counts: Number of corners of each polygon ``(M,)``.
         indices: Corners, one polygon after the other ``(C,)``.
 
     >>> directed_edges(np.array([3]), np.array([5, 6, 7])).tolist()
@@ -40,7 +40,7 @@ def edges(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the distinct edges of polygons, ascending ``(E, 2)``.
 
     Args:
-        counts: Corners of each ``(M,)``.
+        counts: Number of corners of each polygon ``(M,)``.
         indices: Corners, one polygon after the other ``(C,)``.
 
     >>> edges(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3])).tolist()
@@ -53,7 +53,7 @@ def edge_counts(counts: IntArray, indices: IntArray) -> tuple[IntArray, IntArray
     """Return the distinct edges of polygons ``(E, 2)`` and their face counts ``(E,)``.
 
     Args:
-        counts: Corners of each ``(M,)``.
+        counts: Number of corners of each polygon ``(M,)``.
         indices: Corners, one polygon after the other ``(C,)``.
 
     >>> edge_counts(np.array([3, 3]), np.array([0, 1, 2, 0, 2, 3]))[1].tolist()
@@ -68,7 +68,7 @@ def is_closed(counts: IntArray, indices: IntArray) -> bool:
     """Return whether polygons form a closed mesh: every edge has two faces.
 
     Args:
-        counts: Corners of each ``(M,)``.
+        counts: Number of corners of each polygon ``(M,)``.
         indices: Corners, one polygon after the other ``(C,)``.
 
     >>> tetrahedron = np.array([0, 2, 1, 0, 1, 3, 1, 2, 3, 2, 0, 3])
@@ -106,7 +106,7 @@ def triangulate(counts: IntArray, indices: IntArray) -> IntArray:
     """Return the triangle fans of polygons ``(T, 3)``.
 
     Args:
-        counts: Corners of each ``(M,)``.
+        counts: Number of corners of each polygon ``(M,)``.
         indices: Corners, one polygon after the other.
 
     >>> triangulate(np.array([4]), np.array([5, 6, 7, 8])).tolist()
@@ -158,11 +158,11 @@ def rigid_motion(
     """Return the best-fit rotation ``(4,)`` and translation ``(3,)`` between points.
 
     A point p maps to ``rotate(rotation, p) + translation``. For collinear or coincident
-    points, which leave the rotation undetermined, the smallest one is returned.
+    points, which leave the rotation undetermined, the smallest rotation is returned.
 
     Args:
-        source_points: At least one ``(P, 3)``.
-        target_points: Their targets ``(P, 3)``.
+        source_points: At least one source point ``(P, 3)``.
+        target_points: Positions that the source points should reach ``(P, 3)``.
 
     References:
         W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.
@@ -185,12 +185,12 @@ def rigid_motion(
 
 
 def _scale(points: FloatArray) -> float:
-    """Return the root mean square of centred points."""
+    """Return the root mean square distance of centred points from the origin."""
     return float(np.abs(points).max(initial=0.0))
 
 
 def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
-    """Return the rotation that maximises the trace with a covariance."""
+    """Return the rotation that maximises the trace with a covariance (Kabsch)."""
     left, singular, right_t = np.linalg.svd(covariance)
     if singular[0] <= FLAT_TOLERANCE**2 * scale:
         return so3.IDENTITY.copy()
@@ -201,7 +201,7 @@ def _best_rotation(covariance: FloatArray, scale: float) -> FloatArray:
 
 
 def _least_rotation(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return the smallest rotation from a unit vector to another."""
+    """Return the shortest rotation from one unit vector to another."""
     axis = np.cross(a, b)
     angle = float(np.arctan2(np.linalg.norm(axis), a @ b))
     if not np.linalg.norm(axis) > 0:

@@ -78,7 +78,7 @@ def lowpass_rotations(
 
 
 def _penalty(count: int, order: int) -> FloatArray:
-    """Return the difference penalty as a banded matrix, lower form."""
+    """Return the penalty matrix of finite differences in lower banded form."""
     steps = _differences(order)
     bands = np.zeros((order + 1, count))
     rows = count - order
@@ -89,7 +89,7 @@ def _penalty(count: int, order: int) -> FloatArray:
 
 
 def _differences(order: int) -> FloatArray:
-    """Return the coefficients of differences of an order."""
+    """Return the coefficients of the finite difference of an order."""
     steps = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
     return np.array(steps, np.float64)
 
@@ -97,7 +97,8 @@ def _differences(order: int) -> FloatArray:
 def noise_level(values: FloatArray) -> float:
     """Return the standard deviation of the white noise in a signal ``(F, K)``.
 
-    Estimated as a median of its highest frequencies, so that a few jumps do not count.
+    It is estimated as a median of the highest frequencies, so that a few jumps do not
+    affect it.
 
     >>> rng = np.random.default_rng(1)
     >>> slow = np.sin(np.arange(2000)[:, None] / 20)
@@ -110,13 +111,13 @@ def noise_level(values: FloatArray) -> float:
 def rotation_noise(rotations: FloatArray) -> float:
     """Return the standard deviation of the white noise of rotations ``(F, 4)`` [rad].
 
-    It is the value for each noisy axis: three axes, or one for a hinge.
+    It is the deviation about each noisy axis: three axes, or one for a hinge.
     """
     return 2 * math.sqrt(_noise_variance(rotations, rotation=True)[0])
 
 
 def _noise_variance(values: FloatArray, *, rotation: bool) -> tuple[float, int]:
-    """Return the noise variance per direction, and the number of directions."""
+    """Return the noise variance per principal direction, and the noisy directions."""
     order = min(NOISE_ORDER, len(values) - 1)
     if order < 1:
         return 0.0, 1
@@ -146,13 +147,13 @@ def find_best_cutoff(
     """Return the cut-off with the least expected error of a noisy signal [Hz].
 
     The expected error of a cut-off is the signal it removes plus the noise it keeps (C.
-    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. None if the
-    signal is best left unfiltered.
+    L. Mallows, Some comments on Cp, 1973), with the noise of `noise_level`. Return
+    It is None if the signal is best left unfiltered.
 
     Args:
         values: ``(F, K)``.
         rate: Frames a second.
-        rotation: Whether they are quaternions.
+        rotation: Whether the values are quaternions.
     """
     variance, width = _noise_variance(values, rotation=rotation)
     noise = variance * width

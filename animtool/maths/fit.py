@@ -24,8 +24,8 @@ class FittedKeys:
     curve's parameter: the Bézier curve is also a cubic over time.
     """
 
-    frames: IntArray  # of the keys, ascending ``(K,)`` [frame]
-    values: FloatArray  # the samples there ``(K, D)``
+    frames: IntArray  # frames of the keys, ascending ``(K,)`` [frame]
+    values: FloatArray  # samples at the keys ``(K, D)``
     # Handle before each key, as offset in value ``(K, D)``; 0 at the first.
     ins: FloatArray
     # Handle after each key, as offset in value ``(K, D)``; 0 at the last.
@@ -56,7 +56,7 @@ def fit_keys(
     bounds_or_none: tuple[ArrayLike, ArrayLike] | None = None,
     straight_frames: ArrayLike = (),
 ) -> FittedKeys:
-    """Return few keys whose cubic segments stay within a tolerance of samples.
+    """Fit sparse keys whose cubic segments stay within a tolerance of the samples.
 
     From each key, galloping and bisection find the longest segment that fits, in
     O(F log F) altogether. A segment begins and ends on samples; its two inner control
@@ -113,7 +113,7 @@ def fit_keys(
 
 
 def _check_samples(values: ArrayLike) -> FloatArray:
-    """Return finite samples ``(F, D)``."""
+    """Return samples as an array ``(F, D)``; raise if they are not finite."""
     samples = as_floats(values, ("F", "D"), "values")
     if not samples.size:
         raise ValueError("values must hold a sample")
@@ -126,7 +126,7 @@ def _check_samples(values: ArrayLike) -> FloatArray:
 def _check_tolerances(
     samples: FloatArray, tolerance: ArrayLike, scale: ArrayLike | None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the tolerance, one or of each component, and its factor ``(F,)``."""
+    """Return the checked tolerance, scalar or ``(D,)``, and its factor ``(F,)``."""
     limits, frames = np.asarray(tolerance, np.float64), len(samples)
     if limits.shape not in ((), samples.shape[1:]):
         raise ValueError(

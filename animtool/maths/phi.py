@@ -21,7 +21,7 @@ _SERIES_TERMS = ((0.02, 7), (0.15, 10), (_MAX_NORM, 14))
 
 
 def phi_functions(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return φ1 and φ2 of matrices ``(M, n, n)``, computed once for equal ones.
+    """Return φ1 and φ2 of matrices ``(M, n, n)``; equal matrices are computed once.
 
     >>> phi_functions(np.array([[[0.0]], [[-1e3]]]))[0][:, 0, 0].tolist()
     [1.0, 0.001]

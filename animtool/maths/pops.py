@@ -69,7 +69,7 @@ def find_translation_pops(
 ) -> tuple[BoolArray, FloatArray]:
     """Return a mask of translation pops ``(S, N)``, and the deviations [m].
 
-    As `find_rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame.
+    Like `find_rotation_pops`, for steps ``(S, N, 3)`` [m] in the parent's frame.
     ``min_deviation`` is the smallest pop and ``noise`` the noise of the motion [m].
     """
     if len(shifts) + 1 < MIN_FRAMES or not shifts.shape[1]:
@@ -88,7 +88,7 @@ def find_outliers(
     noise: float,
     interval: float,
 ) -> BoolArray:
-    """Return a mask of deviations far above those of nearby steps ``(S, N)``.
+    """Return a mask ``(S, N)`` of deviations that far exceed those of nearby steps.
 
     ``steps`` ``(S, N, 3)``, ``deviations`` ``(S, N)``.
     """
@@ -134,7 +134,7 @@ def prediction_errors(steps: FloatArray, cuts: BoolArray) -> FloatArray:
 def _unexplained_deviations(
     steps: FloatArray, deviations: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return two arrays of deviations unexplained by smooth fast motion ``(S, N)``.
+    """Return two arrays ``(S, N)`` of deviations that smooth motion cannot explain.
 
     Each step is predicted by cubics through four steps around it: the nearest ones, or
     without the one before or after, which a bad frame also disturbs; and by lines
@@ -165,18 +165,18 @@ def _unexplained_deviations(
 
 
 def _shift_steps(steps: FloatArray, offset: int) -> FloatArray:
-    """Return the steps shifted by an offset, held at the ends ``(S, N, 3)``."""
+    """Shift steps by ``offset`` rows, repeating the end rows ``(S, N, 3)``."""
     rows = np.arange(len(steps)) + offset
     return np.asarray(steps[rows.clip(0, len(steps) - 1)])
 
 
 def _lengths(vectors: FloatArray) -> FloatArray:
-    """Return the lengths of vectors ``(S, N)``."""
+    """Return the Euclidean norms of vectors ``(S, N)``."""
     return np.asarray(np.sqrt(np.einsum("snc,snc->sn", vectors, vectors)))
 
 
 def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
-    """Return steps with cuts replaced by the nearest other step."""
+    """Replace the steps at cuts by the nearest step without a cut."""
     if not cuts.any() or cuts.all():
         return steps
     kept_steps = np.flatnonzero(~cuts)
@@ -187,7 +187,7 @@ def _without_cuts(steps: FloatArray, cuts: BoolArray) -> FloatArray:
 
 
 def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
-    """Return the mean of nearby rows, without the nearest ones ``(S, N)``.
+    """Return the mean of nearby rows ``(S, N)``, excluding the nearest rows.
 
     ``values`` ``(S, N)``; rows from ``gap`` to ``half_window`` away are averaged.
     """
@@ -201,7 +201,7 @@ def mean_around(values: FloatArray, half_window: int, gap: int) -> FloatArray:
 
 
 def adjacent_level(values: FloatArray) -> FloatArray:
-    """Return the larger value of the steps adjacent to each, ignoring a return step.
+    """Return the larger value of the two adjacent steps, ignoring a return step.
 
     A joint that jumps and stays has one bad step; one that returns in the next frame
     has two. Of the ways to skip such a neighbour, the one with the smallest result is

@@ -44,7 +44,7 @@ def align_keys(keys: ArrayLike, count: int | str = "K") -> FloatArray:
 
 
 def log_of_cover(q: ArrayLike) -> FloatArray:
-    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q with its sign.
+    """Return the rotation vector ``(..., 3)`` [rad] whose `so3.exp` is q, not -q.
 
     Its length is at most 2π; q = (0, 0, 0, -1), which has no axis, returns 0.
 
@@ -181,7 +181,7 @@ def cumulative_bspline(q: ArrayLike, u: ArrayLike) -> FloatArray:
 
 
 def _arc(a: FloatArray, b: FloatArray, u: FloatArray) -> FloatArray:
-    """Return the point at u of the arc from a to b, without aligning signs."""
+    """Interpolate from a to b along the arc of the signed quaternions."""
     return so3.multiply(a, so3.exp(u[..., None] * rotation_between(a, b)))
 
 
@@ -213,7 +213,7 @@ class RotationKind(IntEnum):
 def spline(
     times: ArrayLike, keys: ArrayLike, evaluation_times: ArrayLike
 ) -> FloatArray:
-    """Return the C1 spline through rotation keys, held outside their times.
+    """Evaluate the C1 spline through rotation keys, constant outside the key times.
 
     Arguments, errors and limits are those of `evaluate_rotations`.
 
@@ -253,7 +253,7 @@ def evaluate_rotations(
     above clips the velocity of a SLERP.
 
     Args:
-        times: Of the keys, strictly ascending ``(K,)``, K ≥ 1.
+        times: Times of the keys, strictly ascending ``(K,)``, K ≥ 1.
         keys: Quaternions of any length but zero ``(K, 4)``, or ``(K, C, 4)`` for C
             curves with keys at the same times.
         kinds: `RotationKind` of the segment after each key ``(K,)``, or one for all;
@@ -305,7 +305,7 @@ def evaluate_rotations(
 def _check_finite(
     values: ArrayLike, shape: tuple[int | str, ...], name: str
 ) -> FloatArray:
-    """Return values of the shape, all finite."""
+    """Return values as an array; raise unless shaped as given and finite."""
     array = as_floats(values, shape, name)
     if not np.isfinite(array).all():
         raise ValueError(f"{name} must be finite")

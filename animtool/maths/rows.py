@@ -1,4 +1,4 @@
-"""Base class of records of arrays with equal numbers of rows."""
+"""Base class for records of arrays that have the same number of rows."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ class Rows:
     __slots__ = ()
 
     def select(self, rows: IntArray | BoolArray) -> Self:
-        """Return a record of selected rows, by indices or by a mask ``(N,)``."""
+        """Return a record of the rows selected by indices or by a mask ``(N,)``."""
         record: Any = self
         return type(self)(*(getattr(record, f.name)[rows] for f in fields(record)))
 
     @classmethod
     def concatenate(cls, parts: Sequence[Self]) -> Self:
-        """Return the concatenated rows of at least one record."""
+        """Concatenate the rows of one or more records."""
         kind: Any = cls
         columns = ([getattr(record, f.name) for record in parts] for f in fields(kind))
         return cls(*map(np.concatenate, columns))

@@ -20,7 +20,7 @@ def runs(mask: BoolArray) -> list[tuple[int, int]]:
 
 
 def merge_runs(spans: Iterable[tuple[int, int]], gap: int) -> list[tuple[int, int]]:
-    """Return sorted runs, with those separated by less than a gap merged.
+    """Merge sorted runs that are separated by less than a gap.
 
     >>> merge_runs([(0, 1), (2, 4), (9, 10)], 3)
     [(0, 4), (9, 10)]

@@ -51,7 +51,7 @@ def conjugate(q: ArrayLike) -> FloatArray:
 
 
 def normalize(q: ArrayLike) -> FloatArray:
-    """Return quaternions ``(..., 4)`` at unit length; a zero one becomes identity.
+    """Normalize quaternions ``(..., 4)``; a zero quaternion becomes the identity.
 
     >>> normalize([0, 0, 0, 2]).tolist()
     [0.0, 0.0, 0.0, 1.0]
@@ -237,7 +237,7 @@ def align_signs(q: ArrayLike, previous: ArrayLike | None = None) -> FloatArray:
 
 
 def align_to(q: ArrayLike, other: ArrayLike) -> FloatArray:
-    """Return quaternions ``(..., 4)`` with the signs nearer to other quaternions.
+    """Return quaternions ``(..., 4)`` in the same hemisphere as other quaternions.
 
     >>> align_to([[0, 0, 0, -1.0]], [[0, 0, 0.6, 0.8]])[:, 3].tolist()
     [1.0]

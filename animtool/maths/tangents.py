@@ -203,7 +203,7 @@ def catmull_rom_controls(
 
 
 def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
-    """Return handles after the start and before the end of each inner segment."""
+    """Return Bézier handles after the start and before the end of inner segments."""
     steps = np.diff(path, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
     a, h, b = knots[:-2], knots[1:-1], knots[2:]
@@ -218,7 +218,7 @@ def _handle(
 ) -> FloatArray:
     """Return the Bézier handle of ``step`` at the knot between it and another step.
 
-    A third of the parabola's slope there times the knot interval h of the step:
+    It is a third of the parabola's slope there times the knot interval h of the step:
     (h² adjacent / a + a step) / (a + h) / 3. Steps of length 0 have no direction.
     """
     is_defined = (a > 0) & (h > 0)
@@ -230,7 +230,7 @@ def _handle(
 def _checked_segments(
     times: ArrayLike, values: ArrayLike
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return checked times and values, and spans ``(K-1, 1)`` and slopes between."""
+    """Check times and values; also return key intervals ``(K-1, 1)`` and secants."""
     times = as_floats(times, ("K",), "times")
     values = as_floats(values, (len(times), "D"), "values")
     spans = np.diff(times)[:, None]
@@ -240,7 +240,7 @@ def _checked_segments(
 
 
 def _with_ends(inner: FloatArray, slopes: FloatArray, values: FloatArray) -> FloatArray:
-    """Return slopes with those of the first and last segment at the ends."""
+    """Return inner slopes extended by the first and last segment's secant slopes."""
     if len(values) < 2:
         return np.zeros(values.shape)
     return np.concatenate([slopes[:1], inner, slopes[-1:]])
@@ -313,7 +313,7 @@ class KeySlopes:
         return outs[segments], ins[segments + 1]
 
     def _slopes(self, name: str, rule: _Rule) -> FloatArray:
-        """Return the slopes by a rule, computed at the first call."""
+        """Return the slopes of a tangent rule; computed once and cached."""
         if name not in self._by_rule:
             self._by_rule[name] = rule(self.times, self.values)
         return self._by_rule[name]

@@ -34,10 +34,10 @@ MIN_CONTACT_DURATION = 0.06
 
 @dataclass(frozen=True, slots=True)
 class FootContacts:
-    """Contact frames of the parts of a foot."""
+    """Masks of the frames in which ankle and toe are planted, and the ground height."""
 
-    ankle: BoolArray  # (F,)
-    toe: BoolArray  # (F,)
+    ankle: BoolArray  # mask of frames with the ankle planted (F,)
+    toe: BoolArray  # mask of frames with the toe planted (F,)
     ground: float  # height of the standing ankle [m]
 
     @property
@@ -76,7 +76,7 @@ def find_contacts(
     leg_length: float,
     up: int = 1,
 ) -> FootContacts:
-    """Return the contact frames of a foot.
+    """Detect the frames in which ankle and toe of a foot are planted.
 
     Speeds are of smoothed positions; the smoothing widens for takes whose jitter would
     hide contacts. The ground height is measured: the foot is lowest there while slow.
@@ -129,7 +129,7 @@ def find_contacts(
 
 
 def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
-    """Return the speed of white noise on points, from third differences [m/s]."""
+    """Estimate the speed caused by white noise from third differences [m/s]."""
     if len(points[0]) < 8:
         return 0.0
     differences = [np.diff(point, 3, axis=0) for point in points]
@@ -141,7 +141,7 @@ def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
 
 
 def remove_short_runs(mask: BoolArray, fps: float) -> BoolArray:
-    """Return a mask without short gaps and short spans."""
+    """Fill the short gaps of a mask and remove its short runs."""
     min_frames = MIN_CONTACT_DURATION * fps
     result = mask.copy()
     for start, end in runs(~result):

@@ -32,13 +32,13 @@ HALF_REVOLUTION = np.pi
 
 @dataclass(slots=True)
 class LargestAmount:
-    """The largest amount seen so far, and its frame."""
+    """Running maximum of an amount, and the frame at which it occurs."""
 
     amount: float = 0.0
     frame: float = 0.0
 
     def update(self, amounts: FloatArray, times: FloatArray) -> None:
-        """Update from amounts ``(F,)`` or ``(1,)`` at times ``(F,)``."""
+        """Keep the largest of the amounts ``(F,)`` or ``(1,)`` and its time."""
         if not len(times) or not len(amounts):
             return
         worst_index = int(np.argmax(amounts))
@@ -70,7 +70,7 @@ class DriverRun:
     _targets_keeping_source: set[str] = field(default_factory=set, init=False)
 
     def __post_init__(self) -> None:
-        """Plan the order of the rig's drivers."""
+        """Determine the evaluation order of the rig's drivers."""
         self.plan = plan_of(self.rig)
 
     def evaluate(
@@ -172,7 +172,7 @@ class DriverRun:
         return unwrapped
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
-        """Record the first frame at which a twist wraps."""
+        """Record the first frame at which a twist jumps by over half a revolution."""
         previous_twist = self._twists.get(name, twists[0] if len(twists) else 0.0)
         steps = np.abs(np.diff(twists, prepend=previous_twist))
         if (steps > HALF_REVOLUTION).any():
@@ -183,7 +183,7 @@ class DriverRun:
             self._twists[name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
-        """Return targets that keep the motion's values because it has no controls.
+        """Return targets that keep the motion's values if the motion has no controls.
 
         Those values were driven by controls when the motion was made, so they are
         better than values from default controls.
@@ -211,7 +211,7 @@ class DriverRun:
         return _is_posed(motion.rotations, j, rig.rest_rotations[j])
 
     def _current_controls(self, motion: Motion) -> dict[str, FloatArray]:
-        """Return the values of all controls, by default those of the rig."""
+        """Return the values of all controls; controls without values have defaults."""
         if motion.controls is None:
             return {c.name: np.array([c.default]) for c in self.rig.controls}
         return {
@@ -291,7 +291,7 @@ class DriverRun:
     def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
-        """Return the controls with driven ones replaced; None without controls."""
+        """Return the controls with driven values replaced; None without controls."""
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel
@@ -311,7 +311,7 @@ class DriverRun:
     def _record_replaced(
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
-        """Record the difference of a target's source motion from its driven motion."""
+        """Record the difference between a target's source motion and driven motion."""
         if self.report_replaced and differences.max(initial=0.0) > tolerance:
             self._replaced_amounts.setdefault(target, LargestAmount()).update(
                 differences, times
@@ -404,7 +404,7 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
 
 
 def _animated_column(channel: Channel, i: int) -> FloatArray:
-    """Return one row of a channel with one component ``(F,)``."""
+    """Return the values of a row of a one-component channel ``(F,)`` or ``(1,)``."""
     return _joint_rows(channel, i)[:, 0]
 
 
@@ -435,17 +435,17 @@ def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channe
 
 
 def _translation_distance(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return distances between translations ``(F,)`` [m]."""
+    """Return the distances between two translations in each frame ``(F,)`` [m]."""
     return np.asarray(np.linalg.norm(a - b, axis=-1))
 
 
 def _amount_text(joint: Joint, amount: float) -> str:
-    """Return an amount as text, in degrees or as a length."""
+    """Format an amount: a length for a prismatic joint's slide, else degrees."""
     if joint.type is JointType.PRISMATIC:
         return length_text(amount, 4)
     return f"{np.degrees(amount):.4g}\N{DEGREE SIGN}"
 
 
 def _driver_warning(code: str, message: str, hint: str) -> Fault:
-    """Return a warning about a driver."""
+    """Return a warning about a driver with a code, a message and a hint."""
     return Fault(code, message, None, (), hint, Severity.WARNING)

@@ -85,7 +85,7 @@ def _drive_curve(
 def drop_repeated_notices(
     notices: Iterable[Fault], reported: Iterable[Fault]
 ) -> list[Fault]:
-    """Return notices without driver warnings that are already known."""
+    """Return the notices without driver warnings that were already reported."""
     known_notices = {
         (notice.code, _first_name(notice))
         for notice in reported
@@ -108,7 +108,7 @@ def _first_name(notice: Fault) -> str:
 def combine_missing_weights(
     weights: Channel, shapes: Sequence[Shape], missing: IntArray
 ) -> Channel:
-    """Return weights of shapes, with the products of those a motion has no weight for.
+    """Return shape weights, with missing combination shapes set to their products.
 
     Args:
         weights: Weights of S shapes; 0 for the missing ones.

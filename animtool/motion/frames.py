@@ -35,7 +35,7 @@ class CurvesFrame:
     points: FloatArray  # (N, 3) [m]
     velocities: FloatArray  # (N, 3) [m/s]
     counts: IntArray  # points of each curve (C,)
-    width: float  # of all [m]
+    width: float  # width of all curves [m]
     tears: bool = False  # whether curve counts may change
     primvars: Primvars = field(default_factory=dict)
 
@@ -48,7 +48,7 @@ class MeshFrame:
     velocities: FloatArray  # (N, 3) [m/s]
     counts: IntArray  # corners of each face (M,)
     indices: IntArray  # corners, face by face
-    closed: bool = False  # whether only its outside is visible
+    closed: bool = False  # whether only the outside of the mesh is visible
     primvars: Primvars = field(default_factory=dict)
     tears: bool = False  # whether faces may change from frame to frame
 

@@ -46,9 +46,9 @@ def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
 def weight_warnings(
     weight: WeightOption, clock: Clock, *, in_shot: bool
 ) -> list[Fault]:
-    """Return a warning about a weight curve in seconds, or beside the take (SCN116).
+    """Warn of a weight curve in seconds, or outside the take's frames (SCN116).
 
-    in_shot: Whether the take is cut to a shot, beside which keys may be.
+    in_shot: Whether the take is cut to a shot, outside which keys are allowed.
     """
     if isinstance(weight, (int, float)):
         return []

@@ -79,7 +79,7 @@ def interpolate_keys(
     evaluation_times: FloatArray,
     interpolation: KeyInterpolation | str = KeyInterpolation.LINEAR,
 ) -> FloatArray:
-    """Return a curve's values at times ``(F,)``, held outside its keys.
+    """Evaluate a key curve at times ``(F,)``, constant outside the keys.
 
     The slopes of ``smooth`` are those of `animtool.maths.tangents.auto_clamped`.
 
@@ -106,7 +106,7 @@ def weights_at(
     *,
     bounded: bool = True,
 ) -> FloatArray:
-    """Return a weight or weight curve at time codes ``(F,)`` [1].
+    """Evaluate a weight or weight curve at time codes ``(F,)`` [1].
 
     ``weight`` is a number or a list of pairs ``[time code, weight]``.
 

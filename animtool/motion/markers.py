@@ -89,10 +89,10 @@ class Markers:
         return f"<Markers: {frames} at {rate_label(self.clock.rate)}, {markers}>"
 
     def select(self, markers: IntArray) -> Markers:
-        """Return some of the markers, by index, in that order."""
+        """Return the markers with the given indices, in that order."""
 
         def columns(values: Any) -> Any:
-            """Return some columns of an array, or None."""
+            """Return an array's columns of the selected markers; None stays None."""
             return None if values is None else values[:, markers]
 
         return replace(

@@ -24,7 +24,7 @@ class Channel:
     Attributes:
         rest: Value of each static joint ``(J, K)``.
         animated: Indices of the joints that move ``(A,)``, ascending.
-        values: Their values ``(F, A, K)``.
+        values: Values of the animated joints ``(F, A, K)``.
     """
 
     rest: FloatArray
@@ -76,7 +76,7 @@ class Channel:
         return Channel(self.rest, animated_entries, merged_values)
 
     def compact(self) -> Channel:
-        """Return the channel with animated joints that never move stored as static."""
+        """Return the channel; animated joints that never move become static."""
         if not len(self.values):
             return self
         is_animated = (self.values[-1] != self.values[0]).any(axis=-1)
@@ -112,7 +112,7 @@ class Channel:
         """Return a channel of values ``(F, J, K)``, with static joints stored once.
 
         Raises:
-            OptionError: They have another shape, or no frame (TAKE001).
+            OptionError: The values have another shape, or no frame (TAKE001).
 
         >>> Channel.from_dense(np.arange(12.0).reshape(2, 2, 3)).animated.tolist()
         [0, 1]
@@ -124,7 +124,7 @@ class Channel:
 
     @staticmethod
     def concatenate(channels: list[Channel]) -> Channel:
-        """Return one channel of blocks that share their rest and animated joints."""
+        """Concatenate blocks with equal rest values and animated joints in time."""
         first = channels[0]
         if len(channels) == 1:
             return first
@@ -209,10 +209,10 @@ class Motion:
         return self.map(lambda channel: channel.select(frames))
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
-        """Return the motion with a function applied to each channel it has."""
+        """Apply a function to each channel of the motion that is not None."""
 
         def map_channel(channel: Channel | None) -> Channel | None:
-            """Return a mapped channel; None stays None."""
+            """Return the function's result for a channel; None stays None."""
             return None if channel is None else function(channel)
 
         return Motion(
@@ -227,7 +227,7 @@ class Motion:
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
-        """Return one motion of blocks that follow each other."""
+        """Concatenate consecutive blocks to one motion."""
 
         def concatenate_channel(name: str) -> Channel | None:
             """Return the concatenated channel; None if absent."""

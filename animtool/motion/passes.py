@@ -58,7 +58,7 @@ class PassthroughTracks:
             yield replace(block, track_times=None)
 
     def restore(self, stream: TakeStream) -> TakeStream:
-        """Return a pass's result, with the same number of frames, with its tracks."""
+        """Restore the tracks in a pass's result, which must have as many frames."""
         blocks = self._add_track_times(stream.blocks)
         return replace(stream, tracks=self._tracks, blocks=blocks)
 
@@ -83,7 +83,7 @@ class PassthroughTracks:
 def check_tracks(
     stream: TakeStream, source_tracks: Sequence[Track], name: str
 ) -> TakeStream:
-    """Return the result of a pass, which raises when read if the pass lost tracks."""
+    """Return a pass's result; reading it raises an error if the pass lost tracks."""
     if not source_tracks:
         return stream
     paths = listed([track.path for track in source_tracks], MAX_LISTED_TAKES)
@@ -128,7 +128,7 @@ PASSES: dict[str, str] = {
 
 
 class FrameScope(StrEnum):
-    """How many frames of a take a pass needs at once."""
+    """How many frames a pass needs at once: one, a window, or the complete clip."""
 
     FRAME = "frame"
     WINDOW = "window"
@@ -136,7 +136,7 @@ class FrameScope(StrEnum):
 
 
 class TakePart(StrEnum):
-    """A part of a take that a pass reads or changes."""
+    """Kinds of content of a take that a pass reads or changes."""
 
     RIG = "rig"
     JOINTS = "joints"
@@ -175,19 +175,19 @@ ColliderBuilder: TypeAlias = Callable[[TakeStream, Any, float], tuple[TakeStream
 
 @dataclass(frozen=True, slots=True)
 class PlacedJoint:
-    """A joint that a pass has put at a target."""
+    """A joint that a pass has moved to a target."""
 
-    joint: str  # name
-    effector: str  # as the targets file has it
-    times: FloatArray  # time codes of the frames in which it is there
+    joint: str  # name of the joint
+    effector: str  # name of the effector in the targets file
+    times: FloatArray  # time codes of the frames in which the joint is at its target
 
 
 @dataclass(frozen=True, slots=True)
 class PassContext:
-    """Services of a pass besides its take and options."""
+    """Services for a pass: other takes, notices, scores, progress and the scene."""
 
     open: Callable[[Path], Take]  # opens another take on the same rig
-    folder: Path  # where relative paths in options start
+    folder: Path  # base folder of relative paths in options
     # Collects the warnings and notes of the pass.
     notices: list[Fault] = field(default_factory=list)
     # Collects the largest residual of passes that solve IK [m].
@@ -217,7 +217,7 @@ class PassContext:
     placed_joints: list[PlacedJoint] = field(default_factory=list)
 
     def add_notices_once(self, notices: Iterable[Fault]) -> None:
-        """Add notices with codes that are not yet reported."""
+        """Add the notices whose codes were not yet reported by any pass."""
         for notice in notices:
             if notice.code not in self.reported_codes:
                 self.reported_codes.add(notice.code)
@@ -247,16 +247,16 @@ StreamRun: TypeAlias = Callable[[TakeStream, Any, PassContext], TakeStream]
 
 
 def _no_checks(_: object) -> OptionChecks:
-    """Return no checks, for passes without option checks."""
+    """Return an empty set of checks, for passes without option checks."""
     return {}
 
 
 @dataclass(frozen=True, slots=True)
 class LinearTime:
-    """Linear map of time: t of a take is ``first + (t - start) · ratio`` of another."""
+    """Linear time map: t of the source becomes ``first + (t - start) · ratio``."""
 
     start: float  # [time code]
-    ratio: float  # above 0
+    ratio: float  # time ratio above 0
     first: float  # [time code]
 
 
@@ -269,11 +269,11 @@ def _no_linear_time(_: object, __: Clock) -> LinearTime | None:
 class Pass:
     """An entry of the table of passes."""
 
-    name: str  # as a scene writes it
-    summary: str  # what it does, one line
-    options: type[Any]  # frozen dataclass of its options, each with a default
+    name: str  # name of the pass in scenes
+    summary: str  # one-line description of the pass
+    options: type[Any]  # frozen dataclass of the options, each with a default
     # FRAME and WINDOW passes run on streams and carry their state from block to block;
-    # CLIP passes run on whole takes.
+    # CLIP passes run on complete takes.
     scope: FrameScope
     # Takes a `TakeStream` (FRAME, WINDOW) or a `Take` (CLIP), the options and the
     # context, and returns the same kind.
@@ -399,7 +399,7 @@ def _valid_curves(
     result_take: Take,
     linear_time: LinearTime | None,
 ) -> dict[str, Curves]:
-    """Return the curves of controls that remain valid, at the times of the result."""
+    """Return the control curves that are still valid, mapped to the result's times."""
     curves = stream.control_curves
     if not curves:
         return {}

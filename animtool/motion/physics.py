@@ -16,7 +16,7 @@ IDENTITY_POSE: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhysicsShape:
-    """A shape that bodies collide with."""
+    """A collision shape of a body or of the world."""
 
     # `sphere` (radius), `capsule` (radius, length of its segment along y), `box` (three
     # sides), `plane` (none: what is below y = 0) or `mesh` (none: its triangles).
@@ -38,19 +38,19 @@ class PhysicsBody:
     """A rigid body, in its local frame unless stated otherwise."""
 
     name: str
-    pose: FloatArray  # of its frame in the world (7,)
+    pose: FloatArray  # world pose of the body's frame (7,)
     shapes: Sequence[PhysicsShape]
-    density: float = 1000.0  # of its shapes, if there is no mass [kg/m³]
+    density: float = 1000.0  # density of the shapes, used without a mass [kg/m³]
     mass: float | None = None  # [kg]
-    centre: FloatArray | None = None  # of mass (3,) [m]
-    inertia: FloatArray | None = None  # about its principal axes (3,) [kg m²]
+    centre: FloatArray | None = None  # centre of mass (3,) [m]
+    inertia: FloatArray | None = None  # principal moments of inertia (3,) [kg m²]
     axes: FloatArray = field(default_factory=IDENTITY_POSE[3:].copy)  # principal (4,)
     velocity: FloatArray = field(default_factory=lambda: np.zeros(3))  # world [m/s]
     spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # world [rad/s]
     kinematic: bool = False
     times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
     path: FloatArray | None = None  # poses of a kinematic body at these times (T, 7)
-    origin: str = ""  # its file and prim
+    origin: str = ""  # file and prim of the body
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,17 +69,17 @@ class JointDrive:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PhysicsJoint:
-    """A joint of two bodies; x is its axis."""
+    """A joint between two bodies; its axis is x of the joint frame."""
 
     name: str
     kind: str  # `fixed`, `pin`, `ball` or `prismatic`
-    bodies: tuple[int, int]  # -1 is the world
-    frames: tuple[FloatArray, FloatArray]  # of the joint in both (7,)
+    bodies: tuple[int, int]  # indices of the two bodies; -1 is the world
+    frames: tuple[FloatArray, FloatArray]  # joint frame in each body (7,)
     limits: tuple[float, float] | None = None  # [rad] or [m]; of a ball joint: twist
     swing: tuple[float, float] | None = None  # half-angles about y and z [rad]
     drive: JointDrive | None = None
-    contacts: bool = False  # whether its two bodies collide with each other
-    # Force [N] and torque [N m] at which it breaks.
+    contacts: bool = False  # whether the two bodies collide with each other
+    # Force [N] and torque [N m] at which the joint breaks.
     break_limits: tuple[float, float] = (np.inf, np.inf)
 
 

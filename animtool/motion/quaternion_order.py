@@ -19,7 +19,7 @@ MIN_WRONG_ANGLE, MAX_RIGHT_ANGLE = np.radians([110.0, 50.0])
 
 @dataclass(frozen=True, slots=True)
 class SwappedOrder:
-    """Median angles of joints from their rest pose [deg]."""
+    """Median joint angles from rest, for quaternions as read and with w moved [deg]."""
 
     joint_count: int
     angle_as_read: float
@@ -35,7 +35,7 @@ class SwappedOrder:
 
 
 def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
-    """Return the angles that show swapped quaternions; None if the order is right."""
+    """Return angles from rest in both orders if w is misplaced; None if not."""
     animated = motion.rotations.animated
     values = motion.rotations.values
     if len(animated) < MIN_JOINTS or not len(values):
@@ -62,7 +62,7 @@ def _median_angle(rest: FloatArray, rotations: FloatArray) -> float:
 
 
 def order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
-    """Return a warning about quaternions in the other order (MOT222)."""
+    """Return a warning if quaternions seem to have w at the wrong end (MOT222)."""
     order = find_swapped_order(rig, motion)
     if order is None:
         return []

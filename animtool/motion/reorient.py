@@ -84,7 +84,7 @@ def rotate_rig(rig: Rig, rotation: FloatArray, up: UpAxis) -> Rig:
 
 
 def transform_motion(motion: Motion, roots: IntArray, placement: Placement) -> Motion:
-    """Return a motion moved to a placement of as many frames or of one.
+    """Apply a placement, of one frame or one for each frame, to a motion.
 
     ``roots``: joints without a parent ``(R,)``.
     """
@@ -131,7 +131,7 @@ def _position_roots(
 def _scale_roots(
     motion: Motion, roots: IntArray, placement: Placement
 ) -> Channel | None:
-    """Return scales multiplied by the varying part of the placement's size."""
+    """Return scales times the placement's size relative to its first frame."""
     extra_scale = placement.sizes / placement.size
     if (extra_scale == 1.0).all():
         return motion.scales

@@ -27,7 +27,7 @@ class ScoreUnit(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One score of a pass: larger is worse.
+    """A quality score of a pass; larger values are worse.
 
     Attributes:
         name: Name in reports.
@@ -83,10 +83,10 @@ class PassScores:
     """The scores of a pass on one take.
 
     Attributes:
-        scores: In the order of reports.
+        scores: Scores in the order of reports.
         names: Names of affected joints or parts of the take, by description.
         pass_name: Name of the pass; empty until a scene sets it.
-        where: Its entry in the scene; empty until a scene sets it.
+        where: Entry of the pass in the scene; empty until a scene sets it.
     """
 
     scores: tuple[Score, ...]
@@ -101,7 +101,7 @@ class PassScores:
 
     @property
     def exceeded_scores(self) -> list[Score]:
-        """The scores worse than a good result, the worst first."""
+        """The scores beyond the limit of a good result, the worst first."""
         worse_scores = [score for score in self.scores if score.excess > 1.0]
         return sorted(worse_scores, key=lambda score: -score.excess)
 

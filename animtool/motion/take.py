@@ -121,7 +121,7 @@ def _first_non_unit(values: FloatArray) -> tuple[int, ...] | None:
 
 
 def _row_owner(rig: Rig, tracks: Sequence[Track], name: str, index: int) -> str:
-    """Return the name of the owner of a channel's row."""
+    """Return the name of the joint, shape, control or track of a channel's row."""
     if name == "track_times":
         return f"track {tracks[index].path!r}"
     kind = {"weights": "shapes", "controls": "controls"}.get(name, "joints")
@@ -157,7 +157,7 @@ class Take:
     curve: MotionCurve | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        """Check that rig, clock and motion fit together."""
+        """Raise if rig, clock, motion and tracks do not match."""
         parts = self.rig, self.clock, self.motion, self.tracks
         faults = find_shape_faults(*parts) or find_value_faults(*parts)
         if faults:

@@ -35,7 +35,7 @@ class PropReference:
 
     file: str  # USD file
     prim: str  # path of a prim in it; empty is its default prim
-    meters_per_unit: float  # its length unit [m]
+    meters_per_unit: float  # length unit of the file [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,10 +100,10 @@ class Track:
     """
 
     path: str  # output path: below the character, or absolute from ``/``
-    sample: Sampling  # samples it at local times
-    type_name: str = "Xform"  # of its prim; empty leaves it to the reference
+    sample: Sampling  # samples the track at local times
+    type_name: str = "Xform"  # type of the prim; empty uses the reference's type
     has_transform: bool = True  # whether it has a transform; else only attributes
-    is_animated: bool = True  # whether it changes over time
+    is_animated: bool = True  # whether the track changes over time
     attributes: tuple[Attribute, ...] = ()  # in order
     reference: PropReference | None = None  # asset to show; None shows nothing
     # Whether it follows the placement of the take: it belongs to the take's stage, or
@@ -113,13 +113,13 @@ class Track:
     note: Callable[..., Fault] = Fault
 
     def at(self, times: FloatArray) -> Transforms:
-        """Return its transforms at times ``(F,)``, with continuous rotation signs."""
+        """Return the transforms at times ``(F,)``, with continuous rotation signs."""
         transforms = self.sample(times)
         return replace(transforms, rotations=so3.align_signs(transforms.rotations))
 
 
 def apply_placement(transforms: Transforms, placement: Placement) -> Transforms:
-    """Return transforms moved to a placement of as many frames or of one."""
+    """Apply a placement, of one frame or one for each time, to transforms."""
     if transforms.matrices is not None:
         matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
         matrices[:, :3, :3] = so3.to_matrix(placement.rotations)

@@ -68,7 +68,7 @@ MIN_BODY_JOINTS = 8
 
 @dataclass(slots=True)
 class _RoleSearch:
-    """State of the search for the roles of a skeleton's joints."""
+    """State of the search that assigns a role to each joint of a skeleton."""
 
     body: SkeletonTree
     roles: list[str]
@@ -148,7 +148,7 @@ def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:
 
 
 def _largest_tree(search: _RoleSearch) -> list[Fault]:
-    """Ignore all trees but the largest; warn if others look like bodies too."""
+    """Ignore all joint trees but the largest; warn if another looks like a body."""
     body = search.body
     roots = body.rig.roots
     if len(roots) == 1:
@@ -202,7 +202,7 @@ def _find_limbs(search: _RoleSearch) -> None:
 
 
 def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
-    """Return the joint with the most limb names above it; -1 if no joint has one."""
+    """Return the joint with the most limb roles named along its path; -1 for none."""
     body = search.body
     best_joint, best_score = -1, 0.0
     for j, votes in enumerate(body.votes):
@@ -220,7 +220,7 @@ def _tip_by_names(search: _RoleSearch, limb_roles: set[str]) -> int:
 
 
 def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
-    """Tell left from right by limb positions; by file order where they coincide."""
+    """Assign left and right by limb positions, or by file order if these coincide."""
     body, tip_joints = search.body, search.tips
     for limb in search.unsided:
         tip_names = [f"{limb}_{side}" for side in SIDES]
@@ -246,7 +246,7 @@ def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
-    """Assign the roles of hips, spine, neck, head and the joints above the hips."""
+    """Assign roles to hips, spine, neck, head, and the joints above the hips."""
     body, tip_joints = search.body, search.tips
     legs = [tip_joints[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_joints]
     arms = [tip_joints[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_joints]
@@ -281,7 +281,7 @@ def _assign_trunk(search: _RoleSearch) -> None:
 
 
 def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> None:
-    """Assign roles to the joints from the hips' fork to chest and head."""
+    """Assign roles to the joints from the leg-trunk fork up to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
         for j in body.path(start, chest):
@@ -320,7 +320,7 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
 
 
 def _find_head(search: _RoleSearch, chest: int) -> int:
-    """Return the head by structure: the chain's first fork, or its end."""
+    """Return the first fork of the longest chain above the chest, or its end."""
     body = search.body
     arms = {j for s in SIDES for j in body.rig.upwards(search.tips[f"arm_{s}"])}
     branches = [j for j in body.limb_children(chest) if j not in arms]
@@ -373,7 +373,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
 def _split_hand(
     search: _RoleSearch, path: list[int], side: str
 ) -> tuple[list[int], int]:
-    """Return an arm's chain without fingers, and the joint the fingers branch from."""
+    """Split an arm into the chain without fingers, and the joint that forks."""
     votes = search.body.votes
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:

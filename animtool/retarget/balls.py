@@ -26,8 +26,8 @@ def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]
 
     The ball is where the toes begin: the middle of the foremost toe joints. A foot
     without toes ends in its ball or in its toe tip, whichever fits the other skeleton's
-    foot better. A foot without a visible end takes the other skeleton's ball, scaled.
-    Feet without any data have none.
+    foot better. A foot without an end joint takes the other skeleton's ball, scaled.
+    A foot is left out if neither skeleton shows its ball.
     """
     balls = {}
     for side in "lr":
@@ -80,7 +80,7 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
 def _ankle_to_ball(
     skeleton: RoledSkeleton, foot: int, toes: Sequence[int]
 ) -> FloatArray:
-    """Return the vector from the ankle to the ball, from toe joints ``(3,)`` [m]."""
+    """Return the vector from the ankle to the ball of the toe joints ``(3,)`` [m]."""
     offsets = skeleton.positions[list(toes)] - skeleton.positions[foot]
     facing = skeleton.facing
     if len(offsets) == 1 or facing is None:
@@ -97,14 +97,14 @@ def _foot_joint(skeleton: RoledSkeleton, side: str) -> int:
 
 @dataclass(frozen=True, slots=True)
 class _FootShape:
-    """A foot at rest: left, up and forward components from the ankle [m]."""
+    """Vectors from the ankle of a foot at rest; components left, up, forward [m]."""
 
     ball: FloatArray | None  # where toes begin (3,); None without toes
     tip: FloatArray | None  # the farthest end of the foot (3,)
 
 
 def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
-    """Return the known shape of a foot; None if the skeleton's facing is unknown."""
+    """Return the shape of a foot; None if the skeleton's facing is unknown."""
     facing, foot, toes = (
         skeleton.facing,
         _foot_joint(skeleton, side),

@@ -1,4 +1,4 @@
-"""Bends limbs of two bones, so that their ends reach goals."""
+"""Two-bone IK: bends limbs so that their ends reach goals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def bend_limb(
     rotations: tuple[FloatArray, FloatArray],
     hinge: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations of thigh and shin that bring ankles to goals ``(F, 4)``.
+    """Return thigh and shin rotations ``(F, 4)`` that bring the ankle to its goal.
 
     The knee bends in its own plane, then the leg rotates rigidly by the shortest arc.
 
@@ -84,7 +84,7 @@ def bend_at_pin(
     Args:
         hip: Start of the thigh ``(F, 3)`` [m].
         goal: Ankle goals ``(F, 3)`` [m].
-        thigh: Its current world rotations ``(F, 4)``.
+        thigh: Current world rotations of the thigh ``(F, 4)``.
         bones: Vector of the thigh, and of the shin with the knee at rest, both in the
             frame of the thigh ``(3,)`` [m].
         axis: Unit axis of the knee in that frame ``(3,)``.

@@ -64,15 +64,15 @@ class DriftOptions:
 
 @dataclass(frozen=True, slots=True)
 class _StanceTracks:
-    """Motion of planted feet, smoothed over all frames.
+    """Position, speed, spin and height of planted feet, smoothed over all frames.
 
     Ground positions are complex numbers: a rotation about the vertical is a factor.
     """
 
-    position: ComplexArray  # of planted feet (F,) [m]
-    speed: ComplexArray  # without that due to spin about the origin (F,) [m/s]
-    spin: FloatArray  # about the vertical (F,) [rad/s]
-    height: FloatArray  # above their median height (F,) [m]
+    position: ComplexArray  # ground position of planted feet (F,) [m]
+    speed: ComplexArray  # velocity minus that of spin about the origin (F,) [m/s]
+    spin: FloatArray  # angular velocity about the vertical (F,) [rad/s]
+    height: FloatArray  # height of the feet above its median (F,) [m]
 
 
 def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Take:
@@ -133,8 +133,7 @@ def _root_correction(
 ) -> tuple[FloatArray, ComplexArray]:
     """Return the root's correction: rotation ``(F,)`` [rad] and shift ``(F,)`` [m].
 
-    With it, planted feet stay in place: the rate of ``e^(i angle) position + shift`` is
-    0.
+    With it, planted feet stay in place: ``e^(i angle) position + shift`` is constant.
     """
     rate, up = float(take.clock.rate), _ground_axes(take)[0]
     spin = -stance.spin
@@ -157,7 +156,7 @@ def _root_correction(
 
 
 def _integrate(values: Numbers, rate: float) -> Numbers:
-    """Return the integral of values over time, by the trapezoidal rule, from 0."""
+    """Integrate values over time by the trapezoidal rule, starting from 0."""
     integral = np.zeros_like(values)
     integral[1:] = np.cumsum((values[1:] + values[:-1]) / 2) / rate
     return integral
@@ -259,7 +258,7 @@ def _stance_tracks(
 
 
 def _windowed_medians(contacts: FloatArray, column: int, width: float) -> FloatArray:
-    """Return a windowed median of a contact column at each contact ``(N,)``.
+    """Return the weighted moving median of a contact column ``(N,)``.
 
     Contacts are weighted by duration, so that a foot that slides intentionally is
     outvoted.

@@ -27,16 +27,16 @@ BLOCK_FRAMES = 1024
 class FootFacts:
     """How often and how long a foot is planted."""
 
-    standing: float  # fraction of frames in which it is planted
+    standing: float  # fraction of frames in which the foot is planted
     steps: int  # number of contacts
 
 
 @dataclass(frozen=True, slots=True)
 class CaptureFacts:
-    """Statistics of a take of a body."""
+    """Statistics of a captured take: foot contacts, ground speed and noise."""
 
     feet: dict[str, FootFacts]  # by side, ``left`` and ``right``
-    speed_mean: float  # of the hips over the ground [m/s]
+    speed_mean: float  # mean ground speed of the hips [m/s]
     speed_max: float
     noise: float  # standard deviation of the noisiest joint's rotation [rad]
     noisiest: str  # name of that joint; empty if none rotates
@@ -82,7 +82,7 @@ def measure_capture(take: Take) -> CaptureFacts | None:
 def joint_positions(
     take: Take, skeleton: RoledSkeleton, joints: Sequence[int]
 ) -> tuple[FloatArray, dict[int, FloatArray]]:
-    """Return the middle of the hips and the given joints, each ``(F, 3)`` [m]."""
+    """Return the positions of the hips' middle and of each joint, ``(F, 3)`` [m]."""
     valid_joints = [j for j in joints if j >= 0]
     hips, positions = [], []
     for begin in range(0, take.clock.count, BLOCK_FRAMES):
@@ -97,7 +97,7 @@ def joint_positions(
 
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
-    """Return the ground speed of hips ``(F, 3)`` in each step ``(F - 1,)`` [m/s]."""
+    """Return the horizontal speed of hips ``(F, 3)`` per frame ``(F - 1,)`` [m/s]."""
     up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
     ground_positions = gaussian_smooth(
         np.delete(hips, up, axis=1), SPEED_INTERVAL / 2 * fps
@@ -106,7 +106,7 @@ def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
 
 
 def _noisiest_joint(take: Take) -> tuple[float, str]:
-    """Return the noise of the noisiest joint's rotation [rad], and the joint's name."""
+    """Return the largest rotation noise of any joint [rad], and that joint's name."""
     channel = take.motion.rotations
     levels = [
         rotation_noise(channel.values[:, k]) for k in range(len(channel.animated))

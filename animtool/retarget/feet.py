@@ -59,9 +59,9 @@ class Foot:
     rotation: FloatArray  # world rotation of the foot (F, 4)
     # World rotation of the foot planted flat at rest (4,); None keeps its rotation.
     flat_rotation: FloatArray | None
-    height: float  # of the planted ankle above the ground [m]
-    leg_length: float  # largest distance of ankle and hip [m]
-    min_reach: float  # smallest distance of ankle and hip [m]
+    height: float  # height of the planted ankle above the ground [m]
+    leg_length: float  # largest distance between ankle and hip [m]
+    min_reach: float  # smallest distance between ankle and hip [m]
     height_change: FloatArray  # source ankle above its planted height, scaled (F,) [m]
     # Hip-ankle distance of the source over its leg length (F,).
     straightness: FloatArray
@@ -69,11 +69,11 @@ class Foot:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFeet:
-    """Solved positions of hips and feet."""
+    """Solved paths of hips and feet, and the frames in which feet are planted."""
 
     hips: FloatArray  # the middle between the thighs (F, 3) [m]
-    ankles: Sequence[FloatArray]  # of each foot (F, 3) [m]
-    rotations: Sequence[FloatArray]  # (F, 4)
+    ankles: Sequence[FloatArray]  # ankle positions of each foot (F, 3) [m]
+    rotations: Sequence[FloatArray]  # world rotations of each foot (F, 4)
     is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
     toe_rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
     sole_heights: Sequence[
@@ -85,7 +85,7 @@ class PlacedFeet:
 def plant_feet(
     hips: FloatArray, feet: Sequence[Foot], fps: float, up: int
 ) -> PlacedFeet:
-    """Return hips and feet such that planted feet stay in place.
+    """Solve paths of hips and feet so that planted feet stay in place.
 
     The hips follow the scaled path of the source, so that an excerpt of a take moves as
     in the full take. They rise and sink so that planted feet need no other leg pose, as
@@ -162,7 +162,7 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
 
 
 def _toe_roll(toe: BoolArray, fps: float) -> FloatArray:
-    """Return 1 where only the toe is planted, fading to 0 around it ``(F,)``."""
+    """Return a weight: 1 while only the toe is planted, with a smooth fade ``(F,)``."""
     rolls = toe[:, None].astype(np.float64)
     fill_between(rolls, toe, fps)
     return np.asarray(np.clip(rolls[:, 0], 0.0, 1.0))
@@ -185,7 +185,7 @@ def _ankle_to_toe(foot: Foot, rotation: FloatArray) -> FloatArray:
 
 
 def _ankle_rise(foot: Foot, bone: FloatArray, up: int) -> FloatArray:
-    """Return how far the ankle rises where only the toe is planted ``(F,)`` [m]."""
+    """Return the ankle's rise above a level foot while on the toe only ``(F,)`` [m]."""
     toe_only = foot.contacts.toe & ~foot.contacts.ankle
     return np.where(toe_only, _level_bone(foot, up) - bone[:, up], 0.0)
 
@@ -198,7 +198,7 @@ def _hip_lift(
     fps: float,
     up: int,
 ) -> FloatArray:
-    """Return how far planted feet lift the hips, smoothed ``(F,)`` [m]."""
+    """Return the smoothed height that planted feet add to the hips ``(F,)`` [m]."""
     weights = np.array([_foot_weight(foot.contacts.any, fps) for foot in feet])
     lift = np.zeros((len(hips), 1))
     for weight, foot, ankle, ankle_rise in zip(
@@ -237,7 +237,7 @@ def smooth_path_to_targets(
 
 
 def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
-    """Return how much weight a foot carries ``(F,)``; it fades within its contact."""
+    """Return a foot's weight in the hip height ``(F,)``, eased at contact ends."""
     weight = np.zeros(len(is_planted))
     for start, end in runs(is_planted):
         frames = np.arange(start, end)
@@ -333,7 +333,7 @@ def _raise_above_ground(
         correction: Height correction of a foot.
         toe: Height of the toe without that correction ``(F,)`` [m].
         level: Lowest allowed height [m].
-        is_planted: Whether it is planted ``(F,)``.
+        is_planted: Whether the foot is planted ``(F,)``.
         fps: Frames a second.
     """
     if not is_planted.any():
@@ -353,7 +353,7 @@ def _raise_above_ground(
 def fill_between(
     values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
-    """Fill unknown rows ``(F, K)``: they fade to 0 within a time [s]."""
+    """Fill the rows ``(F, K)`` that are not fixed with a smooth fade to 0 [s]."""
     if is_fixed.all() or not is_fixed.any():
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
@@ -369,7 +369,7 @@ def _hip_shifts(
     fps: float,
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far hips drop and rise so that feet reach, each ``(F,)`` [m]."""
+    """Return the hip drop and hip rise with which legs reach, each ``(F,)`` [m]."""
     hip_drop, rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
@@ -398,7 +398,7 @@ def _hip_shifts(
 
 
 def smooth_cover(values: FloatArray, width: float) -> FloatArray:
-    """Return the smoothest curve above the values, near 0 elsewhere ``(F,)``.
+    """Return a smooth curve above all positive values, near 0 elsewhere ``(F,)``.
 
     It is 0 where no value is above 0, and returns to 0 within a width [frames].
     """
@@ -415,7 +415,7 @@ def smooth_cover(values: FloatArray, width: float) -> FloatArray:
 
 
 def _local_maxima(values: FloatArray) -> BoolArray:
-    """Return where values are positive local maxima ``(F,)``."""
+    """Return a mask of the values that are positive local maxima ``(F,)``."""
     padded = np.pad(values, 1, constant_values=-np.inf)
     is_peak = (values >= padded[:-2]) & (values >= padded[2:])
     return np.asarray(is_peak & (values > 0))
@@ -426,7 +426,7 @@ def upper_envelope(
 ) -> FloatArray:
     """Return a smooth upper envelope of values ``(F,)`` with a width [frames].
 
-    It is smoothed by a Gaussian of ``smooth`` frames; None is a quarter of the width.
+    It is smoothed by a Gaussian of ``smooth`` frames; None uses a quarter of the width.
     """
     half_width = int(np.ceil(width))
     padded = np.pad(values, half_width, mode="edge")

@@ -48,7 +48,7 @@ def no_body_warning(error: OptionError) -> Fault:
 
 
 def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
-    """Return a take with its feet planted in place; legs and hips adapt."""
+    """Return a take whose planted feet stay in place; legs and hips are adjusted."""
     path = None if options.map is None else context.folder / options.map
     settings = RetargetOptions(map=path)
     try:

@@ -101,7 +101,7 @@ class MapFile:
 
 
 class FileEntry(NamedTuple):
-    """Joints of both sides in an entry of a map file, by index."""
+    """Source and target joints of a map file's entry, as joint indices."""
 
     source: tuple[int, ...]
     target: tuple[int, ...]
@@ -114,21 +114,21 @@ class FileMap:
 
     entries: tuple[FileEntry, ...]
     twists: tuple[TwistFraction, ...] | None
-    ignored: tuple[frozenset[int], frozenset[int]]  # of the source and of the target
-    is_exclusive: bool  # whether joints it does not name stay unmapped
+    ignored: tuple[frozenset[int], frozenset[int]]  # source and target joints at rest
+    is_exclusive: bool  # whether joints that the file omits stay unmapped
 
 
 def load_map(path: Path | str) -> MapFile:
-    """Return a map file; names of joints are checked by `resolve_map`.
+    """Load a map file; `resolve_map` checks its joint names.
 
     Raises:
-        FormatError: It cannot be read or is malformed, with every fault.
+        FormatError: The file cannot be read or is malformed; lists every fault.
     """
     return parse_map_document(read_document(Path(path)))
 
 
 def parse_map_document(document: Document) -> MapFile:
-    """Return a document as a map file."""
+    """Return the map file that a document describes."""
     check_version(document, "map")
     model = validate_document(document, MapModel)
     entry_of_joint: dict[str, int] = {}
@@ -150,8 +150,8 @@ def parse_map_document(document: Document) -> MapFile:
 def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
     """Return a map file's joints as indices of two skeletons.
 
-    A joint is matched by its name, by its name in the source file, and by either
-    without namespace and prefix.
+    A joint is matched by its name or by its name in the source file, with or without
+    namespace and prefix.
     """
     document, model = file.document, file.model
     rigs = {"source": source, "target": target}
@@ -210,7 +210,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
 def _check_sides(
     file: MapFile, rigs: Mapping[str, Rig], indices: Mapping[str, Mapping[str, int]]
 ) -> None:
-    """Refuse a map of the opposite direction, in one fault (MAP001)."""
+    """Raise a single fault if a map has source and target swapped (MAP001)."""
     document, entries = file.document, file.model.joints
     for side, other in (("source", "target"), ("target", "source")):
         names = [name for entry in entries for name in _name_list(getattr(entry, side))]
@@ -225,12 +225,12 @@ def _check_sides(
 
 
 def _name_list(value: str | list[str]) -> list[str]:
-    """Return one name or several as a list."""
+    """Return a list of names, from a list or a single name."""
     return [value] if isinstance(value, str) else value
 
 
 def _joints_by_name(rig: Rig) -> Mapping[str, int]:
-    """Return the joints by every name that matches them."""
+    """Return a lookup of joint indices by every name that matches a joint."""
     index: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, names_in_file, strip_common_prefix(names_in_file)):

@@ -51,7 +51,7 @@ def _finger_paths(body: SkeletonTree, hands: Sequence[int]) -> list[list[int]]:
 def _assign_digits(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
-    """Return the finger of each path, by names if they tell, else by position."""
+    """Return the finger of each joint path, by its names, else by its position."""
     digits = []
     for path in paths:
         named = Counter(
@@ -69,7 +69,7 @@ def _assign_digits(
 def _digits_by_position(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
-    """Return fingers in knuckle order; the thumb's knuckle is nearest the wrist."""
+    """Return each path's finger by knuckle order; the thumb is nearest the wrist."""
     count = len(paths)
     if count <= 2 and max(map(len, paths)) < 3:
         # A mitten next to a thumb, which is shorter or begins first.

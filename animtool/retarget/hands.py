@@ -42,7 +42,7 @@ REACH_FRACTION, MAX_REACH_ITERATIONS = 0.99, 20
 
 @dataclass(frozen=True, slots=True)
 class ArmTracks:
-    """Motion of a target arm relative to the hips, and of the source's hand."""
+    """Motion of a target arm relative to the hips, and of the source's wrist."""
 
     joints: FloatArray  # shoulder, elbow, wrist from the middle of the hips (F, 3, 3)
     rotations: FloatArray  # world rotations of upper arm and forearm (F, 2, 4)
@@ -79,14 +79,14 @@ class ArmTracks:
 
 @dataclass(frozen=True, slots=True)
 class HandContact:
-    """Goals of a hand's contacts, and how its arm bends to reach them."""
+    """Wrist goals of a hand in contact, and the arm rotations that reach them."""
 
     side: str
-    goal: FloatArray  # of the wrist while in contact (F, 3) [m]
-    is_active: BoolArray  # frames in contact (F,)
+    goal: FloatArray  # goal of the wrist while in contact (F, 3) [m]
+    is_active: BoolArray  # mask of the frames in contact (F,)
     # World rotation vectors applied to upper arm and forearm (F, 2, 3) [rad].
     bone_rotations: FloatArray
-    props: frozenset[int]  # indices of the prop tracks that it holds
+    props: frozenset[int]  # indices of the prop tracks that the hand holds
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +98,7 @@ class AnkleHeights:
 
     @staticmethod
     def lift(floor: AnkleHeights | None, scale: float, up: int) -> FloatArray:
-        """Return the offset of the scaled source onto the ground ``(3,)`` [m]."""
+        """Return the offset that puts the scaled source on the ground ``(3,)`` [m]."""
         lift = np.zeros(3)
         if floor is not None:
             lift[up] = floor.target - scale * floor.source
@@ -124,8 +124,8 @@ def hand_contacts(
 ) -> list[HandContact]:
     """Return the goals of hands that keep the source's contacts.
 
-    Hands that hold each other keep the source's separation, scaled by arm length, about
-    their middle. Hands on the ground stay in place; hands on props keep their grip.
+    Hands that hold each other keep the source's separation, scaled by arm length, and
+    their midpoint. Hands on the ground stay in place; hands on props keep their grip.
     Corrections fade in and out as smoothly as possible.
 
     Args:
@@ -135,7 +135,7 @@ def hand_contacts(
         hips: Middle of the target's hips ``(F, 3)`` [m].
         floor: Ground height; None if there are no feet to determine it.
         fps: Frames a second.
-        props: Props they may grip.
+        props: Props that the hands may grip.
     """
     up = up_index(transfer.target.rig)
     ground_offset = AnkleHeights.lift(floor, transfer.scale, up)
@@ -219,8 +219,9 @@ def _arm_rotations(
 ) -> FloatArray:
     """Return rotations of both arm bones that bring the hand to its goal ``(F, 2, 3)``.
 
-    They are solved in frames with a contact and fade around them. Rotations fade, not
-    positions, because a nearly straight arm bends a lot for a small motion of its hand.
+    The rotations are solved in frames with a contact, and fade around these frames.
+    Positions do not fade, because a nearly straight arm bends a lot for a small motion
+    of its hand.
     """
     bends = np.zeros((len(is_contact), 2, 3))
     arm, frames = arm_joints(target, side), np.flatnonzero(is_contact)
@@ -242,13 +243,13 @@ def _arm_rotations(
 
 
 def _wrist_of_bent_arm(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
-    """Return the wrist relative to the shoulder for bent arms ``(F, 3)`` [m]."""
+    """Return wrist positions relative to the shoulder after bending ``(F, 3)`` [m]."""
     bones = np.diff(tracks.joints, axis=1)
     return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
 
 
 def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:
-    """Return heights above ground, smoothed to 0 at ``-depth`` and below."""
+    """Return heights eased quadratically to 0 from ``depth`` above to below ground."""
     return np.asarray(np.clip(heights + depth, 0.0, None) ** 2 / (4 * depth))
 
 
@@ -257,7 +258,7 @@ def _shift_into_reach(
     shoulders: Sequence[FloatArray],
     reaches: Sequence[float],
 ) -> list[FloatArray]:
-    """Return the goals of both hands, shifted together until both arms reach.
+    """Shift the goals of both hands by one offset until both arms reach.
 
     Args:
         goals: Goals of each wrist ``(F, 3)`` [m].
@@ -280,7 +281,7 @@ def _shift_into_reach(
 
 
 def _are_hands_joined(separation: FloatArray, length: float, fps: float) -> BoolArray:
-    """Return when hands hold each other ``(F,)``: near, and moving together."""
+    """Return a mask of frames in which hands are near and move together ``(F,)``."""
     if len(separation) < 3 or length <= 0:
         return np.zeros(len(separation), np.bool_)
     smooth_separation = gaussian_smooth(separation, SMOOTHING_SECONDS * fps)

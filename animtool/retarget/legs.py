@@ -25,7 +25,7 @@ from animtool.rig.skeleton import JointType, Rig
 class LegTracks:
     """Motion of a target leg relative to the hips, and of the source's leg.
 
-    Contains all frames, since they determine where feet are planted.
+    It contains all frames, since planting depends on the complete contacts.
     """
 
     hip: FloatArray  # of the target, relative to the middle of its hips (F, 3) [m]
@@ -123,7 +123,7 @@ def leg_joints(skeleton: RoledSkeleton, side: str) -> tuple[int, int, int, int]:
 def ball_of_foot(
     skeleton: RoledSkeleton, side: str, positions: FloatArray, rotations: FloatArray
 ) -> FloatArray:
-    """Return the ball's position, or the ankle's if unknown ``(F, 3)`` [m].
+    """Return the position of a foot's ball, or its ankle without one ``(F, 3)`` [m].
 
     Args:
         skeleton: The skeleton.
@@ -140,7 +140,7 @@ def ball_of_foot(
 def _leg_reach(
     target: RoledSkeleton, leg: tuple[int, int, int, int]
 ) -> tuple[float, float]:
-    """Return the smallest and largest hip-ankle distance [m]; pins may have limits."""
+    """Return the smallest and largest hip-ankle distance within pin limits [m]."""
     rig, (_, shin, foot, _) = target.rig, leg
     joint, rest_rotation = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
@@ -173,7 +173,7 @@ def _leg_reach(
 def _flat_rotation(transfer: Transfer, foot: int) -> FloatArray:
     """Return the rotation of a foot planted flat at rest ``(4,)``.
 
-    A source that lies at rest does not define it.
+    A source whose rest pose lies down does not define that rotation.
     """
     target = transfer.target
     facing, up = target.facing, up_index(target.rig)
@@ -248,10 +248,10 @@ def limb_rotations(
     Args:
         target: The skeleton.
         limb: Joints of the limb: first, middle and end.
-        joints: Their positions ``(F, 3, 3)`` [m].
+        joints: Positions of these joints ``(F, 3, 3)`` [m].
         goal: Goal of the end ``(F, 3)`` [m].
         rotations: Current world rotations of both bones ``(F, 4)``.
-        hinge: Rotation axis of the middle joint of a straight limb, in its own frame
+        hinge: Rotation axis of a straight limb's middle joint, in that joint's frame
             ``(3,)``.
     """
     if target.rig.joints[limb[1]].type is JointType.PIN:

@@ -63,7 +63,7 @@ class _Leg:
     def solve_swivel(self, hips: FloatArray, fps: float) -> FloatArray:
         """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].
 
-        The smallest sufficient one, or the best if none is sufficient.
+        This is the smallest sufficient swivel, or the best one if none is sufficient.
         """
         swivel = np.zeros(len(hips))
         rotations, axis = self.rotations(hips), self.ankle_goal - hips - self.tracks.hip
@@ -94,7 +94,7 @@ class _Leg:
         frames: IntArray,
         angles: FloatArray,
     ) -> FloatArray:
-        """Return the squared limit violations of hip and ankle [rad²]."""
+        """Return the sum of squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_joints(self.target, self.side)
         bone_rotations = rotations[0][frames], rotations[1][frames]
         thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
@@ -116,7 +116,7 @@ class _Leg:
     def ankle_depth(self, hips: FloatArray, swivel: FloatArray) -> FloatArray:
         """Return the depth of a planted ankle below its goal ``(F,)`` [m].
 
-        Caused by hip limits; 0 while the foot is in the air.
+        It is caused by hip limits, and 0 while the foot is in the air.
         """
         rig, (thigh, shin, foot, _) = (
             self.target.rig,

@@ -46,12 +46,12 @@ class TwistFraction:
 
     target: int  # index in the target
     bone: int  # index in the target of the joint whose bone is twisted
-    fraction: float  # of the twist between the bone's start (0) and its end (1)
+    fraction: float  # fraction of the bone's twist, 0 at its start to 1 at its end
 
 
 @dataclass(frozen=True, slots=True)
 class JointMap:
-    """Which target joints follow which source joints."""
+    """The pairs, chains and twists by which target joints follow source joints."""
 
     pairs: tuple[JointPair, ...]  # in the order of the target's joints
     chains: tuple[JointChain, ...]
@@ -68,9 +68,9 @@ class JointMap:
 
 
 def map_text(joint_map: JointMap, source: Rig, target: Rig) -> str:
-    """Return a map as the text of a map file that users can edit.
+    """Format a joint map as the text of a map file that users can edit.
 
-    Loaded for the same skeletons, it gives the same pairs, chains and twists.
+    Loading the text for the same skeletons gives the same pairs, chains and twists.
     """
     return "\n".join(_map_lines(joint_map, source, target)) + "\n"
 
@@ -122,7 +122,7 @@ def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
 
 
 def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
-    """Yield the wrapped lines of a list of names."""
+    """Yield the lines of a YAML list of names, wrapped at the line width."""
     line = prefix
     for i, name in enumerate(names):
         is_last = i == len(names) - 1
@@ -136,7 +136,7 @@ def _wrapped_lines(prefix: str, names: Sequence[str]) -> Iterator[str]:
 
 
 def _flow_list(names: Sequence[str]) -> str:
-    """Return names as a YAML list, or one name alone."""
+    """Return names as a YAML flow list; a single name without brackets."""
     if len(names) == 1:
         return yaml_scalar(names[0])
     return f"[{', '.join(map(yaml_scalar, names))}]"

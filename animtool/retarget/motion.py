@@ -103,7 +103,7 @@ class Retargeting:
         hands: bool = False,
         props: PropTracks | None = None,
     ) -> None:
-        """Read the take once: the first pass.
+        """Read the take once to find its contacts: the first pass.
 
         Args:
             transfer: The transfer between the skeletons.
@@ -111,7 +111,7 @@ class Retargeting:
             motions: Motion of the source, block by block.
             fps: Frames a second.
             lock: Whether planted feet stay in place.
-            plant_similar_legs: Whether this also applies to legs like those of the
+            plant_similar_legs: Whether ``lock`` also applies to legs like those of the
                 source; else such legs move as the source's do.
             hands: Whether hands keep their contacts.
             props: Tracks of the take that hands may grip.
@@ -171,7 +171,7 @@ class Retargeting:
     def _read_tracks(
         self, motions: Iterable[Motion], legs: str, arms: str
     ) -> tuple[list[LegTracks], list[ArmTracks]]:
-        """Read the take; return the tracks of legs and arms on the given sides."""
+        """Read the take and return the motion of its legs and arms over all frames."""
         transfer = self.transfer
         tracks: list[list[LegTracks]] = []
         arm_tracks: list[list[ArmTracks]] = []
@@ -221,7 +221,7 @@ class Retargeting:
         )
 
     def _record_moving_joints(self, motion: Motion) -> None:
-        """Record the joints that leave their pose of the first frame."""
+        """Record the joints that move away from their pose in the first frame."""
         values = motion.translations.dense(), motion.rotations.dense()
         if self._start is None:
             self._start = values[0][0].copy(), values[1][0].copy()
@@ -241,7 +241,7 @@ class Retargeting:
         feet: Sequence[Foot],
         fps: float,
     ) -> PlacedFeet:
-        """Return planted feet, with hips and legs that reach them."""
+        """Return the planted feet; store hip positions and knee swivels that reach."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
         # The target's ground is the source's, scaled.
@@ -256,7 +256,7 @@ class Retargeting:
         return placed
 
     def _pose_frames(self, motion: Motion, legs: str) -> _PosedFrames:
-        """Return target frames whose joints follow the source's."""
+        """Transfer frames to the target rig, before feet are planted."""
         transfer = self.transfer
         source, target = transfer.source, transfer.target
         local = motion.translations.dense(), motion.rotations.dense()
@@ -278,11 +278,11 @@ class Retargeting:
 
     @property
     def clamped(self) -> Mapping[int, float]:
-        """Joints stopped by their limits, as fractions of the frames so far."""
+        """Fraction of the frames so far in which limits clamp each joint."""
         return {j: count / self._frames for j, count in self._clamped_frames.items()}
 
     def report(self) -> RetargetReport:
-        """Return the fit of the frames so far."""
+        """Return the fit report of the frames so far."""
         return self._meter.report(self.clamped)
 
     def verdict(self) -> Verdict:
@@ -296,7 +296,7 @@ class Retargeting:
 
     @property
     def stopped_by_rest_frame(self) -> list[str]:
-        """Joints that a rest pose taken from a frame holds at their limits."""
+        """Names of joints at limits because the rest pose is a frame of the take."""
         if self.rest_frame is None:
             return []
         names = self.transfer.target.rig.names
@@ -351,7 +351,7 @@ class Retargeting:
             )
 
     def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
-        """Return a channel with all joints animated if any source joint moves."""
+        """Return a channel: static if the source is, else with all joints animated."""
         if not self._moves:
             return Channel.static(first, len(values))
         return Channel(first, np.arange(values.shape[1]), values)
@@ -424,7 +424,7 @@ class Retargeting:
         goals: Sequence[FloatArray],
         frames: IntArray,
     ) -> LocalRotations:
-        """Return rotations with ankles at their goals and planted feet."""
+        """Return rotations with ankles at their goals and feet as they are planted."""
         target, placed = self.transfer.target, self.contact_frames.placed
         assert placed is not None
         world = rotations.world.copy()
@@ -459,7 +459,7 @@ class Retargeting:
 def _ankle_heights(
     transfer: Transfer, feet: Sequence[Foot], *, placed: bool
 ) -> AnkleHeights | None:
-    """Return ankle heights on the ground; None without feet."""
+    """Return the mean ankle heights of planted feet; None if there are no feet."""
     if not feet:
         return None
     ground = float(np.mean([foot.contacts.ground for foot in feet]))
@@ -471,7 +471,7 @@ Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
 def concatenate_tracks(parts: list[Tracks]) -> Tracks:
-    """Return blocks of consecutive frames as one set of tracks."""
+    """Concatenate the tracks of consecutive blocks along the frame axis."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)
     return type(parts[0])(*arrays)
@@ -534,7 +534,7 @@ def build_transfer(
         target: The target rig.
         joint_map: Which joints follow which.
         rest: Local rotations of the source's joints in its rest pose ``(J, 4)``; None
-            uses its rig's.
+            uses the rest pose of its rig.
         as_rig: Whether source and target rest in the same pose, whatever the bones look
             like.
     """
@@ -552,7 +552,7 @@ def retarget_take(
     lock: bool = True,
     hands: bool = False,
 ) -> Retargeted:
-    """Return a take on another rig.
+    """Retarget a take onto another rig, and report its fit.
 
     Args:
         take: The source.

@@ -1,4 +1,4 @@
-"""Joint names: side, and role by naming convention."""
+"""Parses joint names: the side, and the role by naming convention."""
 
 from __future__ import annotations
 
@@ -64,23 +64,23 @@ _WORD_WEIGHT, _OTHER_WEIGHT = 0.8, 0.6
 
 @dataclass(frozen=True, slots=True)
 class ParsedName:
-    """A parsed joint name."""
+    """A joint name split into side, key and kind."""
 
     side: str  # ``l``, ``r`` or empty
-    name_key: str  # its words in lower case, without prefix, side and separators
+    name_key: str  # lower-case words without prefix, side and separators
     kind: str = ""  # `TWIST`, `END` or `CONTROL`, if a word says so
 
 
 @dataclass(frozen=True, slots=True)
 class Preset:
-    """A naming convention."""
+    """A naming convention, such as that of a rigging tool: names and their roles."""
 
     name: str
     title: str
-    source: str  # where its names were found
+    source: str  # where the names of the convention were found
     # whether all names come from there; else some are derived by a rule
     is_complete: bool
-    roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `ReadName.key`
+    roles_by_key: Mapping[str, frozenset[str]]  # roles without sides, by `name_key`
     names_by_role: Mapping[str, tuple[str, ...]]  # names by role, the default first
 
     @property
@@ -98,12 +98,12 @@ def _split_words(name: str) -> list[str]:
 
 
 def _normalized_key(words: Sequence[str]) -> str:
-    """Return words as a key of the presets: lower case, without filler words."""
+    """Join words to the key of a preset: lower case, without filler words."""
     return "".join(words).lower()
 
 
 def _split_side(words: Sequence[str]) -> tuple[str, list[str]]:
-    """Return the side that a word states, and the remaining words."""
+    """Split words into the side that one of them states, and the remaining words."""
     for i, word in enumerate(words):
         side = _SIDE_WORDS.get(word.lower(), "")
         # A letter with a number is a vertebra, unless the other side has one too.
@@ -163,7 +163,7 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
 
 
 def _strip_side_letter(name: str, other: str) -> str:
-    """Return a name without the letter that differs from its partner's; or ""."""
+    """Remove the only letter that differs from a partner's name; "" for no partner."""
     differ = [i for i, (a, b) in enumerate(zip(name, other, strict=False)) if a != b]
     if len(name) != len(other) or len(differ) != 1:
         return ""
@@ -171,7 +171,7 @@ def _strip_side_letter(name: str, other: str) -> str:
 
 
 def _name_kind(name: str, words: Sequence[str]) -> str:
-    """Return TWIST, END or CONTROL if a word of the name says so, else ""."""
+    """Return TWIST, END or CONTROL if a word of the name implies it, else ""."""
     lowercase_words = [word.lower() for word in words if not word.isdigit()]
     if name.startswith("__") or not _CONTROL_WORDS.isdisjoint(lowercase_words):
         return CONTROL
@@ -238,7 +238,7 @@ def _expand_digits(entry: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Yield roles without sides, and the name templates of each."""
+    """Yield pairs of a role without side and a name template of that role."""
     for role, value in joints.items():
         entries = value if isinstance(value, list) else [value]
         for i, entry in enumerate(entries):
@@ -277,7 +277,7 @@ def best_preset(
 def role_votes(
     parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
-    """Return the role votes of names: weights 0 to 1 for each of J joints."""
+    """Return the roles that each name may mean, with weights from 0 to 1."""
     tables, words = (
         preset.roles_by_key if preset else {},
         _load_tables()[COMMON_WORDS].roles_by_key,
@@ -310,7 +310,7 @@ def role_votes(
 
 @cache
 def _limb_words() -> Mapping[str, frozenset[str]]:
-    """Return the limb roles that any convention assigns to a name, by its key."""
+    """Return the limb roles that any convention assigns to each name key."""
     roles: dict[str, set[str]] = {}
     for preset in presets().values():
         for key, base_roles in preset.roles_by_key.items():

@@ -64,7 +64,7 @@ def map_joints(
     source_positions: FloatArray | None = None,
     target_positions: FloatArray | None = None,
 ) -> JointMap:
-    """Return which target joints follow which source joints.
+    """Pair the joints of two skeletons by roles, names or a map file.
 
     Args:
         source: Skeleton of a take, of J joints.
@@ -154,7 +154,7 @@ def _crossed_sides(
     pairs: Iterable[JointPair],
     map_file: MapFile | Path | str | None,
 ) -> list[Fault]:
-    """Return a warning about pairs of a left and a right joint (MAP108)."""
+    """Return a warning if left joints are paired with right joints (MAP108)."""
     crossed_pairs = []
     for pair in pairs:
         source_roles, target_roles = (
@@ -180,7 +180,7 @@ def _crossed_sides(
 def _leg_counts(
     rigs: tuple[Rig, Rig], anatomies: tuple[Anatomy, Anatomy]
 ) -> list[Fault]:
-    """Return a warning about a biped and a quadruped (MAP109)."""
+    """Return a warning if one skeleton is a biped and the other not (MAP109)."""
     stands_on_hands = [
         RoledSkeleton.of(rig, anatomy.roles).stands_on_hands()
         for rig, anatomy in zip(rigs, anatomies, strict=True)
@@ -199,7 +199,7 @@ def _leg_counts(
 def _unmapped_joints(
     rig: Rig, anatomy: Anatomy, used_joints: set[int]
 ) -> tuple[int, ...]:
-    """Return the unmapped joints, without those that only mark a bone's end."""
+    """Return the unmapped joints, except those that only mark the end of a bone."""
     return tuple(
         j
         for j in range(len(rig.joints))
@@ -227,7 +227,7 @@ class _PairCollector:
             self._add(role, entry.source, entry.target, RoleSource.FILE)
 
     def add_same_names(self) -> None:
-        """Pair joints of the same name."""
+        """Pair every target joint with the source joint of the same name."""
         source, target = self.rigs
         names = {name: j for j, name in enumerate(source.names)}
         for j, name in enumerate(target.names):
@@ -235,7 +235,7 @@ class _PairCollector:
                 self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
 
     def add_remaining_names(self) -> None:
-        """Pair joints of the same name that roles leave over on both sides."""
+        """Pair joints of equal name that no role has paired on either skeleton."""
         source, target = self.rigs
         follows = np.full(len(target.joints), -1)
         for pair in self.pairs.values():
@@ -287,7 +287,7 @@ class _PairCollector:
             self._add(role, toe_rows[0][int(fraction * last_index + 0.5)], toe)
 
     def add_mittens(self) -> None:
-        """Pair fingers with a mitten chain, on either side."""
+        """Pair the fingers of one skeleton with the mitten chain of the other."""
         for side in SIDES:
             mittens = [
                 anatomy.chain(f"{MITTEN_ROLE}_{side}") for anatomy in self.anatomies
@@ -317,7 +317,7 @@ class _PairCollector:
         target_joints: Sequence[int],
         evidence: RoleSource | None = None,
     ) -> None:
-        """Pair two chains, and record them if either has several joints."""
+        """Pair the joints of two chains; record chains of more than one joint."""
         positions = [
             _chain_fractions(rig, anatomy, chain)
             for rig, anatomy, chain in zip(
@@ -375,7 +375,7 @@ def _toes_inside_out(
 
 
 def _is_named(anatomy: Anatomy, joint: int) -> bool:
-    """Return whether a joint's role was found by its name."""
+    """Return whether the evidence for a joint's role is its name."""
     return anatomy.evidence[joint] in {
         RoleSource.NAME,
         RoleSource.PRESET,
@@ -384,12 +384,12 @@ def _is_named(anatomy: Anatomy, joint: int) -> bool:
 
 
 def _last_index_before(starts: Sequence[float], position: float) -> int:
-    """Return the last joint that begins at or before a position along its chain."""
+    """Return the index of the joint that begins nearest to a position on its chain."""
     return int(np.argmin(np.abs(np.asarray(starts) - position)))
 
 
 def _chain_fractions(rig: Rig, anatomy: Anatomy, chain: Sequence[int]) -> list[float]:
-    """Return where the joints of a chain begin, as fractions of its length."""
+    """Return the start of each joint of a chain, as fractions of the chain's length."""
     steps = [0.0, *(_path_length(rig, a, b) for a, b in pairwise(chain))]
     chain_length = sum(steps) + _bone_length(rig, anatomy, chain[-1])
     if chain_length <= 0 or max(steps) <= 0:
@@ -424,7 +424,7 @@ def _bone_length(rig: Rig, anatomy: Anatomy, joint: int) -> float:
 def _twist_fractions(
     target: Rig, anatomy: Anatomy, pairing: _PairCollector
 ) -> tuple[TwistFraction, ...]:
-    """Return the twist fractions of joints that lie along a bone."""
+    """Return the fraction of a bone's twist that each joint along the bone takes."""
     fractions = []
     for j, role in enumerate(anatomy.roles):
         bone = target.joints[j].parent

@@ -1,4 +1,4 @@
-"""World rotations as local rotations that joint types and limits allow."""
+"""Converts world rotations to local ones that joint types and limits allow."""
 
 from __future__ import annotations
 
@@ -113,19 +113,19 @@ def _normalize(vector: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class LocalRotations:
-    """Rotations that the joints allow."""
+    """Local and world rotations within the limits of the joints."""
 
-    local: FloatArray  # (F, K, 4)
-    world: FloatArray  # the same in the world (F, K, 4)
+    local: FloatArray  # local rotations (F, K, 4)
+    world: FloatArray  # world rotations (F, K, 4)
     clamped: dict[int, BoolArray]  # joints that limits clamp, with the frames (F,)
 
     def rows(self, frames: IntArray) -> LocalRotations:
-        """Return the rotations of some frames."""
+        """Return the rotations of the selected frames."""
         clamped = {j: mask[frames] for j, mask in self.clamped.items()}
         return LocalRotations(self.local[frames], self.world[frames], clamped)
 
     def set_rows(self, frames: IntArray, other: LocalRotations) -> None:
-        """Replace the rotations of some frames."""
+        """Replace the rotations of the selected frames."""
         self.local[frames], self.world[frames] = other.local, other.world
         for j in {*self.clamped, *other.clamped}:
             mask = self.clamped.setdefault(j, np.zeros(len(self.local), np.bool_))
@@ -140,8 +140,8 @@ def local_rotations(
 ) -> LocalRotations:
     """Return local rotations within limits, from world rotations ``(F, K, 4)``.
 
-    Child joints compensate for what a limit takes away from a joint; joints that follow
-    none stay at rest.
+    Child joints compensate for the rotation that a limit removes; joints that follow
+    no source joint stay at rest.
 
     Args:
         transfer: The transfer between the skeletons.
@@ -192,7 +192,7 @@ def local_rotations(
 
 
 def _twist_joint(target: RoledSkeleton, j: int) -> int:
-    """Return the joint whose twist a pin along its bone carries; -1 for other pins."""
+    """Return the child whose twist goes to a pin along its bone; -1 without one."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1
@@ -216,7 +216,7 @@ def _twist_joint(target: RoledSkeleton, j: int) -> int:
 def _clamp_to_limits(
     joint: Joint, rest: FloatArray, local: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Return allowed local rotations ``(F, 4)``, and where limits clamp them."""
+    """Clamp rotations ``(F, 4)`` to a joint's limits; also return clamped frames."""
     is_clamped = np.zeros(len(local), np.bool_)
     limits = joint.limits
     if joint.type is JointType.FREE or (
@@ -244,7 +244,7 @@ def _clamp_to_limits(
 
 
 def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
-    """Return world rotations from local ones, both ``(F, K, 4)``."""
+    """Compute world rotations from local rotations, both ``(F, K, 4)``."""
     world = local.copy()
     for j, parent in enumerate(rig.parents.tolist()):
         if parent >= 0:
@@ -255,7 +255,7 @@ def world_rotations(rig: Rig, local: FloatArray) -> FloatArray:
 def distribute_twist(
     transfer: Transfer, local: FloatArray, previous_angles: FloatArray | None
 ) -> FloatArray:
-    """Give twist joints their fraction of the twist at the bone's end.
+    """Distribute the twist at a bone's end among the twist joints along the bone.
 
     Args:
         transfer: The transfer between the skeletons.

@@ -38,7 +38,7 @@ class PropMotion:
     def find_gripped_frames(
         self, wrist: FloatArray, arm: float, fps: float
     ) -> BoolArray:
-        """Return when a hand grips the prop ``(F,)``.
+        """Return a mask of the frames in which a hand grips the prop ``(F,)``.
 
         Args:
             wrist: Wrist of the source ``(F, 3)`` [m].
@@ -60,7 +60,7 @@ class PropMotion:
         return is_gripped
 
     def in_prop_frame(self, points: FloatArray) -> FloatArray:
-        """Return points in the prop's frame ``(F, 3)`` [m]."""
+        """Transform world points into the prop's frame ``(F, 3)`` [m]."""
         return so3.rotate(so3.conjugate(self.rotations), points - self.positions)
 
 
@@ -113,10 +113,10 @@ class PropTracks:
 
 
 def _scale_track(track: Track, scale: float, lift: FloatArray) -> Track:
-    """Return a track with its path scaled and its size unchanged."""
+    """Scale and lift the path of a track; the size of the prop stays unchanged."""
 
     def sample(times: FloatArray) -> Transforms:
-        """Return the scaled transforms at times."""
+        """Return the transforms at the times, positions scaled and lifted."""
         sampled = track.sample(times)
         matrices = sampled.matrices
         if matrices is not None:

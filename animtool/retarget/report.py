@@ -48,7 +48,7 @@ MAX_UNMAPPED = 0.2  # of the source's joints
 
 @dataclass(frozen=True, slots=True)
 class RetargetReport:
-    """How well a take fits its rig; a score without data is NaN."""
+    """Scores of how well a take fits its rig; NaN where a score has no data."""
 
     frames: int
     scale: float  # leg length of the target over that of the source
@@ -57,7 +57,7 @@ class RetargetReport:
     # Distance of planted feet from the middle of their contact [m].
     drift_mean: float
     drift_max: float
-    source_drift_max: float  # of the source, scaled
+    source_drift_max: float  # largest drift of the source, scaled [m]
     sole_error: float  # largest height error of planted feet [m]
     penetration: float  # deepest sole below its planted height [m]
     # Largest error of the hands' distance from the shoulders, over the arm length.
@@ -72,7 +72,7 @@ class RetargetReport:
     acceleration: float
     lowered: float  # largest distance that the hips sank so that legs reach [m]
     held: Mapping[str, float]  # fraction of frames in which limits stop each joint
-    held_mean: float  # mean of these over the paired joints without fingers
+    held_mean: float  # mean of these fractions over paired joints except fingers
     unmapped_source: tuple[str, ...]
     unmapped_target: tuple[str, ...]
 
@@ -198,7 +198,7 @@ class FitMeter:
     def _both_skeletons(
         self, target: FloatArray, source: FloatArray
     ) -> list[tuple[RoledSkeleton, FloatArray, float]]:
-        """Return both skeletons with their positions and scale factors."""
+        """Return target and source skeleton, each with joint positions and scale."""
         transfer = self._transfer
         return [
             (transfer.target, target, 1.0),
@@ -208,7 +208,7 @@ class FitMeter:
     def _add_angles(
         self, frames: slice, target: FloatArray, source: FloatArray
     ) -> None:
-        """Add angles between bones of both skeletons; planted legs are left out."""
+        """Add the angles between corresponding bones, except those of planted legs."""
         contact_frames = self._contact_frames
         angle_sum, count, largest_angle = self._angle_sums
         bends, counts = np.zeros((2, len(target)))
@@ -245,7 +245,7 @@ class FitMeter:
         self._add_score("limbs", bends / np.maximum(counts, 1))
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
-        """Return where limits lift a heel whose toe is planted ``(F,)``."""
+        """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
         planted, contacts = (
             self._contact_frames.placed,
             self._contact_frames.contacts[k],
@@ -259,7 +259,7 @@ class FitMeter:
         )
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
-        """Add per-frame values of a score, keeping the worst per frame."""
+        """Merge per-frame values into a score; keep the larger value of each frame."""
         previous = self._worst_by_frame.get(score)
         self._worst_by_frame[score] = (
             values if previous is None else np.fmax(previous, values)
@@ -288,7 +288,7 @@ class FitMeter:
         return assess_take(fit_scores(report), values, source_values, forced)
 
     def report(self, clamped: Mapping[int, float]) -> RetargetReport:
-        """Return the fit of the frames so far.
+        """Return the fit scores of the frames so far.
 
         Args:
             clamped: Fraction of frames in which limits clamp each joint.
@@ -406,7 +406,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
 
 
 def _mean_clamped(joint_map: JointMap, clamped: Mapping[int, float]) -> float:
-    """Return the fraction of frames with clamped joints, averaged without fingers."""
+    """Return the mean clamped fraction of frames over the paired joints but fingers."""
     fingers = {*FINGER_ROLES, MITTEN_ROLE}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped.get(j, 0.0) for j in joints) / max(len(joints), 1)
@@ -417,7 +417,7 @@ def _drift_in_contacts(
 ) -> FloatArray:
     """Return ground distances from the middle of each contact ``(F,)`` [m].
 
-    NaN while nothing is planted.
+    The distance is NaN while the foot is not planted.
     """
     ground_positions = [k for k in range(3) if k != up]
     drift = np.full(len(points), math.nan)
@@ -432,7 +432,7 @@ def _reach_errors(
 ) -> FloatArray:
     """Return the error of the hands' relative distance from the shoulders ``(F,)``.
 
-    NaN without a pair of arms.
+    It is NaN unless both skeletons have a pair of arms.
     """
     largest_errors = np.full(len(skeletons[0][1]), math.nan)
     for side in "lr":

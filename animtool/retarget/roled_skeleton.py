@@ -36,7 +36,7 @@ class Ball:
     """The point that a foot rolls over."""
 
     toe: int  # index of the first joint of that toe; -1 for none
-    offset: FloatArray  # from the ankle, in the frame of the foot (3,) [m]
+    offset: FloatArray  # vector from the ankle in the foot's frame (3,) [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,8 +45,8 @@ class RoledSkeleton:
 
     rig: Rig
     roles: tuple[str, ...]  # role of each joint (J,)
-    positions: FloatArray  # at rest (J, 3) [m]
-    rotations: FloatArray  # at rest, in the world (J, 4)
+    positions: FloatArray  # world positions at rest (J, 3) [m]
+    rotations: FloatArray  # world rotations at rest (J, 4)
     # Balls of the feet by side, for a pair of skeletons.
     balls: Mapping[str, Ball] = field(default_factory=dict)
 
@@ -54,7 +54,7 @@ class RoledSkeleton:
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Return a skeleton; local rotations ``pose`` ``(J, 4)`` replace its rest."""
+        """Build from a rig; local rotations ``pose`` ``(J, 4)`` replace its rest."""
         if pose is None:
             rest_transforms = rest_world(rig)
         else:
@@ -79,7 +79,7 @@ class RoledSkeleton:
     def bone(self, joint: int) -> FloatArray | None:
         """Return the rest direction of a joint's bone, a unit vector ``(3,)``.
 
-        None for a joint without a bone.
+        Return None for a joint without a bone.
         """
         end_joint, role = -1, self.roles[joint]
         side_suffix, role_name = role[len(base_role(role)) :], base_role(role)
@@ -98,7 +98,7 @@ class RoledSkeleton:
         return np.asarray(bone / np.linalg.norm(bone))
 
     def offset(self, joint: int, lower_joint: int) -> FloatArray:
-        """Return a joint's rest offset from one above, in its frame ``(3,)`` [m]."""
+        """Return the rest vector to a lower joint in a joint's frame ``(3,)`` [m]."""
         offset = self.positions[lower_joint] - self.positions[joint]
         return so3.rotate(so3.conjugate(self.rotations[joint]), offset)
 
@@ -108,7 +108,7 @@ class RoledSkeleton:
         return float(np.linalg.norm(offset)) > MIN_BONE_LENGTH * self.size
 
     def stands_on_hands(self) -> bool | None:
-        """Return whether its hands are on the ground at rest; None if unclear."""
+        """Return whether the hands are on the ground at rest; None if unclear."""
         sides = [
             [self.last(f"{role}_{side}") for side in "lr"]
             for role in ("thigh", "foot", "hand")
@@ -127,7 +127,7 @@ class RoledSkeleton:
 
     @property
     def size(self) -> float:
-        """The largest extent of the joints [m]."""
+        """Largest extent of the rest positions [m]."""
         return float(np.ptp(self.positions, axis=0).max())
 
     @property

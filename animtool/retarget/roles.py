@@ -65,7 +65,7 @@ class Anatomy:
 
 
 def base_role(role: str) -> str:
-    """Return a role without its side.
+    """Strip the side suffix from a role.
 
     >>> base_role("upper_arm_l"), base_role("spine")
     ('upper_arm', 'spine')

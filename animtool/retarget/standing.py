@@ -56,7 +56,7 @@ FIRST_SAMPLES, MAX_SAMPLES = 3, 2000
 
 @dataclass(frozen=True, slots=True)
 class Stance:
-    """How a body stands in a take.
+    """The axis along which a body stands in a take, and how often.
 
     Attributes:
         axis: The axis along which it stands, if that is not the up axis.
@@ -70,7 +70,7 @@ class Stance:
 
 
 def body_axes(roles: Sequence[str], positions: FloatArray) -> FloatArray:
-    """Return the direction from feet to head ``(F, 3)``.
+    """Return the unit direction from feet to head in each frame ``(F, 3)``.
 
     Unit vectors, or 0 where the body does not stand: crawling, sitting on its heels, or
     no body. A four-legged body points away from its feet, whatever the direction of its
@@ -137,7 +137,7 @@ def _unit_vectors(vectors: FloatArray) -> FloatArray:
 def measure_stance(
     roles: Sequence[str], positions: FloatArray, up: UpAxis, rest: FloatArray | None
 ) -> Stance:
-    """Return how a body stands in frames of a take.
+    """Return the axis along which a body stands in a take, and how often.
 
     It stands along another axis if it does in nearly all frames, or from the first
     frame on and at least as often as along the up axis. Rest pose, motion or ground
@@ -189,7 +189,7 @@ def _is_trunk_along(
 ) -> bool:
     """Return whether the trunk is along an axis on average, with no legs below it.
 
-    Covers takes that never stand, such as a leap.
+    This covers takes that never stand, such as a leap.
     """
     trunk = _trunk_vectors(roles, positions)
     legs = _limb_vectors(roles, positions, *_LIMBS[0])
@@ -218,7 +218,7 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
 
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
-    """Return whether feet are at 0 of an axis while the body is not at 0 of up."""
+    """Return whether feet are at 0 along an axis, but the body is not at 0 along up."""
     extents = np.ptp(positions, axis=1).max(axis=1)
     body_size = float(np.median(extents))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
@@ -251,12 +251,12 @@ def find_standing_axis(
 ) -> UpAxis | None:
     """Return the axis that a body stands along, if it is not the rig's up axis.
 
-    BVH files do not state it.
+    BVH files do not state the up axis.
 
     Args:
-        rig: Of J joints.
+        rig: Rig of J joints.
         motion: The take.
-        roles: Of the joints ``(J,)``.
+        roles: Joint roles ``(J,)``.
         downwards: Whether it stands along the axis with the head at its negative end,
             as a take does that was turned from the wrong axis.
     """
@@ -275,7 +275,7 @@ def find_standing_axis(
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
-    """Return whether any sampled pose extends farther along the other axis than up."""
+    """Return whether any sampled pose is taller along the other axis than along up."""
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
@@ -301,7 +301,7 @@ def lying_body_notices(
     severity: Severity = Severity.NOTE,
     up: UpAxis | None = None,
 ) -> list[Fault]:
-    """Return a notice that a body stands along another axis than up (MOT214).
+    """Return a notice if a body stands along another axis than up (MOT214).
 
     up: The axis that the user chose.
     """
@@ -376,7 +376,7 @@ def with_source_warnings(
 
 
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
-    """Return a warning that a chosen unit gives an implausible size (RIG217)."""
+    """Return a warning if the chosen unit gives an implausible size (RIG217)."""
     size = rest_size(rig)
     low = MIN_SIZES[len(rig.joints) >= MIN_JOINTS]
     if not size or low <= size <= MAX_RIG_SIZE:

@@ -43,13 +43,13 @@ JointIndices = tuple[int, int]
 
 @dataclass(frozen=True)
 class SkeletonTree:
-    """A skeleton prepared for the anatomy search."""
+    """A skeleton's tree with bone lengths and role votes, for the anatomy search."""
 
     rig: Rig
     # Joint positions in the searched pose ``(J, 3)`` [m], world.
     positions: FloatArray
-    last_bones: FloatArray  # at rest, zero if there is none ``(J, 3)`` [m], world
-    kinds: tuple[str, ...]  # of joints without a role, by their names ``(J,)``
+    last_bones: FloatArray  # rest vectors of last bones, or zero ``(J, 3)`` [m], world
+    kinds: tuple[str, ...]  # kind of each joint's name, such as twist ``(J,)``
     votes: tuple[dict[str, float], ...]  # weights of roles by names ``(J,)``
 
     @classmethod
@@ -82,14 +82,14 @@ class SkeletonTree:
 
     @cached_property
     def lengths(self) -> FloatArray:
-        """Lengths of the offsets ``(J,)`` [m]; a root has none."""
+        """Distance of each joint from its parent at rest ``(J,)`` [m]; 0 for a root."""
         lengths = np.linalg.norm(self.rig.rest_translations, axis=1)
         lengths[self.rig.parents < 0] = 0.0
         return np.asarray(lengths)
 
     @cached_property
     def tips(self) -> FloatArray:
-        """Lengths of the last bones, of joints that carry one ``(J,)`` [m]."""
+        """Length of each joint's last bone ``(J,)`` [m]; 0 for joints without one."""
         return np.asarray(np.linalg.norm(self.last_bones, axis=1))
 
     @cached_property
@@ -109,7 +109,7 @@ class SkeletonTree:
 
     @cached_property
     def counts(self) -> list[int]:
-        """Number of joints in the subtree of each."""
+        """Number of joints in the subtree of each joint, which counts itself."""
         counts = [1] * len(self.rig.joints)
         for j in range(len(counts) - 1, -1, -1):
             if self.rig.joints[j].parent >= 0:
@@ -117,7 +117,7 @@ class SkeletonTree:
         return counts
 
     def path(self, top: int, bottom: int) -> list[int]:
-        """Return the joints from one to another below it; empty if it is not below."""
+        """Return the joints from top to bottom; empty if bottom is not below top."""
         path = self.rig.upwards(bottom)[::-1]
         return path[path.index(top) :] if top in path else []
 
@@ -153,7 +153,7 @@ class SkeletonTree:
 
     @cached_property
     def _has_bone_ends(self) -> bool:
-        """Whether leaves with a zero-length bone are bone ends, not joints.
+        """Whether leaves with a zero-length bone are bone ends instead of joints.
 
         Some files give no last bone a length; there, fingers of four joints show that
         the last joints are ends.
@@ -226,7 +226,7 @@ def find_limb_pairs(
 
 
 def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
-    """Return pairs of similar subtrees, each joint with its most similar one."""
+    """Return pairs of sibling joints with subtrees of similar length and size."""
     pairs = []
     for children in body.children:
         long_children = [
@@ -255,7 +255,7 @@ def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
 
 
 def _leg_score(body: SkeletonTree, legs: JointIndices, arms: JointIndices) -> float:
-    """Return how well two pairs fit as legs and arms."""
+    """Return a score of how well two pairs of limbs fit as legs and arms."""
     hips, chest = (body.rig.joints[pair[0]].parent for pair in (legs, arms))
     paths = [body.rig.upwards(hips), body.rig.upwards(chest)]
     score = 2.0 * (hips in paths[1]) - 2.0 * (chest in paths[0][1:])
@@ -389,7 +389,7 @@ def split_limb(
 def _name_score(
     body: SkeletonTree, path: Sequence[int], labels: Sequence[str]
 ) -> float:
-    """Return how well names agree with roles; a role's first joint counts most."""
+    """Score how well names agree with roles; the first joint of a role counts most."""
     score, previous = 0.0, ""
     for j, label in zip(path, labels, strict=True):
         votes = body.votes[j]
@@ -404,7 +404,7 @@ def _name_score(
 def _shape_score(
     distances: FloatArray, boundaries: Sequence[int], limb: LimbShape
 ) -> float:
-    """Return how well a limb's lengths and joint counts fit a human one."""
+    """Score how well a limb's bone lengths and joint counts fit a human limb."""
     _, upper, lower, end_index, _, n = boundaries
     counts = [b - a for a, b in pairwise(boundaries)]
     score = -0.4 * max(counts[1] - 1, 0) - 0.4 * max(counts[2] - 1, 0)
@@ -442,12 +442,12 @@ def _shape_score(
 
 
 def _ratio_penalty(value: float, expected: float, deviation: float) -> float:
-    """Return half the squared deviation of a ratio, in spreads, up to 12."""
+    """Return half the squared deviation of a ratio in standard deviations, up to 12."""
     return min(0.5 * float(np.log(value / expected) / deviation) ** 2, 12.0)
 
 
 def _bend_amount(body: SkeletonTree, joint_triple: Sequence[int]) -> float:
-    """Return 0 to 1: how much the path through three joints bends, as at an ankle."""
+    """Return the bend of a path through three joints: 0 straight, 1 for 90° or more."""
     first_bone, second_bone = np.diff(body.positions[list(joint_triple)], axis=0)
     length_product = float(np.linalg.norm(first_bone) * np.linalg.norm(second_bone))
     if length_product <= 0:

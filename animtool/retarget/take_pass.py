@@ -1,4 +1,4 @@
-"""The pass ``retarget``: takes onto another rig."""
+"""The pass ``retarget``: transfers takes onto another rig."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def insufficient_pairs_fault(
     source_joints: IntArray,
     moving_joints: Collection[int],
 ) -> Fault | None:
-    """Return why too little of a take is mapped to its rig (MAP010); None if enough is.
+    """Return a fault if too few joints of a take are mapped (MAP010), else None.
 
     Args:
         source: The skeleton of the take, of J joints.
@@ -115,12 +115,12 @@ def insufficient_pairs_fault(
 def zero_length_fault(
     source: Rig, joint_map: JointMap, max_bone_lengths: FloatArray
 ) -> Fault | None:
-    """Return which limbs of a take have bones without length (MAP011); None for none.
+    """Return a fault that lists the limbs with zero-length bones (MAP011), or None.
 
     Args:
         source: The skeleton of the take, of J joints.
         joint_map: Which joints follow which.
-        max_bone_lengths: Largest distance of its joints from their parents ``(J,)``
+        max_bone_lengths: Largest distance of source joints from parents ``(J,)``
             [m].
     """
     roles = joint_map.source.roles
@@ -160,7 +160,7 @@ def zero_length_fault(
 def unpaired_body_fault(
     source: Rig, roles: tuple[str, ...], target: Rig
 ) -> Fault | None:
-    """Return the fault that no body joint is paired (MAP010); None for non-bodies."""
+    """Return the fault of a body without paired joints (MAP010); None for props."""
     limbs = _complete_limbs(roles)
     if not limbs:
         return None
@@ -193,7 +193,7 @@ def _body_joints(rig: Rig, roles: tuple[str, ...]) -> list[int]:
 @with_text_values(RetargetOptions)
 @dataclass(frozen=True)
 class RetargetPassOptions:
-    """The rig that the take goes onto, and the options of `RetargetOptions`."""
+    """The target rig, and the options of `RetargetOptions`."""
 
     rig: Path | None = None  # the rig file
 
@@ -206,7 +206,7 @@ def retarget_stream(
     plant_similar_legs: bool = False,
     props: PropTracks | None = None,
 ) -> tuple[Retargeting, JointMap, list[Fault]]:
-    """Return a retargeting of a take, the joint map, and warnings.
+    """Return the retargeting of a take, the joint map, and its warnings.
 
     Args:
         stream: The take.
@@ -288,7 +288,7 @@ def retarget_stream(
 def _pair_joints(
     source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
 ) -> JointMap:
-    """Return the joint map; ``positions``: of the source's joints ``(J, 3)``."""
+    """Return the joint map, given standing source joint positions ``(J, 3)``."""
     try:
         return map_joints(
             source,
@@ -456,7 +456,7 @@ def _check_bound(options: Any) -> None:
 
 
 def _option_checks(options: Any) -> OptionChecks:
-    """Return the checks of each option."""
+    """Return the function that checks each option, by option name."""
     return {
         "rig": lambda: _rig_of_options(options),
         "warn_above": lambda: _check_bound(options),

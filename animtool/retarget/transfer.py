@@ -53,7 +53,7 @@ class Transfer:
         *,
         as_rig: bool = False,
     ) -> Transfer:
-        """Return the transfer for a joint map.
+        """Build the transfer between two skeletons from a joint map.
 
         ``as_rig``: whether the source's rest pose equals the target's.
         """
@@ -172,8 +172,8 @@ class Transfer:
     ) -> FloatArray:
         """Return local translations of the target ``(F, K, 3)`` [m].
 
-        The rest translations plus the source's deviations from its own rest, scaled;
-        ``(1, K, 3)`` if there are none.
+        They are the rest translations plus the scaled deviations of the source from its
+        rest; ``(1, K, 3)`` without deviations.
 
         Args:
             world: World rotations of the source ``(F, J, 4)``.
@@ -222,7 +222,7 @@ class Transfer:
         return self.scale * self.to_target_axes(middle_of_hips(self.source, positions))
 
     def to_target_axes(self, points: FloatArray) -> FloatArray:
-        """Return points of the source ``(..., 3)`` in the target's axes."""
+        """Rotate points ``(..., 3)`` from the source's up axis to the target's."""
         if (self.upright == so3.IDENTITY).all():
             return points
         return so3.rotate(self.upright, points)
@@ -252,13 +252,13 @@ def equal_name_pairs(
 
 
 def _fraction_middles(start_fractions: Sequence[float]) -> FloatArray:
-    """Return the middles of a chain's bones, as fractions of its length."""
+    """Return the midpoint of each bone of a chain, as fractions of its length."""
     edges = np.append(start_fractions, 1.0)
     return np.asarray((edges[1:] + edges[:-1]) / 2)
 
 
 def _twist_source(skeleton: RoledSkeleton, bone: int) -> int:
-    """Return the joint whose rotation twists a bone: the next below it with a role."""
+    """Return the joint whose rotation twists a bone: the next one below with a role."""
     children = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
     with_role = [k for k in children if skeleton.roles[k] not in {"", "twist", "end"}]
     return with_role[0] if with_role else -1
@@ -340,8 +340,8 @@ def _leg_ratio(
 ) -> float:
     """Return the ratio of target leg length to source leg length.
 
-    Without legs, of the path lengths from the hips to the rest of the body; without a
-    body, from the root to all joints that follow another.
+    Without legs, path lengths from the hips to the other body joints are compared;
+    without a body, those to all target joints that follow a source joint.
     """
     leg_lengths = [
         (target.leg_length(side), source.leg_length(side))

@@ -27,7 +27,7 @@ MAX_JOINED_GAP = 4
 
 
 class TakeStatus(StrEnum):
-    """What to do with a take."""
+    """Whether a retargeted take is good, needs a check, or is unusable."""
 
     GOOD = "good"
     LOOK = "check these frames"
@@ -68,7 +68,7 @@ class VerdictReason:
 
     Attributes:
         what: The score, or the fault.
-        text: Its value with unit; empty if it has none.
+        text: The value with its unit; empty if there is no value.
         frames: First and last index of each run of frames; empty if it concerns all.
     """
 
@@ -113,8 +113,8 @@ def assess_take(
 
     Args:
         scores: Scores of the full take.
-        values: Per-frame values of some of them ``(F,)``.
-        source_values: Values of the source itself for some of them.
+        values: Per-frame values ``(F,)`` of scores that vary over the take.
+        source_values: Scores of the source take, where they can be measured.
         forced: Errors ignored on request.
     """
     if forced:
@@ -143,7 +143,7 @@ def assess_take(
 
 
 def _score_bound(score: Score, source_values: float) -> float:
-    """Return the value above which a score needs a look."""
+    """Return the bound above which a score must be checked."""
     bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
     return bound if math.isnan(source_values) else max(bound, source_values)
 

@@ -54,7 +54,7 @@ class ArrayReader:
         shape: Shape,
         count: int | None = None,
     ) -> ArraySource:
-        """Return a reference; record the faults of its array."""
+        """Return the reference to an array, and record the faults of the array."""
         name, key = split_reference(text, _ROLE_KEYS.get(role, role))
         path = self.paths.get(name)
         path = path or resolve_reference(self.document, location, name, self.roots)
@@ -126,7 +126,7 @@ class ArrayReader:
 
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
-    """Return the first fault in an array's values, or None."""
+    """Return a description of the first invalid value of an array, or None."""
     if role in _INTEGER_ROLES:
         is_optional = np.zeros(values.shape, bool)
         if role == "faces":
@@ -146,7 +146,7 @@ def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str 
 
 
 def _strand_fault(values: npt.NDArray[Any]) -> str | None:
-    """Return the fault of a strand with two equal consecutive points, or None."""
+    """Return a fault if a strand has two equal consecutive points, else None."""
     index = _first_index((values[:, 1:] == values[:, :-1]).all(axis=-1))
     if index is None:
         return None
@@ -155,7 +155,7 @@ def _strand_fault(values: npt.NDArray[Any]) -> str | None:
 
 
 def _weight_fault(values: npt.NDArray[Any]) -> str | None:
-    """Return the fault of negative or all-zero weights, or None."""
+    """Return a fault if weights are negative or all zero, else None."""
     index = _first_index(values < 0)
     if index is not None:
         return f"contains {values[index]} at {list(index)}, a negative weight"
@@ -164,7 +164,7 @@ def _weight_fault(values: npt.NDArray[Any]) -> str | None:
 
 
 def _first_index(is_wrong: npt.NDArray[np.bool_]) -> tuple[int, ...] | None:
-    """Return the index of the first wrong value, or None."""
+    """Return the index of the first true value of a mask; None if there is none."""
     if not is_wrong.any():
         return None
     return tuple(map(int, np.unravel_index(int(is_wrong.argmax()), is_wrong.shape)))

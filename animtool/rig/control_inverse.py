@@ -42,7 +42,7 @@ class SolvedControls:
 def keys_of_controls(
     controls: Sequence[Control], solved_values: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return keys for control values ``(F,)``, minus what other controls add.
+    """Return keys that give control values ``(F,)``, without other controls' drives.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -73,7 +73,7 @@ def solve_controls(
     *,
     keyed: Set[str] = frozenset(),
 ) -> SolvedControls:
-    """Return control values within their ranges that drive targets to goals.
+    """Solve for control values within their ranges that drive targets to goals.
 
     Controls that share a target, or read each other, are solved together: sweeps find
     each control's segment by the nearest point on its own polyline, then Newton steps
@@ -154,7 +154,7 @@ def _solve_group(
 def _solve_released(
     problem: _GroupProblem, values: dict[str, FloatArray], released: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Solve again the controls that were released because of others."""
+    """Solve again, one by one, the controls that were released with their group."""
     remaining = set(released)
     for control in problem.controls:
         name = control.name
@@ -169,7 +169,7 @@ def _solve_released(
 def _reset_if_unneeded(
     problem: _GroupProblem, values: dict[str, FloatArray], start: dict[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Reset the controls to their start where that makes no difference.
+    """Reset controls to their start values if that changes no target noticeably.
 
     Samples in float32 leave rounding noise on static controls.
     """
@@ -184,7 +184,7 @@ def _reset_if_unneeded(
 
 
 def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
-    """Return the names of controls that share targets or read each other."""
+    """Return groups of control names that share targets or read each other."""
     links: dict[str, set[str]] = {}
     for control in controls:
         affected_names = {control.name}
@@ -266,7 +266,7 @@ class _GroupProblem:
             yield self._with_goals(shifted_goals)
 
     def _with_goals(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
-        """Return the problem with some of the goals only."""
+        """Return the problem with other goals: target values by name."""
         return _GroupProblem(self.controls, targets, self.tolerances, self.keyed)
 
     def residuals(
@@ -276,7 +276,7 @@ class _GroupProblem:
         *,
         modulo: bool = False,
     ) -> FloatArray:
-        """Return goals minus driven values, in tolerances ``(F, T)``."""
+        """Return goals minus driven values, divided by the tolerances ``(F, T)``."""
         driven_values = evaluate_controls(self.controls, values).targets
         columns = []
         with np.errstate(invalid="ignore", over="ignore"):
@@ -310,7 +310,7 @@ class _GroupProblem:
     def solve(
         self, start: Mapping[str, FloatArray], free_names: Sequence[str]
     ) -> dict[str, FloatArray]:
-        """Return the start with the values of some controls solved for."""
+        """Solve for the free controls; the others keep their start values."""
         values = {name: value.copy() for name, value in start.items()}
         for _ in range(MAX_SWEEPS if free_names else 0):
             largest_residuals = np.abs(self.residuals(values)).max(axis=1)
@@ -327,7 +327,7 @@ class _GroupProblem:
     ) -> FloatArray:
         """Return the best value of one control ``(F,)``, the others fixed.
 
-        Its effect is taken as linear between grid points.
+        The control's effect is assumed to be linear between grid points.
         """
         grid = _control_grid(self.by_name[name])
         other_values = {
@@ -369,14 +369,14 @@ class _GroupProblem:
     def _minimize(
         self, values: dict[str, FloatArray], free_names: Sequence[str], frames: IntArray
     ) -> None:
-        """Minimize the residual over some controls by Gauss-Newton, in place."""
+        """Minimize the residual over the free controls by Gauss-Newton, in place."""
         bounds = [_control_bounds(self.by_name[name]) for name in free_names]
         low_bounds, high_bounds = np.array(bounds).T
         current = np.stack([values[name][frames] for name in free_names], axis=-1)
         other_values = {name: value[frames] for name, value in values.items()}
 
         def residual_at(point: FloatArray) -> FloatArray:
-            """Return the residuals at values of the solved controls."""
+            """Return the residuals at the given values of the free controls."""
             values_at = dict(zip(free_names, point.T, strict=True))
             return self.residuals({**other_values, **values_at}, frames)
 
@@ -412,7 +412,7 @@ class _GroupProblem:
         free_names: Sequence[str],
         bounds: tuple[FloatArray, FloatArray],
     ) -> FloatArray:
-        """Return the Gauss-Newton step ``(F, C)`` of least length.
+        """Return the minimum-norm Gauss-Newton step ``(F, C)``.
 
         Controls at a bound are fixed if the step leads outside.
         """
@@ -444,7 +444,7 @@ class _GroupProblem:
 def _all_targets_by_control(
     controls: Sequence[Control], direct_targets: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
-    """Return the joint parts and shapes that each control moves, directly or not."""
+    """Return the joint parts and shapes that each control moves, also indirectly."""
     targets_by_control = {
         name: set(targets) for name, targets in direct_targets.items()
     }
@@ -481,7 +481,7 @@ def _control_bounds(control: Control) -> tuple[float, float]:
 
 
 def _control_grid(control: Control) -> FloatArray:
-    """Return values of a control between which its effect is nearly linear."""
+    """Return grid values of a control between which its effect is nearly linear."""
     corners = {x for drive in control.drives for x, _ in drive.curve}
     range_low, range_high = control.low, control.high
     if range_low is None or range_high is None:

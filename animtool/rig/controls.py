@@ -16,7 +16,7 @@ from animtool.rig.expressions import Expression
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """A control's contribution to one target."""
+    """The contribution of a control to one joint coordinate, shape or control."""
 
     # ``shape/NAME``, ``control/NAME`` or ``joint/NAME.PART``, PART being ``angle``,
     # ``slide``, ``rotation.x|y|z`` (of a rotation vector) or ``translation.x|y|z``.
@@ -50,14 +50,14 @@ class Drive:
 
 @dataclass(frozen=True, slots=True)
 class Control:
-    """A named animator value."""
+    """A named animation control with a range, a default value and drives."""
 
     name: str  # a Python identifier, as used in expressions
     low: float | None = None  # lower end of the intended range; None for no limit
     high: float | None = None  # upper end of the intended range
     default: float = 0.0  # value without keys and drives
-    drives: tuple[Drive, ...] = ()  # what it moves
-    driven: Driver | None = None  # driver of its value, instead of keys
+    drives: tuple[Drive, ...] = ()  # drives of the control's targets
+    driven: Driver | None = None  # driver of the control's value, instead of keys
 
 
 class ControlCycleError(ValueError):
@@ -75,8 +75,8 @@ class ControlCycleError(ValueError):
 def evaluation_order(controls: Sequence[Control]) -> list[str]:
     """Return the control names in dependency order.
 
-    A control depends on the controls that drive it, and on all that their expressions
-    read.
+    A control depends on the controls that drive it, and on all controls that their
+    expressions read.
     """
     dependencies: dict[str, dict[str, None]] = {
         control.name: {} for control in controls

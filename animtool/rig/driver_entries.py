@@ -27,7 +27,7 @@ def read_driver(
     units: tuple[float, float],
     value_unit: float,
 ) -> Driver | None:
-    """Return a file's driver without checking its inputs; record faults.
+    """Parse a driver of a rig file and record its faults; inputs are checked later.
 
     ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
     """
@@ -70,7 +70,7 @@ def _expression_driver(
 
 
 def check_no_interpolation(document: Document, location: Location, interp: str) -> None:
-    """Refuse ``interp`` with an expression, which it does not affect."""
+    """Record a fault if ``interp`` is set for an expression, which it cannot affect."""
     if interp == "smooth":
         message = "`interp` joins the points of a curve, but this is an expr"
         document.add("RIG015", (*location, "interp"), message, "remove it")
@@ -79,7 +79,7 @@ def check_no_interpolation(document: Document, location: Location, interp: str) 
 def record_descents(
     document: Document, location: Location, values: list[float]
 ) -> Iterator[int]:
-    """Record and yield the points of a curve that do not ascend."""
+    """Record a fault for each curve point that does not ascend; yield its index."""
     for k, previous in list(document.not_ascending(location, values, 0)):
         message = f"{values[k]:g} is not greater than {values[previous]:g}"
         document.add("RIG016", (*location, k), message, "values ascend")
@@ -175,7 +175,7 @@ def _drivers_by_target(rig: Rig) -> Iterator[tuple[str, Driver]]:
 
 
 def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
-    """Yield driven targets with another source of motion, with message and hint.
+    """Yield the driven targets that have another source of motion, message and hint.
 
     ``order``: all driven targets.
     """

@@ -72,7 +72,7 @@ def readable_parts(joint: Joint) -> list[str]:
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
-    """Return the fault of a name that no driver can read, or None."""
+    """Return a fault if drivers cannot read a coordinate or control, else None."""
     joint, part = split_coordinate(name)
     if not joint:
         control_names = [control.name for control in rig.controls]
@@ -113,7 +113,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
 
 
 def _suggestion_hint(name: str, names: Sequence[str]) -> str | None:
-    """Return a hint with the most similar names, or None."""
+    """Return a hint with the names that are most similar to a name, or None."""
     suggestions = most_similar(name, names)
     return f"did you mean {suggestions}?" if suggestions else None
 
@@ -121,7 +121,7 @@ def _suggestion_hint(name: str, names: Sequence[str]) -> str | None:
 def evaluation_order_of_drivers(rig: Rig) -> list[str]:
     """Return the driven targets in dependency order.
 
-    This includes joints that mimic such a joint, and controls that a driven control
+    This includes joints that mimic a driven joint, and controls that a driven control
     drives. Shapes are last.
     """
     dependencies: dict[str, dict[str, None]] = {}
@@ -180,7 +180,7 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:
-    """Return the targets that a driver reads, as keys of a dict."""
+    """Return the distinct targets that a driver reads, in order."""
     if driver is None:
         return {}
     joints = ((split_coordinate(name)[0], name) for name in driver.names)
@@ -259,7 +259,7 @@ class DriverPlan:
     def sources_of(self, joint: int) -> list[int]:
         """Return the undriven joints that move a driven joint.
 
-        A joint that mimics another is moved by that joint.
+        A mimic joint is moved by the joint that it mimics.
         """
         sources: dict[int, None] = {}
         pending_joints = [joint]
@@ -310,7 +310,7 @@ class DriverPlan:
     def dependent_joints(self, moved_names: Collection[str]) -> list[str]:
         """Return the driven joints that depend on given joints, in the rig's order.
 
-        Includes dependencies through mimic joints.
+        This includes dependencies through mimic joints.
         """
         moved_joints = {self.rig.index(name) for name in moved_names}
         return [
@@ -333,7 +333,7 @@ def plan_of(rig: Rig) -> DriverPlan:
 def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
     """Return the driven targets that depend on keyed controls.
 
-    Joint coordinates that they read count as known.
+    Joint coordinates that these drivers read count as known.
     """
     drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
     drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
@@ -404,5 +404,5 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
 
 
 def _joint_name_of(name: str) -> str:
-    """Return the joint of a coordinate's name; empty for a control."""
+    """Return the joint name in a coordinate's name; empty for a control."""
     return split_coordinate(name)[0]

@@ -120,7 +120,7 @@ def split_coordinate(name: str) -> tuple[str, str]:
 def renamed_coordinates(
     input_names: Sequence[str], names: Mapping[str, str]
 ) -> dict[str, str]:
-    """Return coordinate and control names after joints are renamed.
+    """Map coordinate and control names to their names after joints are renamed.
 
     >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
     {'elbow.angle': 'knee.angle', 'grip': 'grip'}

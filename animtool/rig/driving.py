@@ -115,7 +115,7 @@ def evaluate_drivers(
 
 
 class _NamedValues(dict[str, FloatArray]):
-    """Values by name; coordinates are read on demand."""
+    """Mapping of names to values; joint coordinates are read on first access."""
 
     def __init__(
         self,
@@ -147,7 +147,7 @@ def _control_contribution(
 
 
 def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
-    """Return a part of a ball's motion ``(F, 4)``: ``(F,)`` [rad].
+    """Return a ball's twist or swing part ``(F,)`` [rad] from rotations ``(F, 4)``.
 
     The twist is within half a revolution of the middle of its limits, or of 0 without
     limits. At a swing of half a revolution it is undefined, and near it, it changes

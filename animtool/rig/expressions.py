@@ -165,7 +165,7 @@ def parse_expression(text: str, *, coordinates: bool = False) -> Expression:
 
 
 def _syntax_fault(text: str, error: Exception) -> str:
-    """Return where the syntax of an expression breaks."""
+    """Return a message that explains an expression's syntax error."""
     if isinstance(error, RecursionError | MemoryError):
         return "the expression is nested too deep"
     offset = (getattr(error, "offset", None) or 1) - 1
@@ -181,7 +181,7 @@ def _syntax_fault(text: str, error: Exception) -> str:
 
 
 def _coordinate_name(node: ast.expr) -> str | None:
-    """Return a node's coordinate, ``JOINT.PART``; None for other nodes."""
+    """Return the coordinate ``JOINT.PART`` that a node names; None for other nodes."""
     match node:
         case ast.Constant(value=str(name)):
             return name
@@ -218,7 +218,7 @@ class _NameReplacer(ast.NodeTransformer):
         return self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> ast.Call:
-        """Keep function names."""
+        """Rename the arguments of a call, but not the function."""
         node.args = [self.visit(argument) for argument in node.args]
         return node
 

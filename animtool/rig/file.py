@@ -46,10 +46,10 @@ def read_bind(
     units: FileUnits,
     inherited: Mapping[str, Pose],
 ) -> dict[str, Pose]:
-    """Return the bind poses that differ from rest; record faults.
+    """Return the bind poses that differ from the rest pose, and record faults.
 
-    A mirrored joint has the reflection of the other's bind pose, unless the file states
-    one.
+    A mirrored joint takes the reflection of its partner's bind pose, unless the file
+    states a bind pose for it.
     """
     joints = {joint.name: joint for joint in file_joints.joints}
     bind = dict(inherited)
@@ -73,7 +73,7 @@ def read_bind(
 def _read_pose(
     document: Document, name: str, model: PoseModel, rest: Joint, units: FileUnits
 ) -> Pose:
-    """Return a bind pose; missing values are those of the rest pose."""
+    """Return a bind pose; values that the file omits are taken from the rest pose."""
     translation, rotation = rest.translation, rest.rotation
     if model.translate is not None:
         x, y, z = (value * units.length for value in model.translate)
@@ -251,7 +251,7 @@ def _sidecar_roots(document: Document, model: RigModel, units: FileUnits) -> Fil
 def _joints_without_base(
     document: Document, model: RigModel, units: FileUnits
 ) -> FileJoints:
-    """Return a sidecar's joints without its base, marked incomplete."""
+    """Return a sidecar's joints if its base cannot be read, marked as incomplete."""
     document.partial_lists |= {"joints", "meshes", "shapes", "controls"}
     joints = _sidecar_roots(document, model, units)
     return replace(
@@ -262,7 +262,7 @@ def _joints_without_base(
 def _overlay_joints(
     document: Document, model: RigModel, base: Rig, units: FileUnits
 ) -> FileJoints:
-    """Return a base's joints with a sidecar's types and limits."""
+    """Apply the joint types and limits of a sidecar to the joints of its base."""
     names = {joint.source_name or joint.name: joint.name for joint in base.joints}
     names |= {joint.name: joint.name for joint in base.joints}
     for i, entry in enumerate(model.joints):

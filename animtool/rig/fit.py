@@ -1,4 +1,4 @@
-"""Fit score between a take's rest skeleton and a target rig."""
+"""Scores how well a take's rest skeleton fits a target rig."""
 
 from __future__ import annotations
 
@@ -68,17 +68,17 @@ class RigFit:
 
     @property
     def score(self) -> float:
-        """From 0, nothing fits, to 1, both have the same rest skeleton."""
+        """Fit score from 0 (nothing fits) to 1 (equal rest skeletons)."""
         return float(min(self.components.values()))
 
     @property
     def rotation(self) -> float:
-        """Root mean square of the angles [rad]."""
+        """Root mean square of the rotation differences [rad]."""
         return float(np.sqrt(self.bones @ self.angles**2))
 
     @property
     def length(self) -> float:
-        """Root mean square of the differences in length [1]."""
+        """Root mean square of the relative bone length differences [1]."""
         return float(np.sqrt(self.bones @ self.lengths**2))
 
     @property
@@ -155,10 +155,10 @@ def measure_fit(
 
 
 class _AlignedPoses:
-    """Two rest poses in model space, one aligned to the other.
+    """Bones and rotations of two rest poses, one aligned to the other.
 
     Attributes:
-        bones: Bones of both, from the parent to the joint ``(B, 3)`` [m].
+        bones: Bones of both poses, from the parent to the joint ``(B, 3)`` [m].
         rotation_angles: Angle between the rotations of each joint [rad] ``(B,)``.
         up_axis_angle: Angle between the up axes after alignment [rad].
     """
@@ -200,7 +200,7 @@ def _is_straight(bones: FloatArray) -> bool:
 
 
 def _take_fraction(take: Rig, used_joints: IntArray) -> float:
-    """Return the used fraction of a take's joints; end joints below one are ignored."""
+    """Return the used fraction of a take's joints, without ends of used joints."""
     is_used = np.zeros(len(take.joints), np.bool_)
     is_used[used_joints] = True
     parents = take.parents
@@ -281,7 +281,7 @@ def _joints_fault(
 
 
 def _score_text(fit: RigFit) -> str:
-    """Return the noticeable parts of a score."""
+    """Return text that lists the components of a score that are noticeably low."""
     names = {
         "joints": f"{fit.take_fraction:.0%} of the take's, "
         f"{fit.rig_fraction:.0%} of the rig's",
@@ -298,7 +298,7 @@ def _score_text(fit: RigFit) -> str:
 
 
 def _worst_component_hint(fit: RigFit) -> str:
-    """Return a hint for the worst part of a score."""
+    """Return a hint for the component with the lowest score."""
     components = fit.components
     worst_component = min(components, key=lambda name: components[name])
     hints = {

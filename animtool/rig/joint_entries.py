@@ -49,7 +49,7 @@ class FileUnits:
 
 @dataclass(frozen=True, slots=True)
 class FileJoints:
-    """The joints of a file, and what its faults leave unknown."""
+    """The joints of a rig file, and the names that its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
     # names of joints whose parent is unknown
@@ -182,7 +182,7 @@ def _joint_entries(
 
 
 def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
-    """Warn once of joint names that contain white space (RIG109)."""
+    """Warn of joint names that contain white space, in one warning (RIG109)."""
     names = [name for name in entries if any(map(str.isspace, name))]
     if not names:
         return
@@ -265,7 +265,7 @@ def _warn_of_off_centre_parent(
 def _read_joint(
     document: Document, i: int, model: JointModel, units: FileUnits, parent: int
 ) -> Joint:
-    """Return the joint of an entry; record faults of its numbers."""
+    """Build the joint of an entry, and record faults of its numbers."""
     location: Location = ("joints", i)
     rotation = unit_quaternion(document, (*location, "rotate"), model.rotate)
     x, y, z = (value * units.length for value in model.translate)
@@ -304,7 +304,7 @@ def _check_repeated_channels(
 
 
 def _scale_vector(values: list[float], unit: float) -> Vector:
-    """Return three numbers in metres."""
+    """Convert three numbers to metres by the file's length unit."""
     x, y, z = (value * unit for value in values)
     return (x, y, z)
 
@@ -312,7 +312,7 @@ def _scale_vector(values: list[float], unit: float) -> Vector:
 def _range_limit(
     document: Document, location: Location, range_pair: list[float] | None, unit: float
 ) -> RangeLimit | None:
-    """Return a range in metres or radians; None with a fault if reversed."""
+    """Return a range in metres or radians; record a fault if it is reversed."""
     if range_pair is None:
         return None
     lower, upper = range_pair
@@ -428,7 +428,7 @@ def _with_mimics(
 def _check_mimic_chains(
     document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
-    """Refuse a mimic of a mimic, and so every cycle."""
+    """Record a fault for a mimic of a mimic, which also excludes cycles."""
     mimic_names = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:

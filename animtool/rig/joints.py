@@ -154,10 +154,10 @@ _SINGLE_PARTS = {
 def part_hint(
     text: str, parts: Mapping[str, Sequence[JointType]], kind: JointType | None = None
 ) -> str:
-    """Return a hint with the part of a joint that a target means.
+    """Return a hint that suggests the joint part for a misspelled target.
 
     Args:
-        text: The target: the joint's name, and what is no part of it.
+        text: The target: the joint's name, and an unknown part.
         parts: Allowed parts, and the joints that have them.
         kind: Type of the joint; None if unknown.
 

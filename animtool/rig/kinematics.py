@@ -58,9 +58,9 @@ def forward_kinematics(
         translations: Local translations, parent space ``(F, J, 3)`` [m].
         rotations: Local unit quaternions ``(F, J, 4)``.
         scales: Local scales ``(F, J, 3)`` [1]; None means no scale.
-        out: Arrays to fill and return, instead of new ones: for many frames, allocating
-            memory takes longer than the arithmetic. Of as many frames; must not overlap
-            the inputs.
+        out: Arrays of as many frames to fill and return, instead of new ones: for many
+            frames, allocating memory takes longer than the arithmetic. They must not
+            overlap the inputs.
 
     >>> from animtool.rig.skeleton import Joint
     >>> arm = Rig("arm", (Joint("a", -1), Joint("b", 0, translation=(0, 1, 0))))

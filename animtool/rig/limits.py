@@ -101,7 +101,7 @@ def swing_twist(
     """Split rotations ``(F, 4)`` into swing ``(F, 4)`` and twist ``(F,)`` [rad].
 
     ``q = swing · twist``: twist about the axis in [-π, π], swing about a perpendicular
-    axis. A swing of half a revolution leaves the twist undefined: 0.
+    axis. A swing of half a revolution leaves the twist undefined; it is then 0.
 
     >>> swing, twist = swing_twist([[0.0, 1.0, 0.0, 0.0]], (0, 1, 0))
     >>> float(twist[0].round(9)), swing.round(9).tolist()
@@ -122,7 +122,7 @@ def swing_twist(
 
 @cache
 def _twist_swing_axes(axis: tuple[float, float, float]) -> FloatArray:
-    """Return a twist axis and two perpendicular ones, as rows ``(3, 3)``."""
+    """Return a twist axis and two perpendicular axes, as rows ``(3, 3)``."""
     direction = np.asarray(axis, np.float64)
     largest = int(np.argmax(np.abs(direction)))
     basis = np.eye(3)

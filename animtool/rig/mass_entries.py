@@ -20,14 +20,14 @@ def read_masses(
     length: float,
     check_joint: Callable[[Location, str], bool],
 ) -> tuple[Mass, ...]:
-    """Return a file's masses and inherited ones; record faults.
+    """Return the masses of a file and of its base rig, and record faults.
 
     Args:
         document: Rig file.
         entries: Mass entries of the file.
         inherited: Masses of the base rig.
         length: Length unit [m].
-        check_joint: Records an unknown joint.
+        check_joint: Returns whether a joint exists, and records a fault otherwise.
     """
     listed_joints = {entry.joint for entry in entries}
     masses = [mass for mass in inherited if mass.joint not in listed_joints]

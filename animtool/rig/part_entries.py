@@ -58,7 +58,7 @@ class PartReader:
     """Builds the parts of a rig from its file; records faults in the document."""
 
     document: Document  # the file
-    model: RigModel  # its content
+    model: RigModel  # content of the file
     units: FileUnits  # units of its numbers
     file_joints: FileJoints  # the rig's joints
     arrays: ArrayReader  # checks the arrays that the file refers to
@@ -69,7 +69,7 @@ class PartReader:
     control_names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        """Index the joints."""
+        """Index the joints of the rig by name."""
         self.joints = {joint.name: joint for joint in self.file_joints.joints}
 
     def read_meshes(self) -> tuple[Mesh, ...]:
@@ -186,7 +186,7 @@ class PartReader:
         return controls
 
     def _warn_of_lost_drive(self, control: Control) -> None:
-        """Record a drive whose joint no longer has the part."""
+        """Record inherited drives whose joint no longer has the driven part."""
         for drive in control.drives:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped_joints:
@@ -484,7 +484,7 @@ class PartReader:
         return f"joint/{name}", unit
 
     def _part_fault(self, name: str) -> tuple[str, str]:
-        """Return message and hint for a drive without a known part of a joint."""
+        """Return message and hint for a drive whose target lacks a valid joint part."""
         joint, _, part = name.rpartition(".")
         if name in self.joints:
             joint, message = name, f"missing part of joint {name!r}"
@@ -497,7 +497,7 @@ class PartReader:
         return message, part_hint(name, DRIVEN_PARTS, kind)
 
     def _check_distinct(self, key: str, kind: str) -> None:
-        """Record entries that have the name of an earlier one."""
+        """Record a fault for each entry that has the name of an earlier entry."""
         first_entry: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
             if entry.name in first_entry:
@@ -522,7 +522,7 @@ class PartReader:
         return False
 
     def _is_descendant(self, root: str, tip: str) -> bool:
-        """Return whether a joint is, or could be, another joint or its descendant."""
+        """Return whether a tip is the root or its descendant, or that is unknown."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:

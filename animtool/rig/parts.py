@@ -33,7 +33,7 @@ class ArrayRef:
             archives: Cache of open files.
 
         Raises:
-            ValueError: It cannot be read or has non-finite values.
+            ValueError: The array cannot be read or has non-finite values.
         """
         if archives is None:
             return load_array(self.path, self.key)
@@ -112,8 +112,8 @@ class Mesh:
 class Inbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
-    at: float  # the weight
-    deltas: ArraySource  # with the shape of its shape's deltas
+    at: float  # weight of the shape at which the deltas apply
+    deltas: ArraySource  # offsets, of the same array shape as the blend shape's deltas
     normals: ArraySource | None = (
         None  # likewise for the normals; None leaves them unchanged
     )
@@ -129,11 +129,11 @@ class Shape:
         deltas: Vertex offsets added at weight 1 ``(V, 3)``.
         normals: Offsets of the normals ``(V, 3)``; None leaves them unchanged.
         inbetweens: In-betweens, ascending by weight.
-        combine: Names of the shapes whose weights are multiplied to get this one's;
+        combine: Names of the shapes whose product of weights is this shape's weight;
             empty for an independent shape.
         vertices: Indices of the vertices of deltas, normals and inbetweens ``(N,)``;
             None for all vertices.
-        driven: Driver of its weight.
+        driven: Driver of the shape's weight.
     """
 
     name: str
@@ -151,8 +151,8 @@ class IkChain:
     """A chain that reaches for a goal."""
 
     name: str  # unique among the rig's chains
-    root: str  # name of its first joint
-    tip: str  # name of its last joint
+    root: str  # name of the first joint
+    tip: str  # name of the last joint
     goal: str = "pose"  # ``position``, ``orientation`` or ``pose``
     # Direction of the chain's middle joint in the frame of the root joint's parent;
     # None leaves it undefined.

@@ -1,4 +1,4 @@
-"""A rig moved to its placement on a stage."""
+"""Moves a rig to its placement on a stage."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def transform_rig(rig: Rig, placement: Placement, up: UpAxis | None = None) -> R
 
     Scale is applied to lengths; geometry bound to joints is moved and scaled with them.
 
-    up: the new up axis; None keeps it.
+    up: the new up axis; None keeps the rig's.
     """
     placement = placement.first()
     if placement.is_identity and up in {None, rig.up}:
@@ -114,7 +114,7 @@ def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
 
 
 def _scale_driver(driver: Driver | None, size: float) -> Driver | None:
-    """Return a driver for scaled slides."""
+    """Return a driver with its length unit scaled."""
     if driver is None or size == 1.0:
         return driver
     return replace(driver, length_unit=driver.length_unit * size)
@@ -132,7 +132,7 @@ def _scale_control(control: Control, size: float) -> Control:
 
 
 def _transform_pose(pose: Pose, placement: Placement, *, root: bool) -> Pose:
-    """Return a bind pose placed; the pose of a root also rotates."""
+    """Scale a bind pose; the pose of a root is also rotated and moved."""
     if root:
         x, y, z = placement.transform_points(np.array(pose.translation)).tolist()
         a, b, c, w = placement.transform_rotations(np.array(pose.rotation)).tolist()
@@ -201,7 +201,7 @@ def _scale_collider(collider: Collider, size: float) -> Collider:
 
 
 def at_origin(rig: Rig) -> Rig:
-    """Return a rig at the origin, scaled and upright."""
+    """Return a rig at the origin, with its scale and upright rotation applied."""
     if rig.placement is None:
         return rig
     return replace(transform_rig(rig, rig.placement.inverse()), placement=None)

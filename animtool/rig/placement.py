@@ -47,7 +47,7 @@ class Placement:
     def size(self) -> float:
         """Scale of bone lengths, from the first frame.
 
-        If the scale changes, the roots contain the remaining scale.
+        If the scale is animated, the roots contain the ratio to the first frame's.
         """
         return float(self.sizes[0])
 
@@ -79,7 +79,7 @@ class Placement:
         return so3.multiply(self._broadcastable_parts()[1], rotations)
 
     def _broadcastable_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return sizes, rotations and translations, shaped to broadcast over points."""
+        """Return sizes, rotations and translations with an axis for points added."""
         if not self.is_animated:
             return self.sizes[0], self.rotations[0], self.translations[0]
         return (
@@ -108,7 +108,7 @@ class Placement:
         return Placement(self.translations[:1], self.rotations[:1], self.sizes[:1])
 
     def simplified(self) -> Placement:
-        """Return a single frame if all frames are equal."""
+        """Return a placement of a single frame if all frames are equal, else itself."""
         if not self.is_animated:
             return self
         spans = [
@@ -130,7 +130,7 @@ class Placement:
         return f"at ({x:g}, {y:g}, {z:g}) m, rotated by {angle:g}°"
 
     def split(self, up: UpAxis) -> tuple[Placement, Placement]:
-        """Split into heading and position, and a preceding scale and up-axis fix.
+        """Split into heading and position, and a preceding scale and up-axis rotation.
 
         The second holds the scale, and the rotation from the skeleton axis nearest to
         up, such as Y under a Z-up stage, to up itself. The first holds the rest:

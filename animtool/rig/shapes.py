@@ -35,7 +35,7 @@ ARKIT_SHAPES: tuple[str, ...] = tuple(
 
 
 def _normalize_name(name: str) -> str:
-    """Normalize a name: no case, underscores or namespace."""
+    """Lowercase a name; strip its namespace, spaces, hyphens and underscores."""
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
@@ -47,7 +47,7 @@ _ARKIT_BY_NORMALIZED = {_normalize_name(name): name for name in ARKIT_SHAPES} | 
 
 
 def arkit_name(name: str) -> str | None:
-    """Return ARKit's spelling of a shape name; None if it is not one.
+    """Return ARKit's spelling of a shape name; None if it is not an ARKit name.
 
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
@@ -109,7 +109,7 @@ def add_combinations(
 def subtract_combinations(
     shapes: Sequence[Shape], total: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Invert `add_combinations` [1], ``(F,)`` or ``(1,)``.
+    """Subtract the products of combination shapes: the inverse of `add_combinations`.
 
     >>> import numpy as np
     >>> shapes = [Shape("a"), Shape("both", combine=("a",))]

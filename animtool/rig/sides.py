@@ -105,7 +105,7 @@ def pair_sides(
 
 
 def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str, str]]:
-    """Return likely pairs among unpaired names.
+    """Return unpaired names that are probably left and right partners.
 
     >>> names = ["armLeft", "arm_right"]
     >>> find_likely_pairs(names, pair_sides(names))
@@ -130,7 +130,7 @@ def _without_side(name: str) -> str:
 
 
 def _has_side(name: str) -> bool:
-    """Return whether a name has a side."""
+    """Return whether a name contains a mark for left or right."""
     return bool(_LOOKS_LEFT.search(name) or _LOOKS_RIGHT.search(name))
 
 
@@ -145,7 +145,7 @@ def _joint_depths(parents: Sequence[int]) -> list[int]:
 def _candidate_pairs(
     names: Sequence[str], index: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield depth, rank, left and right of each possible pair."""
+    """Yield each possible pair: depth, rank of the naming, left and right index."""
     names_by_fold: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         names_by_fold.setdefault(name.casefold(), []).append(i)
@@ -176,7 +176,7 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
 
 
 def _right_mark(side_mark: re.Match[str]) -> str:
-    """Return the right-hand mark for a left-hand one, in the same case."""
+    """Return the right-hand mark for a left-hand mark, in the same case."""
     word = side_mark[0]
     right = SIDE_WORDS[word.lower()]
     if word.isupper():

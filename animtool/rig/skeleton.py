@@ -76,15 +76,15 @@ class JointArrays(NamedTuple):
 
     types: IntArray  # type numbers of the kernels ``(J,)``
     columns: IntArray  # column of each joint's first coordinate ``(J,)``
-    axes: FloatArray  # ``(J, 3)``
+    axes: FloatArray  # unit axes ``(J, 3)``
 
 
 @dataclass(frozen=True, slots=True)
 class Mimic:
-    """A pin or prismatic joint's coordinate as ``gain`` · another's + ``offset``."""
+    """A joint coordinate equal to ``gain`` · another joint's + ``offset``."""
 
     joint: str  # name of the pin or prismatic joint that it follows
-    gain: float = 1.0  # in radians and metres of the two joints
+    gain: float = 1.0  # factor, in radians or metres of the two joints
     offset: float = 0.0  # [rad] or [m]
 
 
@@ -118,7 +118,7 @@ class Joint:
         tips: Ends of the joint's bone that carry no joint (BVH End Sites), in the
             joint's frame [m].
         limits: Joint limits; None for no limits.
-        mimic: The joint whose coordinate it copies.
+        mimic: The joint whose coordinate this joint copies, with gain and offset.
         mirror: Name of its counterpart on the other side; empty if there is none.
         driven: Driver of a pin's or prismatic joint's coordinate, instead of
             keys.
@@ -172,7 +172,7 @@ class Rig:
 
     Raises:
         OptionError: Duplicate name (RIG001), or a parent does not precede its
-            child (RIG003); has every such fault.
+            child (RIG003); lists every such fault.
     """
 
     name: str
@@ -216,7 +216,7 @@ class Rig:
         A rig file with ``from`` takes its joints from the file named there.
 
         Raises:
-            FormatError: The file cannot be read or is malformed; has every fault.
+            FormatError: The file cannot be read or is malformed; lists every fault.
             OptionError: Its suffix is not supported.
         """
         path = Path(path)
@@ -345,7 +345,7 @@ class Rig:
         """Return ``root/…/joint`` for every joint, optionally with other names.
 
         Raises:
-            FormatError: They exceed `MAX_PATH_CHARACTERS` in all (USD020).
+            FormatError: The paths exceed `MAX_PATH_CHARACTERS` in total (USD020).
 
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).paths()
         ['upper', 'upper/lower']

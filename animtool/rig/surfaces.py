@@ -1,4 +1,4 @@
-"""Lazy arrays of a rig's meshes, shapes and strands."""
+"""Loads the arrays of a rig's meshes, shapes and strands on demand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from animtool.rig.skeleton import Rig
 class SurfaceInbetween:
     """Deltas of a shape at a weight between 0 and 1."""
 
-    at: float  # the weight
+    at: float  # weight of the shape at which the deltas apply
     deltas: FloatArray  # vertex offsets of the shape ``(N, 3)`` [m]
     normals: FloatArray | None = (
         None  # likewise for normals; None leaves them unchanged
@@ -43,7 +43,7 @@ class SurfaceShape:
     """A blend shape of a surface."""
 
     name: str  # name in the rig
-    deltas: FloatArray  # added at weight 1 ``(N, 3)`` [m]
+    deltas: FloatArray  # vertex offsets added at weight 1 ``(N, 3)`` [m]
     # Indices of the affected vertices ``(N,)``; None for all of them.
     vertices: IntArray | None = None
     # Added to the normals ``(N, 3)``; None leaves them unchanged.
@@ -63,7 +63,7 @@ class SurfaceSkin:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surface:
-    """A mesh in memory."""
+    """A mesh with its arrays in memory."""
 
     name: str  # name in the rig
     points: FloatArray  # ``(V, 3)`` [m]
@@ -73,7 +73,7 @@ class Surface:
     # World transform of the points at bind time ``(4, 4)``, for column vectors, with
     # its translation in [m].
     geom_bind: FloatArray
-    skin: SurfaceSkin | None  # None if it follows no joint
+    skin: SurfaceSkin | None  # skin binding; None if the mesh follows no joint
     shapes: tuple[SurfaceShape, ...]  # its blend shapes
     subdivision: Subdivision  # subdivision scheme
 
@@ -157,7 +157,7 @@ def _shape(shape: Shape, points: int, unit: float, archives: Archives) -> Surfac
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Strands:
-    """Strands in memory."""
+    """Strands of an attachment, with their arrays in memory."""
 
     name: str
     joint: str  # name of the joint that carries all strands
@@ -216,7 +216,7 @@ class _ArrayStore:
     def store_array(
         self, source: ArraySource | None, name: str, *, integers: bool = False
     ) -> ArraySource | None:
-        """Return a reference to an array; store it if no file has it."""
+        """Return a reference to an array; store the array if no file contains it."""
         if source is None or (isinstance(source, ArrayRef) and not self.copy_all):
             return source
         try:
@@ -231,7 +231,7 @@ class _ArrayStore:
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 
     def store_mesh(self, mesh: Mesh) -> Mesh:
-        """Return a mesh with references."""
+        """Return a mesh whose arrays are references to files."""
         skin = mesh.skin
         return replace(
             mesh,
@@ -242,7 +242,7 @@ class _ArrayStore:
         )
 
     def store_skin(self, skin: Skin, mesh: str) -> Skin:
-        """Return a skin with references."""
+        """Return a skin whose arrays are references to files."""
         return replace(
             skin,
             indices=self.store_array(skin.indices, f"{mesh}_joints", integers=True),
@@ -250,7 +250,7 @@ class _ArrayStore:
         )
 
     def store_shape(self, shape: Shape) -> Shape:
-        """Return a shape with references."""
+        """Return a shape whose arrays are references to files."""
         name = shape.name
         return replace(
             shape,
@@ -265,7 +265,7 @@ class _ArrayStore:
         )
 
     def store_inbetween(self, step: Inbetween, shape: str) -> Inbetween:
-        """Return an inbetween with references."""
+        """Return an in-between whose arrays are references to files."""
         name = f"{shape}_{step.at:g}"
         return replace(
             step,
@@ -274,7 +274,7 @@ class _ArrayStore:
         )
 
     def store_attachment(self, entry: Attachment) -> Attachment:
-        """Return an attachment with references."""
+        """Return an attachment whose arrays are references to files."""
         return replace(
             entry,
             pins=self.store_array(entry.pins, f"{entry.name}_pins", integers=True),
@@ -283,7 +283,7 @@ class _ArrayStore:
 
 
 def _to_32_bits(values: FloatArray, *, integers: bool) -> npt.NDArray[np.generic]:
-    """Return the values in 32 bits if that is lossless."""
+    """Convert values to a 32-bit type if that is lossless."""
     kind = np.int32 if integers else np.float32
     with np.errstate(over="ignore", invalid="ignore"):
         narrowed_values = values.astype(kind)

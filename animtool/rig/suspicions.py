@@ -57,7 +57,7 @@ QUARTER_ROUNDING = 2e-3
 
 
 class AngleLimit(NamedTuple):
-    """Limits of a joint."""
+    """Angle limits of a joint, with their location in the file."""
 
     location: Location
     joint: str  # name
@@ -99,13 +99,13 @@ def warn_of_angles(
 
 
 def limits_in_other_unit(limits: Iterable[AngleLimit], angle: str) -> list[AngleLimit]:
-    """Return the limits that look like radians if ``angle`` is deg, or the reverse."""
+    """Return the limits that seem to be in the other unit than ``angle``."""
     limits = [limit for limit in limits if limit.largest_value > 0]
     return _limits_in_radians(limits) if angle == "deg" else _limits_in_degrees(limits)
 
 
 def are_multiples(values: ArrayLike) -> BoolArray:
-    """Return which numbers are multiples of 15 or exactly 5 degrees in radians.
+    """Return a mask of numbers that, as radians, are multiples of 15 or just 5 degrees.
 
     >>> are_multiples([1.5708, 0.785, 1.5, 1.3963, 1.396]).tolist()
     [True, True, False, True, False]
@@ -217,7 +217,7 @@ def warn_of_quaternion_length(
 def _axis_angle_text(numbers: Sequence[float]) -> str | None:
     """Return a hint if four numbers look like an angle and an axis.
 
-    A small angle that is not 1 is in radians.
+    A small angle other than 1 is assumed to be in radians.
 
     >>> _axis_angle_text([30.0, 0.0, 0.0, 1.0])
     'for 30° about [0, 0, 1] write [0.9659, 0, 0, 0.2588]'
@@ -313,9 +313,9 @@ def _warn_of_drivers(document: Document, rig: Rig) -> None:
 
 
 def _max_driver_value(rig: Rig, driver: Driver) -> float:
-    """Return a driver's largest value where its inputs end [file's angle].
+    """Return a driver's largest value at the limits of its inputs [file's angle].
 
-    0 if an input has no ends, or there are many inputs.
+    Return 0 if an input has no limits, or there are many inputs.
     """
     ends = [_input_ends(rig, name) for name in driver.names]
     if len(ends) > MAX_INPUTS or not all(ends):
@@ -327,7 +327,7 @@ def _max_driver_value(rig: Rig, driver: Driver) -> float:
 
 
 def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
-    """Return the ends of a driver's input [rad], [m], [1]; empty without ends."""
+    """Return the limits of a driver's input [rad], [m], [1]; empty without limits."""
     joint, _ = split_coordinate(name)
     if not joint:
         for control in rig.controls:

@@ -1,4 +1,4 @@
-"""Warnings about colliders, masses, chains and expressions in another unit."""
+"""Warnings about parts of a rig that seem to be in another unit."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def warn_of_parts(document: Document, model: RigModel, rig: Rig) -> None:
 
     Args:
         document: The rig file.
-        model: Its content.
+        model: Content of the file.
         rig: The rig.
     """
     for i, chain in enumerate(model.ik):
@@ -92,7 +92,7 @@ def _warn_of_masses(document: Document, model: RigModel, rig: Rig, size: float) 
 
 
 def _warn_of_degrees(document: Document, rig: Rig) -> None:
-    """Warn of a function of radians that is given degrees (RIG115)."""
+    """Warn of a trigonometric function whose argument is in degrees (RIG115)."""
     for location, expression in _expressions(document, rig):
         program = expression.postfix_program()
         for (kind, name), (next_kind, function) in pairwise(program):

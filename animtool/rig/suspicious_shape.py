@@ -39,7 +39,8 @@ MIN_OFFSETS, MIN_WORLD_BONE = 3, 1e-3
 def rest_pose_without_kernels(rig: Rig) -> tuple[FloatArray, FloatArray]:
     """Return world positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest.
 
-    One step for all joints of a depth: rigs are checked without the kernels.
+    Joints of equal depth are computed together in numpy, since rigs are checked without
+    the kernels.
     """
     depths = np.zeros(len(rig.joints), np.int64)
     for i, joint in enumerate(rig.joints):
@@ -163,7 +164,7 @@ def _is_upright(rig: Rig, positions: FloatArray) -> bool:
 
 
 def _torso_offset(rig: Rig, positions: FloatArray) -> FloatArray | None:
-    """Return the offset of a body's torso from its feet; None if it lacks one."""
+    """Return the vector from a body's feet to its torso; None if it lacks either."""
     feet, torso = _feet_and_torso(rig)
     if not (feet and torso):
         return None
@@ -172,7 +173,7 @@ def _torso_offset(rig: Rig, positions: FloatArray) -> FloatArray | None:
 
 
 def _feet_and_torso(rig: Rig) -> tuple[list[int], list[int]]:
-    """Return the joints of the feet, and of what is above them."""
+    """Return the joints of the feet, and those of the upper body, by name."""
     feet = [j for j, name in enumerate(rig.names) if FOOT_NAMES.search(name)]
     torso = [j for j, name in enumerate(rig.names) if UPPER_BODY_NAMES.search(name)]
     return feet, [j for j in torso if j not in feet]

@@ -338,7 +338,7 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 
 def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
-    """Return the joints that are not written as another joint's `mirror`."""
+    """Return the joints with `mirror` cleared, so that all are written out."""
     return [replace(joint, mirror="") for joint in joints]
 
 
@@ -355,7 +355,7 @@ def _explicit_bind(rig: Rig) -> dict[str, Pose]:
 
 
 def _stretch_text(pose: Pose) -> str | None:
-    """Return the stretch of a bind pose; None if it is rounding."""
+    """Format the stretch of a bind pose; None if it is the identity up to rounding."""
     if pose.stretch is None:
         return None
     deviations = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
@@ -440,13 +440,13 @@ def _array_path(source: ArraySource | None) -> str | None:
 
 
 def _quoted_scalar(value: str) -> str:
-    """Return a text in double quotes, with escapes."""
+    """Quote a text as a YAML scalar with double quotes and escapes."""
     escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
 def _flow_mapping(pairs: KeyTexts) -> str:
-    """Return pairs as a YAML mapping in braces; None values are left out."""
+    """Format pairs as a YAML mapping in braces; pairs with None are left out."""
     entries = ", ".join(f"{key}: {value}" for key, value in pairs if value is not None)
     return f"{{{entries}}}"
 

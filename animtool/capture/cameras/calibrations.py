@@ -71,7 +71,7 @@ def read_camera_document(path: Path) -> Document:
 
 
 def _parse_toml(text: str, path: Path) -> Document:
-    """Return a TOML file as a document, with the lines of its tables."""
+    """Parse TOML text to a document that records the lines of its tables."""
     try:
         value = parse_toml(text)
     except ValueError as error:
@@ -92,7 +92,7 @@ def _parse_toml(text: str, path: Path) -> Document:
 
 
 def _node_count(value: Any) -> int:
-    """Return the number of source locations that a value takes in a document."""
+    """Return the number of document nodes of a value, counted with keys and items."""
     if isinstance(value, dict):
         return 1 + sum(1 + _node_count(inner) for inner in value.values())
     if isinstance(value, list):
@@ -103,7 +103,7 @@ def _node_count(value: Any) -> int:
 def parse_calibration(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
-    """Return another program's calibration document as cameras."""
+    """Convert the calibration document of another program to cameras."""
     stated_unit = _stated_unit(document)
     unit = unit or stated_unit or LengthUnit.M
     scale = unit.meters
@@ -176,7 +176,7 @@ class _CalibrationEntry:
     value: dict[str, Any]
 
     def read_camera(self, name: str, scale: float) -> Camera | None:
-        """Return the camera; None if it has faults, which are recorded."""
+        """Return the camera of the entry; record its faults and return None if any."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
@@ -219,7 +219,7 @@ class _CalibrationEntry:
     def _read_numbers(
         self, quantity: str, shape: tuple[int, ...] | None
     ) -> FloatArray | None:
-        """Return the numbers of a quantity; None with a fault if missing or invalid."""
+        """Return the numbers of a quantity; None and a fault if missing or invalid."""
         key = self._key_of(quantity)
         if key is None:
             if quantity == "distortion":
@@ -276,7 +276,7 @@ class _CalibrationEntry:
         return bool(is_valid)
 
     def _read_rotation(self, value: FloatArray) -> FloatArray | None:
-        """Return a rotation matrix; None with a fault if it is no rotation."""
+        """Return a rotation matrix; record a fault and return None if it is invalid."""
         if value.size == 3:
             return to_matrix(exp(value.ravel()))
         rotation_matrix = (

@@ -28,7 +28,7 @@ _NEWTON_STEPS = 20
 class Camera:
     """A calibrated camera.
 
-    It looks along +z, x is to the right and y down: ``x_camera = R x_world + t``.
+    The camera looks along +z, with x right and y down: ``x_camera = R x_world + t``.
 
     Attributes:
         name: Unique among the cameras.
@@ -72,9 +72,9 @@ class Cameras:
     """The cameras of a capture.
 
     Attributes:
-        cameras: In the order of the file.
+        cameras: Cameras in the order of the file.
         up: The up axis of the world.
-        path: Their file; empty for none.
+        path: File of the cameras; empty without a file.
         notices: Warnings and notes about the file.
     """
 
@@ -94,7 +94,7 @@ class Cameras:
 
 
 def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
-    """Return the rotation nearest to a matrix ``(3, 3)``; None if it is no rotation.
+    """Return the rotation nearest to a matrix ``(3, 3)``; None if it is far from one.
 
     >>> nearest_rotation(np.diag([1.0, 1.0, -1.0])) is None
     True
@@ -129,7 +129,7 @@ def distort(camera: Camera, points: FloatArray) -> FloatArray:
 def project(camera: Camera, points: FloatArray) -> FloatArray:
     """Return the pixels ``(…, 2)`` of points in the world [m] ``(…, 3)``.
 
-    NaN where a point is missing or behind the camera.
+    Pixels are NaN where a point is missing or behind the camera.
 
     >>> camera = Camera("a", (100.0, 100.0), (50.0, 40.0), np.eye(3), np.zeros(3))
     >>> project(camera, np.array([0.1, 0.0, 1.0])).tolist()
@@ -152,7 +152,7 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
 def pixel_rays(camera: Camera, pixels: FloatArray) -> FloatArray:
     """Return ray directions in the camera's frame, at depth 1, of pixels ``(…, 2)``.
 
-    NaN where no direction near a pixel projects to it.
+    Rays are NaN where no direction near a pixel projects to it.
     """
     # Overflows are invalid, and become NaN below.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

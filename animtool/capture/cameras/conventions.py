@@ -33,7 +33,7 @@ class Convention:
     opengl: bool = False  # the camera looks along -z with y up
 
     def camera(self, camera: Camera) -> Camera:
-        """Return a camera whose pose was read as if it were in this convention."""
+        """Convert a camera whose pose was read without regard to this convention."""
         rotation = camera.rotation
         if self.w_last:
             x, y, z, w = from_matrix(rotation)
@@ -51,7 +51,7 @@ class Convention:
 
     @property
     def texts(self) -> tuple[str, str]:
-        """How poses are written in this convention, and what to write instead."""
+        """How this convention writes poses, and what to write instead, for messages."""
         written, remedies = [], []
         if self.w_last:
             written.append("quaternions are [x, y, z, w]")
@@ -81,9 +81,10 @@ CONVENTIONS = sorted(
 def better_convention(
     cameras: Sequence[Camera], noise: Callable[[Sequence[Camera]], float], limit: float
 ) -> tuple[Convention, float, float] | None:
-    """Return the convention in which cameras agree, with its noise and that as read.
+    """Return the convention in which cameras agree, its noise, and the noise as read.
 
-    None if none is `MIN_IMPROVEMENT` times better than the poses as read.
+    Return None if no convention is `MIN_IMPROVEMENT` times better than the poses as
+    read.
 
     Args:
         cameras: The cameras as read.

@@ -107,7 +107,7 @@ class CamerasModel(FileModel):
 def parse_cameras(
     document: Document, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Return a document as cameras; see `load_cameras`."""
+    """Convert a camera document to cameras; see `load_cameras`."""
     check_version(document, "cameras")
     model = validate_document(document, CamerasModel)
     states_unit = "length" in model.units.model_fields_set
@@ -150,7 +150,7 @@ def parse_cameras(
 
 
 def _rotation_of(value: list[list[float]] | list[float]) -> FloatArray | None:
-    """Return the rotation of a matrix or quaternion (w, x, y, z); None for neither."""
+    """Return a rotation matrix from a matrix or (w, x, y, z); None if invalid."""
     numbers = np.array(value, np.float64)
     if numbers.ndim == 2:
         return nearest_rotation(numbers)
@@ -173,7 +173,7 @@ def load_cameras(
         up: The world's up axis, if the file does not state it.
 
     Raises:
-        FormatError: It cannot be read or is malformed, with every fault.
+        FormatError: The file cannot be read or is malformed; lists every fault.
     """
     from animtool.capture.cameras.calibrations import (
         parse_calibration,
@@ -189,7 +189,7 @@ def load_cameras(
 def load_all_cameras(
     paths: Sequence[Path], *, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Return the cameras of several files, such as one file per camera.
+    """Load cameras from one or more files, such as one file per camera.
 
     A camera without a name in its file is named after the file.
     """

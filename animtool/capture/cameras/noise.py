@@ -65,7 +65,7 @@ class ObservationNoise:
 def measure_noise(
     observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
 ) -> ObservationNoise:
-    """Return the noise of observations, measured on a sample of frames."""
+    """Measure the noise of each camera's observations on a sample of frames."""
     frames, views, markers = observations.stored.shape[:3]
     frame_step = max(1, frames * markers // SAMPLE_POINTS)
     pixels = observations.pixels(0, frames, frame_step)
@@ -146,12 +146,12 @@ def sampled_initial_noise(
 
 
 def _lengths(residuals: Float32Array) -> Any:
-    """Return the lengths of residuals ``(F, C, M)`` [px]."""
+    """Return the Euclidean norms of residuals ``(F, C, M)`` [px]."""
     return np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
 
 
 def _noise_factors(ratios: FloatArray) -> FloatArray:
-    """Return factors of the pooled noise by camera: 1 for similar ones, bounded."""
+    """Return each camera's bounded factor of the pooled noise; 1 if nearly equal."""
     is_similar = (ratios < SIMILAR_NOISE) & (ratios > 1 / SIMILAR_NOISE)
     bounded_ratios = np.clip(ratios, 1 / _MAX_NOISE_RATIO, _MAX_NOISE_RATIO)
     return np.asarray(np.where(is_similar, 1.0, bounded_ratios))
@@ -166,9 +166,9 @@ def _stale_camera(
     noise_ratios: FloatArray,
     settings: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
-    """Return the camera that a change of pose fits best to the others' points.
+    """Return the camera whose pose change fits it best to points of the other cameras.
 
-    One at a time: a stale camera makes others look worse than they are.
+    Only one camera is returned, since a stale camera makes others look worse.
     """
     if active_cameras[0].sum() < 3:
         return None
@@ -198,7 +198,7 @@ def _stale_camera(
 
 
 def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
-    """Return the noise estimated from least medians of squared residuals [px]."""
+    """Estimate the noise by least median of squares over camera pairs [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     least_medians = _kernels.least_median_residuals(
@@ -216,7 +216,7 @@ def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
 
 
 def _pooled_noise(lengths: FloatArray, is_used: BoolArray) -> float | None:
-    """Estimate the noise from the points' sums of squares [px]."""
+    """Estimate the common noise from the chi-square median of the points [px]."""
     counts = is_used.sum(axis=1)
     square_sums = np.where(is_used, lengths, 0.0)
     square_sums = (square_sums * square_sums).sum(axis=1)[counts > 1]
@@ -228,7 +228,7 @@ def _pooled_noise(lengths: FloatArray, is_used: BoolArray) -> float | None:
 
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
-    """Return the noise of each camera, from its median residual [px] ``(C,)``."""
+    """Estimate each camera's noise from its median residual [px] ``(C,)``."""
     is_used = states == USED
     other_counts = is_used.sum(axis=1)[:, None] - is_used
     is_judged = (is_used | (states == _REJECTED) | (states == _INACTIVE)) & (

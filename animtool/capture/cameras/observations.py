@@ -54,7 +54,7 @@ class Observations:
         missing: The stored number for invisible points; None is NaN.
         confidences: Detector confidence ``(F, C, M)``, 0 if not visible; None if
             all are equal.
-        path: Their file.
+        path: File of the observations.
         notices: Warnings and notes about it.
     """
 
@@ -98,7 +98,7 @@ def read_observations(
         fps: The frame rate, if the file has a wrong one or none.
 
     Raises:
-        FormatError: It cannot be read, or lacks these arrays (CAM010).
+        FormatError: The file cannot be read, or lacks these arrays (CAM010).
         OptionError: Invalid frame rate (SCN022).
     """
     path = Path(path)
@@ -113,7 +113,7 @@ def read_observations(
 
 
 def _solve_hint(path: Path) -> str:
-    """Return the hint for a file of positions."""
+    """Return a hint to solve a file that contains positions, not pixels."""
     return f"they are triangulated already: animtool mocap solve {path}"
 
 

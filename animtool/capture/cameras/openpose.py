@@ -1,6 +1,6 @@
 """Keypoints of OpenPose: a folder for each camera, a JSON file for each frame.
 
-Other detectors write the same (AlphaPose, MMPose, RTMLib).
+Other detectors write the same format (AlphaPose, MMPose, RTMLib).
 
 References:
     Cao et al., OpenPose, 2019; its documentation of the output format.
@@ -56,7 +56,7 @@ _NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
 
 @dataclass(slots=True)
 class _PersonTrack:
-    """A person over time."""
+    """Keypoints of one person in every frame and camera."""
 
     points: FloatArray  # last positions [m] (M, 3)
     last_frame: int  # their frame
@@ -71,7 +71,7 @@ def track_people(
     keypoints: int,
     max_people: int | None,
 ) -> FloatArray:
-    """Return x, y and confidence of each person's keypoints ``(F, C, P * M, 3)``.
+    """Track people; return x, y and confidence of keypoints ``(F, C, P * M, 3)``.
 
     Args:
         detections: People by frame and camera ``(M, 3)``, NaN for invisible keypoints.
@@ -144,7 +144,7 @@ def _continue_tracks(
     cameras: Sequence[Camera],
     unassigned: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
-    """Assign detections to known people, and remove them from ``unassigned``."""
+    """Assign detections to tracked people, and remove these from ``unassigned``."""
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live_tracks]
@@ -174,7 +174,7 @@ def _group_detections(
     cameras: Sequence[Camera],
     unassigned: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
-    """Return new people: detections whose rays intersect."""
+    """Group unassigned detections whose rays intersect into new people."""
     pairs = []
     ray_directions = {
         detection: _keypoint_rays(
@@ -230,10 +230,10 @@ def _ray_distance(
     size_a: float,
     size_b: float,
 ) -> float:
-    """Return how far rays of two cameras miss, over the size of a person [1].
+    """Return the distance between rays of two cameras, over a person's size [1].
 
-    Measured in pixels, as the angle between a ray and the plane that contains the other
-    ray and both cameras.
+    The distance is the median epipolar error in pixels: the angle between a ray and the
+    plane that contains the other ray and both cameras.
     """
     baseline = camera_b.position - camera_a.position
     largest = 0.0
@@ -261,7 +261,7 @@ def _solve_person(
     cameras: Sequence[Camera],
     keypoints: int,
 ) -> FloatArray | None:
-    """Return a person's points [m] ``(M, 3)``; None if no two cameras agree."""
+    """Triangulate a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
     cameras_of_person = sorted(group)
@@ -314,7 +314,7 @@ def read_keypoints(
         people: Largest number of people to keep, most visible first; None keeps all.
 
     Raises:
-        FormatError: A file cannot be read, or there are none (CAM010).
+        FormatError: A file cannot be read, or the folder has no files (CAM010).
         OptionError: fps is missing (CAM010) or invalid (SCN022), or the cameras are
             others (CAM011).
     """
@@ -445,7 +445,7 @@ def _read_people(path: Path) -> list[FloatArray]:
 
 
 def _error_reason(error: Exception) -> str:
-    """Return the reason of an error, in words for users."""
+    """Return the reason of an exception as text for an error message."""
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):

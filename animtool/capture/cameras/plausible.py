@@ -30,7 +30,7 @@ def warn_of_spread(
     """Warn of cameras that are too far apart, or too close (CAM113).
 
     Args:
-        document: Their file.
+        document: Camera file.
         location: Where it states the unit, or else the first translation.
         cameras: The cameras.
         unit: The unit that translations are read in.

@@ -26,7 +26,7 @@ MAX_LOST_FRACTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """How well a camera agrees with the triangulated points.
+    """Agreement of one camera with the triangulated points, and its shifts.
 
     Attributes:
         name: Name of the camera.
@@ -62,7 +62,7 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Triangulated points, and how well the cameras agree.
+    """Triangulated points, and the agreement of the cameras.
 
     Attributes:
         markers: The points, with camera counts and residuals.
@@ -116,7 +116,7 @@ class ObservationCounts:
 
     @property
     def rejected(self) -> FloatArray:
-        """Outliers among them ``(F, C)``."""
+        """Rejected observations of triangulated points ``(F, C)``."""
         return self.values[..., 3]
 
     def report(

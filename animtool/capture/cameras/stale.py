@@ -38,7 +38,7 @@ class PoseChange:
     error_px: float
 
     def __str__(self) -> str:
-        """Return it as text."""
+        """Return the rotation and the shift as text."""
         rotation = f"a rotation of {np.degrees(self.angle):.2f} degrees"
         shift = f"a shift of {1000 * self.distance:.1f} mm"
         return f"{rotation} and {shift} (reprojection then {self.error_px:.2f} px)"
@@ -46,7 +46,7 @@ class PoseChange:
 
 @dataclass(frozen=True, slots=True)
 class PoseShift:
-    """Frames in which a camera does not fit its calibration.
+    """A range of frames in which a camera does not fit its calibration.
 
     Attributes:
         first: Index of the first frame.
@@ -68,7 +68,7 @@ class PoseShift:
 
     @property
     def number(self) -> int:
-        """The first frame, from 1."""
+        """Number of the first frame, counted from 1."""
         return self.first + 1
 
 
@@ -90,7 +90,7 @@ class CameraDisagreement:
 
     @property
     def number(self) -> int:
-        """The frame, from 1."""
+        """Number of the frame, counted from 1."""
         return self.frame + 1
 
 
@@ -102,11 +102,11 @@ def find_shifted_ranges(
 ) -> tuple[int, list[PoseShift]] | None:
     """Return the worst-fitting camera and its frame ranges; None if all fit.
 
-    A camera that would leave fewer than two is skipped.
+    A camera is skipped if fewer than two cameras would remain without it.
 
     Args:
         triangulated_counts: Observations of triangulated points ``(F, C)``.
-        rejected: Outliers among them ``(F, C)``.
+        rejected: Outliers among these observations ``(F, C)``.
         active: Whether each camera is used ``(F, C)``.
         rate: Frames a second.
     """
@@ -139,7 +139,7 @@ def find_shifted_ranges(
 def find_stale_ranges(
     triangulated_counts: FloatArray, rejected: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
-    """Return ranges in which an unused camera does not fit; all if no part differs.
+    """Return ranges in which an unused camera does not fit; the full take by default.
 
     Arguments are those of `find_shifted_ranges`.
     """
@@ -191,10 +191,10 @@ def truncated_error(
     gate: float,
     has_extra_camera: BoolArray | bool = False,
 ) -> float:
-    """Return the mean squared reprojection error over its expectation, truncated.
+    """Return the truncated mean squared reprojection error over its expectation.
 
-    Residuals beyond the gate, and observations of points without a position, count as
-    at the gate.
+    Residuals beyond the gate are set to the gate, and so are those of points without a
+    position.
 
     Args:
         residuals: ``(F, C, M, 2)`` [px], NaN where a point is not found.
@@ -246,7 +246,7 @@ def _rejected_fraction(
     first: int,
     end: int,
 ) -> float:
-    """Return the rejected fraction of a camera's observations in frames."""
+    """Return the rejected fraction of a camera's observations in a frame range."""
     return float(
         rejected[first:end, camera].sum()
         / max(1, triangulated_counts[first:end, camera].sum())
@@ -254,7 +254,7 @@ def _rejected_fraction(
 
 
 def _window_sums(values: FloatArray, window: int) -> FloatArray:
-    """Return sums over a window around each frame ``(F,)``, clipped at the ends."""
+    """Return moving sums over a window that stays within the frames ``(F,)``."""
     cumulative = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
     first = np.maximum(frames - window // 2, 0)
@@ -264,7 +264,7 @@ def _window_sums(values: FloatArray, window: int) -> FloatArray:
 
 
 def _outlier_runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
-    """Return runs of at least a window of frames; shorter gaps are closed."""
+    """Close gaps shorter than the window, and return runs at least as long."""
     # A shift that lasts a window shows for at least half of one around it.
     min_frames = max(1, window // 2)
     return [
@@ -283,8 +283,8 @@ def fit_pose_change(
 
     Args:
         camera: The camera with its calibrated pose.
-        points: In the world [m] ``(F, M, 3)``, NaN for gaps.
-        pixels: Its observations of them ``(F, M, 2)``, NaN if not visible.
+        points: World positions [m] ``(F, M, 3)``, NaN for gaps.
+        pixels: Pixels of the points ``(F, M, 2)``, NaN if not visible.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]
@@ -326,7 +326,7 @@ def fit_pose_change(
 
 
 def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
-    """Return pixel derivatives by rotation and shift in the camera ``(N, 2, 6)``."""
+    """Return the Jacobian of pixels with respect to the camera's pose ``(N, 2, 6)``."""
     projected_points = project(camera, points)
     increment = 1e-6
     columns = []

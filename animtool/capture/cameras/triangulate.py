@@ -68,7 +68,7 @@ def triangulate(
 
     Args:
         observations: Pixels in each frame.
-        cameras: Their calibrations, in any order where the observations name theirs.
+        cameras: Calibrated cameras, in any order if the observations name cameras.
         options: Triangulation options; None uses the defaults.
         progress: Called with the fraction done.
 
@@ -132,7 +132,7 @@ class _TriangulationRun:
         return self._build_result()
 
     def _measure_noise(self) -> dict[int, PoseChange]:
-        """Measure the noise; return cameras that fit in no frame."""
+        """Measure the noise; return the stale cameras with their pose changes."""
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
@@ -166,7 +166,7 @@ class _TriangulationRun:
         return noise.pose_changes
 
     def _refuse_other_convention(self, limit: float) -> None:
-        """Refuse poses that fit in another convention, such as quaternions w last."""
+        """Raise if poses fit in another convention, such as w-last quaternions."""
         better = better_convention(
             self.cameras.cameras,
             lambda cameras: sampled_initial_noise(self.observations, cameras),
@@ -186,9 +186,9 @@ class _TriangulationRun:
 
     @property
     def _max_condition(self) -> float:
-        """Largest allowed trace of a normal matrix times its inverse's.
+        """Largest allowed product of the traces of a normal matrix and of its inverse.
 
-        For two rays at an angle a, unit weights: 4 / (2 sin(a / 2)^2).
+        For two rays at an angle a with unit weights it is 4 / (2 sin(a / 2)^2).
         """
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
@@ -218,7 +218,7 @@ class _TriangulationRun:
             yield begin, min(begin + size, end)
 
     def _record_stale(self, stale: dict[int, PoseChange]) -> None:
-        """Record where cameras with a better pose do not fit; use them elsewhere.
+        """Record frames in which stale cameras do not fit; use them in other frames.
 
         The test covers all frames at once first: a camera that moved during the take is
         off in part of them.
@@ -240,7 +240,7 @@ class _TriangulationRun:
     def _mark_kept_ranges(
         self, camera: int, ranges: list[PoseShift]
     ) -> list[PoseShift]:
-        """Return ranges, marking a camera as kept where leaving it out does not help.
+        """Mark ranges as kept where excluding the camera does not reduce the error.
 
         The criterion is the reprojection error of the other cameras.
         """
@@ -252,7 +252,7 @@ class _TriangulationRun:
         ]
 
     def _is_better_without(self, camera: int, shift: PoseShift) -> bool:
-        """Return whether the other cameras agree better without one camera."""
+        """Return whether excluding a camera reduces the error of the other cameras."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
         pixels = self.observations.pixels(shift.first, shift.end, step)
@@ -288,12 +288,12 @@ class _TriangulationRun:
         return errors[1] <= TIE_COST_RATIO * errors[0]
 
     def _solve_changed_frames(self, changed: BoolArray) -> None:
-        """Solve frames again whose set of cameras changed."""
+        """Solve again the frames whose set of active cameras changed."""
         for first, end in runs(changed):
             self._solve_frames(first, end)
 
     def _exclude_shifted(self) -> None:
-        """Exclude cameras where they do not fit, the worst first."""
+        """Exclude cameras in frame ranges in which they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
         is_active = self.active.copy()
         for camera, shifts in enumerate(self.shifts):
@@ -324,7 +324,7 @@ class _TriangulationRun:
         return tuple(find_disagreements(self.tallies.values, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
-        """Return a range with the pose change that explains it."""
+        """Return a range completed with the camera's pose change in it, if one fits."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]

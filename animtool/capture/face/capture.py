@@ -69,7 +69,7 @@ class FaceCapture:
 
     @property
     def pixels(self) -> bool:
-        """Whether points are pixels of a camera."""
+        """Whether the points are pixels of a camera, not positions."""
         return int(self.points.shape[-1]) == 2
 
 
@@ -178,7 +178,7 @@ def _read_arrays(
 
 
 def _unit_meters(key: str, unit: LengthUnit | None) -> float:
-    """Return the unit of an array [m], from its name or as requested."""
+    """Return an array's length unit [m], from the suffix of its name or the option."""
     if unit is not None:
         return unit.meters
     return _UNIT_SUFFIXES.get(
@@ -211,7 +211,7 @@ def _read_model(
     names: tuple[str, ...] | None,
     unit: LengthUnit | None,
 ) -> FaceModel | None:
-    """Return the face in an npz; None if it has none."""
+    """Return the face model in an npz; None if the file has no face."""
     neutral_key = next(
         (key for key in array_names if re.match(r"neutral(_|$)", key)), None
     )
@@ -222,7 +222,7 @@ def _read_model(
         return None
 
     def meters(key: str) -> FloatArray:
-        """Return an array in metres."""
+        """Return an array of the file, converted to metres."""
         values: npt.NDArray[np.float64] = archives.load(path, key) * _unit_meters(
             key, unit
         )
@@ -243,9 +243,10 @@ def _read_model(
 def order_landmarks(
     capture: FaceCapture, model: FaceModel
 ) -> tuple[FloatArray, list[Fault]]:
-    """Return landmarks in a face's order ``(F, N, …)``, and warnings.
+    """Return landmarks in the order of a face model ``(F, N, …)``, and warnings.
 
-    Named landmarks match by name, so that others may be missing; unnamed ones by index.
+    Named landmarks match by name, so that some may be missing; unnamed ones match by
+    index.
     """
     path, count = str(capture.path), len(model.names)
     if capture.names is None or capture.names == model.names:

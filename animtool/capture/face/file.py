@@ -95,13 +95,13 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
     """Return a landmarks file; meshes and vertices are checked by `face_model`.
 
     Raises:
-        FormatError: It cannot be read or is malformed, with every fault.
+        FormatError: The file cannot be read or is malformed; lists every fault.
     """
     return parse_landmarks(read_document(Path(path)))
 
 
 def parse_landmarks(document: Document) -> LandmarksFile:
-    """Return a document as a landmarks file; mismatches are FAC008."""
+    """Parse a landmarks document (inconsistent landmarks: FAC008)."""
     check_version(document, "landmarks")
     model = validate_document(document, LandmarksModel)
     index_of_name: dict[str, int] = {}
@@ -133,7 +133,7 @@ def parse_landmarks(document: Document) -> LandmarksFile:
 
 
 def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
-    """Return a rig's landmarks and their displacement by each shape.
+    """Return the face model of a rig: landmarks, and their displacement by each shape.
 
     Shapes with a weight are solved for; combined shapes depend on them.
     """
@@ -235,7 +235,7 @@ def _landmark_rows(
 def _at_landmark(
     values: FloatArray, vertices: IntArray, weights: FloatArray
 ) -> FloatArray:
-    """Return an array of a mesh at a landmark ``(3,)``."""
+    """Return the weighted mean of vertex values at a landmark ``(3,)``."""
     return np.asarray(weights @ values[vertices])
 
 
@@ -254,7 +254,7 @@ def _displacement(
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
-        """Return vertex offsets at the landmarks."""
+        """Interpolate vertex offsets at the landmarks."""
         offsets = np.zeros((len(surface.points), 3))
         if matching_shape.vertices is None:
             offsets[:] = values

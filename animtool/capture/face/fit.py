@@ -16,7 +16,7 @@ MISPLACED_FRACTION = 0.5
 
 
 class FrameStatus(StrEnum):
-    """How a frame was solved."""
+    """Whether a frame was solved, interpolated or fits poorly."""
 
     SOLVED = "solved"
     GAP = "gap"  # too few landmarks: weights and pose are interpolated
@@ -25,7 +25,7 @@ class FrameStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class LandmarkScore:
-    """Fit of a landmark."""
+    """Residual and weight of a landmark over the frames."""
 
     name: str  # of the landmark
     rms: float  # root mean square residual where its weight is at least one half
@@ -35,7 +35,7 @@ class LandmarkScore:
 
 @dataclass(frozen=True, slots=True)
 class ShapePeak:
-    """Largest weight of a shape."""
+    """Largest weight of a shape over the frames, and its frame."""
 
     name: str  # of the shape
     max: float  # its largest weight
@@ -43,7 +43,7 @@ class ShapePeak:
 
 @dataclass(frozen=True, slots=True)
 class FaceFit:
-    """Face weights over frames, and their fit.
+    """Blend-shape weights and head poses over frames, and their residuals.
 
     Attributes:
         model: The face.
@@ -85,7 +85,7 @@ class FaceFit:
 
     @property
     def landmarks(self) -> list[LandmarkScore]:
-        """Fit of each landmark."""
+        """Residuals and weights of each landmark."""
         visible = np.isfinite(self.residuals)
         is_inlier = visible & (self.shares >= MISPLACED_FRACTION)
         squares = np.where(is_inlier, self.residuals, 0.0) ** 2

@@ -25,7 +25,7 @@ MIN_SAME_SHAPE_COSINE = 1 - 1e-9
 
 @dataclass(frozen=True, slots=True)
 class FaceModel:
-    """Landmarks of a face, and their displacement by its shapes.
+    """Landmarks of a face at rest, and the displacement by each blend shape.
 
     Attributes:
         names: Names of the landmarks; ``0``, ``1``, … where they have none.
@@ -71,27 +71,27 @@ class FaceModel:
         return rms_spread(self.neutral)
 
     def nonlinear_offsets(self, weights: FloatArray) -> FloatArray:
-        """Return the displacement beyond the sum of deltas ``(F, N, 3)`` [m]."""
+        """Return the displacement minus the linear sum of deltas ``(F, N, 3)`` [m]."""
         if self.nonlinear_shapes is None:
             return np.zeros((len(weights), *self.neutral.shape))
         nonlinear_points = self.nonlinear_shapes.points(weights)
         return nonlinear_points - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
-        """Return landmarks at weights, in the face's frame [m]."""
+        """Return landmark positions for shape weights, in the face's frame [m]."""
         if self.nonlinear_shapes is not None:
             return self.nonlinear_shapes.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
 
     def shapes_with_motion(self) -> BoolArray:
-        """Return which shapes move a landmark ``(S,)``."""
+        """Return a mask of the shapes that move a landmark ``(S,)``."""
         lengths = np.linalg.norm(self.deltas, axis=-1)
         return np.asarray(
             lengths.max(axis=1, initial=0) > MIN_LANDMARK_MOTION * self.size
         )
 
     def select(self, shapes: BoolArray) -> FaceModel:
-        """Return the model with a subset of its shapes; the rest have weight 0."""
+        """Return the model restricted to given shapes; the others have weight 0."""
         names = tuple(
             name
             for name, is_kept in zip(self.shapes, shapes.tolist(), strict=True)
@@ -117,7 +117,7 @@ class FaceModel:
         return [(int(moving[a]), int(moving[b])) for a, b in pairs.tolist()]
 
     def notices(self) -> list[Fault]:
-        """Return warnings about shapes that landmarks do not show or distinguish."""
+        """Return warnings about shapes that landmarks cannot detect or distinguish."""
         notices = []
         moving = self.shapes_with_motion()
         static_names = [
@@ -179,7 +179,7 @@ class NonlinearShapes:
         )
 
     def select(self, shapes: BoolArray) -> NonlinearShapes:
-        """Return the model of some of the solved shapes."""
+        """Return the model restricted to the selected shapes."""
         selected = np.flatnonzero(shapes).tolist()
         return replace(
             self, solved_indices=tuple(self.solved_indices[i] for i in selected)
@@ -195,5 +195,5 @@ def rms_spread(points: FloatArray) -> float:
 
 
 def landmark_names(count: int, names: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the names of landmarks; numbers if they have none."""
+    """Return the names of landmarks; their numbers if they are unnamed."""
     return tuple(map(str, range(count))) if names is None else tuple(names)

@@ -1,4 +1,4 @@
-"""Head poses: initial ones from a face's landmarks at rest, and those of gaps."""
+"""Head poses: initial estimates from rigid landmarks, and poses across gaps."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def estimate_head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray
 def _kabsch_poses(
     neutral: FloatArray, points: FloatArray, robust_weights: FloatArray
 ) -> FloatArray:
-    """Return poses by Kabsch's rule, weighted ``(F, 7)``."""
+    """Return weighted rigid poses by the Kabsch algorithm ``(F, 7)``."""
     weight_sums = np.maximum(robust_weights.sum(axis=1), 1e-300)[:, None]
     centre = robust_weights @ neutral / weight_sums
     target = np.einsum("fn,fni->fi", robust_weights, points) / weight_sums
@@ -63,7 +63,7 @@ def _kabsch_poses(
 
 
 def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:
-    """Return poses with each bad one replaced by the last good one, or the first."""
+    """Replace each bad pose by the last good pose before it, else the first good."""
     if not is_good.any():
         return poses
     last_good = np.maximum.accumulate(np.where(is_good, np.arange(len(is_good)), -1))

@@ -76,7 +76,7 @@ def fit_face(
     camera: FloatArray | None = None,
     progress: Callable[[float], None] | None = None,
 ) -> FaceFit:
-    """Return weights and head poses that put a face on its landmarks.
+    """Fit blend-shape weights and head poses to the landmarks of a face.
 
     Args:
         model: The face.
@@ -155,7 +155,7 @@ def fit_face(
 
 
 def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
-    """Return which shapes are solved, and the representative of each moving shape."""
+    """Return a mask of solved shapes, and each shape's solved representative."""
     solved_shapes, representative_of_shape = moving.copy(), np.arange(len(moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
@@ -167,7 +167,7 @@ def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntA
 
 
 def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
-    """Refuse landmarks that do not belong to the face."""
+    """Raise if landmarks do not match the face model in number, size or unit."""
     width = 3 if camera is None else 2
     shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
@@ -201,7 +201,7 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
 
 
 class _Fit:
-    """A fit: landmark noise first, then the windows."""
+    """State of a fit: measures the landmark noise, then solves all windows."""
 
     def __init__(
         self,
@@ -222,7 +222,7 @@ class _Fit:
         self.rest = (self.noise / TYPICAL_WEIGHT) ** 2
 
     def _initial_poses(self) -> FloatArray:
-        """Return initial head poses."""
+        """Estimate initial head poses from landmarks or, with a camera, pixels."""
         if self.camera is None:
             return estimate_head_poses(self.face.neutral, self.observed)
         median_points = np.full(self.observed.shape[1:], np.nan)
@@ -241,7 +241,7 @@ class _Fit:
         return np.repeat(pose[None], len(self.observed), axis=0)
 
     def _pixels_per_metre(self) -> float:
-        """Return the pixels per metre of the face."""
+        """Return the image scale at the face's median distance [px/m]."""
         assert self.camera is not None
         return float(self.camera[0] / np.median(self.start_poses[:, 6]))
 
@@ -275,7 +275,7 @@ class _Fit:
         )
 
     def _measure_noise(self) -> float:
-        """Return the noise's standard deviation, from frames solved separately."""
+        """Estimate the standard deviation of landmarks from independent frames."""
         usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
         sampled_frames = usable_frames[
             np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)

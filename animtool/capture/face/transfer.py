@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferredWeights:
-    """Weights on another face.
+    """Weights transferred to another face, with the shape links and the fit.
 
     Attributes:
         weights: Weights of the target's shapes ``(F, S)``.
@@ -47,9 +47,9 @@ def transfer_weights(
 ) -> TransferredWeights:
     """Transfer a face's weights to a face with different shapes.
 
-    By name, in any of ARKit's spellings, and a remap file; or by landmarks that both
-    faces have: the target weights whose landmarks move as the source's do, scaled by
-    the sizes of the faces.
+    Shapes are matched by name, in any of ARKit's spellings, and by a remap file; or by
+    landmarks that both faces have: the target weights whose landmarks move like the
+    source's, scaled by the sizes of the faces.
 
     Args:
         weights: Weights of the source's shapes ``(F, S)``.
@@ -84,7 +84,7 @@ def transfer_weights(
 def _transfer_by_name(
     weights: FloatArray, links: ShapeLinks, source: Sequence[str], count: int
 ) -> TransferredWeights:
-    """Return the weights of linked shapes; ``count`` is that of the target's."""
+    """Return the weights of linked shapes, for ``count`` target shapes."""
     if not links.links:
         message = "no shape of the source has its name in the target"
         hint = "pair them in a remap file"
@@ -112,9 +112,10 @@ def _target_landmarks(
     source_face: FaceModel,
     target_face: FaceModel,
 ) -> FloatArray:
-    """Return the target's landmarks, moved as the source's are ``(F, N, 3)``.
+    """Return the target's landmarks, displaced like the source's ``(F, N, 3)``.
 
-    They are scaled by the sizes of the faces, and NaN where the source has none.
+    Displacements are scaled by the sizes of the faces; landmarks that the source lacks
+    are NaN.
     """
     shared_names = [
         name for name in target_face.names if name in set(source_face.names)

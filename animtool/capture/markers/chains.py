@@ -25,8 +25,8 @@ FAR_DISTANCE, UNSTEADY_SPREAD = 0.25, 0.02
 def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
     """Return the log-likelihood of distances being a rest pair's ``(..., M)`` [nat].
 
-    Compares each distance's likelihood for the rest pair with that for any two points.
-    0 where a distance is unknown.
+    It compares each distance's likelihood for the rest pair with that for arbitrary
+    points. It is 0 where a distance is unknown.
 
     mean, spread: Mean and spread of observed distances ``(...)`` [m]. rest: ``(M,)`` or
     ``(..., M)``.
@@ -106,7 +106,7 @@ def chain_runs(moving: MarkerDistances, overlap: FloatArray) -> IntArray:
 
 
 def chain_likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArray:
-    """Return the log-likelihood that two runs are one marker, from distances [nat]."""
+    """Return the log-likelihood ratio that two runs are the same marker [nat]."""
     count = len(overlap)
     likelihood = np.zeros((count, count))
     for run in range(count):
@@ -120,7 +120,7 @@ def chain_likelihoods(moving: MarkerDistances, overlap: FloatArray) -> FloatArra
 
 
 def merge_chains(points: FloatArray, chain: IntArray) -> FloatArray:
-    """Return chain positions ``(F, C, 3)`` from run positions ``(F, R, 3)``."""
+    """Merge run positions ``(F, R, 3)`` into chain positions ``(F, C, 3)``."""
     merged_points = np.full((len(points), int(chain.max()) + 1, 3), np.nan)
     for run, number in enumerate(chain.tolist()):
         visible = np.isfinite(points[:, run, 0])

@@ -44,14 +44,14 @@ VALIDATION_BIAS = 1.6
 
 @dataclass(frozen=True, slots=True)
 class FilledGap:
-    """A gap that was filled or left.
+    """A gap of a marker, and the method that filled it, if any.
 
     Attributes:
-        marker: Its name.
+        marker: Name of the marker.
         first: First frame without a position, from 0.
         last: Last frame.
         method: ``skeleton`` by the pose, ``curve`` by the frames around, ``markers`` by
-            the other markers, or empty where it was left.
+            the other markers; empty if the gap was left.
     """
 
     marker: str
@@ -62,7 +62,7 @@ class FilledGap:
 
 @dataclass(frozen=True, slots=True)
 class FillReport:
-    """Result of filling.
+    """Result of completing markers: filled gaps, spikes and swaps.
 
     Attributes:
         frames: Number of frames.
@@ -123,7 +123,7 @@ def fill_markers(
 def _complete_markers(
     markers: Markers, options: FillOptions, subject: MarkerSubject | None
 ) -> tuple[Markers, FillReport]:
-    """Return completed markers, and the report."""
+    """Repair swaps and spikes and fill gaps; return the markers and the report."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
     if not options.keep_swaps:
@@ -245,7 +245,7 @@ def _fill_gaps(
 def _most_accurate_prediction(
     *predictions: tuple[Prediction | None, str],
 ) -> tuple[Prediction, str]:
-    """Return the prediction with the least error, and its method; the first of ties."""
+    """Return the prediction with the smallest error, and its method."""
     (best, name), *alternatives = (
         (prediction, name) for prediction, name in predictions if prediction is not None
     )
@@ -270,7 +270,7 @@ def _sorted_gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, i
 def _polynomial_positions(
     path: FloatArray, visible: BoolArray, gap: slice
 ) -> FloatArray | None:
-    """Return a polynomial through the frames around a gap; None if too few."""
+    """Fill a gap by a polynomial through nearby frames; None if there are too few."""
     frames_before = _visible_frames_near(visible, gap.start - 1, -1)
     frames_after = _visible_frames_near(visible, gap.stop, 1)
     if len(frames_before) < MIN_FRAMES or len(frames_after) < MIN_FRAMES:
@@ -287,7 +287,7 @@ def _polynomial_positions(
 
 
 def _visible_frames_near(visible: BoolArray, start: int, step: int) -> list[int]:
-    """Return the visible frames next to a gap, up to a limit."""
+    """Return the visible frames nearest to a gap on one side, up to a limit."""
     frames: list[int] = []
     frame = start
     while 0 <= frame < len(visible) and visible[frame] and len(frames) < CURVE_FRAMES:

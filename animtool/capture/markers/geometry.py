@@ -17,7 +17,7 @@ PERCENTILES = (15.87, 50.0, 84.13)
 
 @dataclass(frozen=True, slots=True)
 class MarkerDistances:
-    """Distances between M markers.
+    """Mean and spread of the distances between M markers.
 
     Attributes:
         mean: Mean of each pair ``(M, M)`` [m]; NaN if never visible.
@@ -69,7 +69,7 @@ def _column_quantiles(values: FloatArray) -> FloatArray:
 
 
 def merge_distances(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
-    """Return the take's distances, or those at rest where the take has none."""
+    """Return the distances in motion, or at rest where none is known in motion."""
     is_known = np.isfinite(moving.mean)
     return MarkerDistances(
         np.where(is_known, moving.mean, rest.mean),
@@ -80,7 +80,7 @@ def merge_distances(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDis
 def fit_shape(
     points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations from a shape onto points, per frame.
+    """Fit a rigid shape to the points of each frame by the Kabsch algorithm.
 
     points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None is
     1. The result is ``(F, 3, 3)`` and ``(F, 3)``; ``points = rotation · shape +

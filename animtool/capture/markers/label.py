@@ -82,7 +82,7 @@ def identify_runs(
 
 
 def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
-    """Return the markers of mutually consistent groups, best first."""
+    """Merge the marker names of groups that do not contradict better groups."""
     names: dict[int, int] = {}
     for seed in seeds:
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
@@ -142,7 +142,7 @@ def _rigid_groups(moving: MarkerDistances) -> list[tuple[int, ...]]:
 def _matching_markers(
     group: tuple[int, ...], lengths: FloatArray, rest: FloatArray, tolerance: float
 ) -> list[tuple[int, ...]]:
-    """Return the markers whose rest distances match those of a group of runs."""
+    """Return all tuples of markers whose rest distances match a group of runs."""
     first, second = np.nonzero(np.abs(rest - lengths[group[1], group[0]]) < tolerance)
     partial_matches = np.stack([first, second], axis=1)
     partial_matches = partial_matches[first != second]
@@ -160,7 +160,7 @@ def _matching_markers(
 
 
 def _shape_error(points: FloatArray, shape: FloatArray) -> float:
-    """Return the error of a shape on points, rejecting mirror images [m]."""
+    """Return the rigid fit error of a shape to points, without reflections [m]."""
     complete_frames = points[np.isfinite(points).all(axis=(1, 2))][::8]
     if not len(complete_frames):
         return np.inf
@@ -186,7 +186,7 @@ class Doubt:
     """Markers whose names could be exchanged.
 
     Attributes:
-        markers: Their names.
+        markers: Names of the markers.
         first: First frame in which all of them are visible, from 0.
         last: Last such frame.
         score: Evidence for the exchange [nat]: 0 if it equals that for the assigned
@@ -201,7 +201,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class LabelReport:
-    """Result of labelling.
+    """Result of labelling: named points, and names that stay in doubt.
 
     Attributes:
         frames: Number of frames.
@@ -234,7 +234,7 @@ class LabelReport:
 
 
 def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
-    """Return a point cloud labelled with the names of a static trial.
+    """Label a point cloud with the marker names of a static trial.
 
     Points are joined to runs by their motion. Runs that keep their distance are on one
     segment: groups of them are matched to the trial by distances and handedness. Then
@@ -332,7 +332,7 @@ def _apply_names(
 
 
 def _exchange_doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt]:
-    """Return possible exchanges by name, with the frames in which they would show."""
+    """Return the doubtful name exchanges, with the frames that they affect."""
     doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
@@ -345,7 +345,7 @@ def _exchange_doubts(labelled: Markers, exchanges: list[Exchange]) -> list[Doubt
 
 
 def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
-    """Return the warning that some markers cannot be distinguished."""
+    """Return a warning that lists the markers whose names could be exchanged."""
     doubt_texts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
@@ -364,7 +364,7 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
 def _name_first_runs(
     cloud: Markers, tracklets: Tracklets, rest: FloatArray
 ) -> IntArray | None:
-    """Return the markers of a part's longer runs, -1 for others; None if none fits."""
+    """Return the marker of each run with many frames, else -1; None if none fits."""
     frames, runs = _base_frames(tracklets, len(cloud), float(cloud.clock.rate))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
     points = _run_positions(cloud.positions, tracklets, runs, frames)
@@ -379,7 +379,7 @@ def _name_first_runs(
 def _base_frames(
     tracklets: Tracklets, frames: int, rate: float
 ) -> tuple[slice, IntArray]:
-    """Return the frames that are labelled first, and their longer runs."""
+    """Return the frames with the longest runs, to label first, and these runs."""
     first, last = tracklets.first, tracklets.last
     length = min(frames, max(MIN_RUN_FRAMES, int(BASE_SECONDS * rate)))
     best_start, best_count = 0, -1
@@ -400,7 +400,7 @@ def _base_frames(
 def _run_positions(
     positions: FloatArray, tracklets: Tracklets, runs: IntArray, frames: slice
 ) -> FloatArray:
-    """Return the positions of some runs in some frames ``(F, R, 3)``."""
+    """Return the positions of the given runs in the given frames ``(F, R, 3)``."""
     ids = tracklets.ids[frames]
     column = np.full(len(tracklets.first) + 1, -1)
     column[runs] = np.arange(len(runs))
@@ -414,7 +414,7 @@ def _run_positions(
 def _exchange_parts(
     run_labels: RunLabels, rest: FloatArray, pair: tuple[int, int]
 ) -> None:
-    """Exchange two names in the parts of a take whose shapes require it.
+    """Exchange two names in those parts of a take in which the shape fits better.
 
     A part ends at a gap of both markers, where continuity is lost.
     """

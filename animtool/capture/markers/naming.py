@@ -100,7 +100,7 @@ class PointNaming:
         return 0.5 * float(self.scores[is_named, self.names_of[is_named]].sum())
 
     def assign(self, point: int, marker: int) -> None:
-        """Name a point; -1 removes its name."""
+        """Assign a marker's name to a point; marker -1 removes the point's name."""
         previous = int(self.names_of[point])
         for name, sign in ((previous, -1), (marker, 1)):
             if name >= 0:
@@ -139,7 +139,7 @@ class PointNaming:
                 return
 
     def _clearest_pair(self, score: FloatArray) -> Any:
-        """Return the clearest rigid pair: its evidence [nat], its points and names."""
+        """Return the clearest rigid pair: evidence margin [nat], points and names."""
         first, second = self.rigid_pairs
         is_free = (self.names_of[first] < 0) & (self.names_of[second] < 0)
         first, second = first[is_free], second[is_free]
@@ -167,7 +167,7 @@ class PointNaming:
         return float(margin[row]), (int(first[row]), i), (int(second[row]), j)
 
     def improve(self, best_total: float = -np.inf) -> None:
-        """Rename points, and exchange markers, while that fits distances better.
+        """Rename points and exchange markers as long as the likelihood increases.
 
         best_total: Exchanges are not tried far below this total [nat].
         """
@@ -186,7 +186,7 @@ class PointNaming:
                     self.assign(point, new_name)
 
     def _improve_names(self) -> bool:
-        """Give points a better free name; return whether any changed."""
+        """Give points a free name that fits better; return whether any name changed."""
         has_changed = False
         for point in range(len(self.names_of)):
             current = int(self.names_of[point])
@@ -211,7 +211,7 @@ class PointNaming:
         return has_changed
 
     def _better_permutation(self) -> IntArray | None:
-        """Return a better permutation of the names ``(M,)``; None if there is none.
+        """Return a permutation of names with more evidence ``(M,)``; None without one.
 
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
@@ -266,9 +266,9 @@ class PointNaming:
         return (point, marker) if regret[point, marker] > 0.0 else None
 
     def force_name(self, point: int, marker: int, is_reassigned: BoolArray) -> None:
-        """Name a point, remove conflicting names, and assign those again.
+        """Name a point, remove conflicting names, and reassign the removed names.
 
-        is_reassigned: Markers whose names are assigned again too ``(M,)``.
+        is_reassigned: Mask of further markers whose names are reassigned ``(M,)``.
         """
         is_conflicting = self.are_concurrent[point] & (self.names_of == marker)
         is_conflicting |= (self.names_of >= 0) & is_reassigned[self.names_of]
@@ -278,9 +278,9 @@ class PointNaming:
         self.assign_greedily()
 
     def scarce_markers(self) -> IntArray:
-        """Return the markers with no or few points.
+        """Return the markers that no point, or only briefly visible points, represent.
 
-        All of them, if an unnamed point is visible for long.
+        Return all markers if none is scarce but an unnamed point is visible for long.
         """
         lengths = np.zeros(self.scores.shape[1])
         is_named = self.names_of >= 0
@@ -293,7 +293,7 @@ class PointNaming:
     def restart(
         self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
-        """Remove names of some markers ``(M,)``, and assign them again from a seed."""
+        """Remove the names in a mask ``(M,)``, and assign them again from a seed."""
         for point in np.flatnonzero(
             (self.names_of >= 0) & is_reassigned[self.names_of]
         ).tolist():
@@ -306,7 +306,7 @@ class PointNaming:
 def search_names(
     best: PointNaming, rest_distances: FloatArray, seeds: Sequence[dict[int, int]]
 ) -> PointNaming:
-    """Return better names, found by removing some and assigning them again.
+    """Search for names with more evidence by removing and reassigning names.
 
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
@@ -340,7 +340,7 @@ def search_names(
 
 
 def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNaming:
-    """Return names after trying the most doubtful ones again."""
+    """Try to reassign the most doubtful names; return the best names found."""
     best.improve()
     best_total = best.total_evidence()
     tried_moves: set[tuple[int, int]] = set()
@@ -389,7 +389,7 @@ def compute_pair_evidence(
 def _rigid_pairs(
     moving: MarkerDistances, overlap: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return pairs of points that stay rigid, among the most rigid of each."""
+    """Return the pairs of points that stay rigid, few for each point."""
     is_known = (overlap > 0) & np.isfinite(moving.spread)
     spread = np.where(is_known, moving.spread, np.inf)
     partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
@@ -423,7 +423,7 @@ def compute_exchange_gains(
 
 
 def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
-    """Return exchanges: markers ``(N, K)``, and the marker whose name each takes."""
+    """Return name exchanges to try: markers ``(N, K)``, and their new names."""
     is_near = rest_distances < EXCHANGE_DISTANCE
     first, second = np.triu_indices(len(rest_distances), 1)
     pairs_of_markers = np.stack([first, second], axis=1)

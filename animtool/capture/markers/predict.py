@@ -109,12 +109,12 @@ def _best_prediction(
     deviation_kernels: tuple[tuple[float, float], ...],
     min_markers: int = 1,
 ) -> Prediction:
-    """Return the prediction of the kernel with the least cross-validation error.
+    """Return the prediction of the covariance kernel with the smallest error in CV.
 
     local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
-    frames but those of the gap, which are last. pose: Other markers there, the most
-    rigid first ``(F, K, 3)``. min_markers: Number of pose markers used whenever there
-    are any.
+    frames but those of the gap, which are last. pose: Other markers in that frame, the
+    most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
+    there are any.
     """
     known_count = len(frames) - (gap.stop - gap.start)
     best_prediction: Prediction | None = None
@@ -153,10 +153,10 @@ def predict_from_parent_joint(
     distance_deviations: FloatArray,
     rate: float,
 ) -> Prediction | None:
-    """Return predictions for a marker without mates on its joint; None if unknown.
+    """Predict a marker in the frame of its parent joint; None if that is unknown.
 
-    It is expressed in the frame of the parent joint, and in one rotated towards a
-    marker on the same joint if there is any. Its motion there is learnt as in
+    The marker is expressed in the frame of the parent joint, and in frames rotated
+    towards each marker on the same joint. Its motion in these frames is learnt as in
     `predict_from_markers`, with the same arguments.
     """
     neighbours = _nearest_markers(visible, marker, gap, distance_deviations)
@@ -224,7 +224,7 @@ def predict_from_skeleton(
 ) -> Prediction:
     """Return a marker's predicted positions in a gap from a skeleton.
 
-    They are its positions on the skeleton plus its offset there: a Gaussian process
+    They are the marker's positions on the skeleton plus an offset: a Gaussian process
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
     skin motion are those with the least cross-validation error.
 
@@ -269,7 +269,7 @@ def _nearest_markers(
 def _training_frames(
     visible: BoolArray, marker: int, gap: slice, neighbours: IntArray, rate: float
 ) -> IntArray:
-    """Return the training frames: all near the gap, and some farther away."""
+    """Return the training frames: all near the gap, and sparse ones farther away."""
     window = int(TRAINING_SECONDS * rate)
     first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
     is_usable = visible[first:end, marker] & visible[first:end][:, neighbours].all(
@@ -316,7 +316,7 @@ def _in_neighbour_frame(
 def _predict_gap(
     local: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
-    """Return predictions for the unknown frames, and their error.
+    """Return cross-validation error and predicted positions of the gap.
 
     The error is that of known positions left out in spans as long as the gap [m].
     """
@@ -348,7 +348,7 @@ def _predict_gap(
 
 
 def _validation_spans(training: IntArray, gap: slice) -> list[int]:
-    """Return the starts of spans to leave out, on both sides of a gap."""
+    """Return the starts of cross-validation spans on both sides of a gap."""
     length = gap.stop - gap.start
     starts = []
     for k in range(VALIDATION_SPANS // 2):
@@ -369,7 +369,7 @@ def _covariance(
     deviation_time: float,
     local: FloatArray,
 ) -> FloatArray:
-    """Return the covariance of all frames with the known ones ``(F, known)`` [m^2]."""
+    """Return the covariance of all frames with known frames ``(F, known)`` [m^2]."""
     known_count = len(local)
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
     lag = (

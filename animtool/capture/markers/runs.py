@@ -1,4 +1,4 @@
-"""Naming of runs of points by their distances to named markers."""
+"""Names runs of points by their distances to markers that already have names."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ UNKNOWN_SPREAD = 0.25
 
 
 class RunLabels:
-    """Runs of a cloud, and their markers.
+    """Runs of a point cloud, and the marker that each run is assigned to.
 
     Attributes:
         names_of: Marker of each run ``(T,)``; -1 for none.
@@ -49,7 +49,7 @@ class RunLabels:
         names_of: IntArray,
         rest: FloatArray,
     ) -> None:
-        """Start from runs and their known names.
+        """Start from runs and the names that are already known.
 
         rest: Marker distances in a trial at rest ``(M, M)``; NaN where unknown.
         """
@@ -90,7 +90,7 @@ class RunLabels:
         self.is_stale = np.ones(self.runs, bool)
 
     def _reject_outliers(self) -> None:
-        """Remove names from runs that are not at their marker's position."""
+        """Remove the names of runs whose distances do not fit their marker."""
         for run in np.flatnonzero(self.names_of >= 0).tolist():
             marker = int(self.names_of[run])
             begin, end, path = self._run_positions(run)
@@ -100,7 +100,7 @@ class RunLabels:
                 self.marker_positions[begin:end, marker] = np.nan
 
     def _name_clear_runs(self, *, forced: bool) -> bool:
-        """Name runs from named ones; return whether any were named."""
+        """Name runs whose best marker is clear; return whether any was named."""
         for run in np.flatnonzero(self.is_stale & (self.names_of < 0)).tolist():
             self.costs[run] = self._marker_costs(run)
         self.is_stale[:] = False
@@ -144,14 +144,14 @@ class RunLabels:
         return begin, end, self.tracklets.trajectory(self.positions, run)
 
     def _marker_costs(self, run: int) -> FloatArray:
-        """Return the cost of a run being each marker; infinite if it is taken."""
+        """Return the cost of giving a run each marker's name; infinite if occupied."""
         begin, end, path = self._run_positions(run)
         cost = self._shape_costs(path, begin, end) + self._step_costs(path, begin, end)
         cost[np.isfinite(self.marker_positions[begin:end, :, 0]).any(axis=0)] = np.inf
         return cost
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return the cost of a run's distances for each marker."""
+        """Return the cost of a run's distances to named markers, for each candidate."""
         sample = np.unique(
             np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
         )
@@ -175,7 +175,7 @@ class RunLabels:
         return np.where(weight_sum > 0, cost_sum / np.maximum(weight_sum, 1e-9), np.inf)
 
     def _step_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
-        """Return the cost of a run's distance from each marker before and after it."""
+        """Return the cost of a run's steps from and to each marker across the gaps."""
         max_gap = int(BRIDGE_SECONDS * self.rate)
         positions_before = self.marker_positions[max(begin - max_gap, 0) : begin][::-1]
         positions_after = self.marker_positions[end : end + max_gap]
@@ -197,7 +197,7 @@ class RunLabels:
 def _merge_known_distances(
     rest: FloatArray, moving: MarkerDistances
 ) -> MarkerDistances:
-    """Return the distances of the take, or of the trial where unknown."""
+    """Return the distances in the take, or in the trial where the take has none."""
     is_known = np.isfinite(moving.mean)
     mean = np.where(is_known, moving.mean, rest)
     return MarkerDistances(

@@ -82,7 +82,7 @@ class SkeletonMarkers:
         return [int(other_marker) for other_marker in np.flatnonzero(is_on_joint)]
 
     def drift_speed(self, marker: int, visible: BoolArray) -> float:
-        """Return how fast a marker strays from its position on the skeleton [m/s].
+        """Return the speed of a marker's drift from its skeleton position [m/s].
 
         Other visible markers determine its joint: three on it or below, or one if it is
         a hinge. With fewer, more of its pose is guessed.
@@ -105,7 +105,7 @@ class SkeletonMarkers:
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
-    """Return the markers of a take on a subject's skeleton.
+    """Solve a subject's skeleton to a take, and return its markers on the joints.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
     """
@@ -168,7 +168,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
 
 
 def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
-    """Return values of some columns for ``count`` of them; the others are NaN."""
+    """Expand columns to ``count`` markers; markers without a column are NaN."""
     all_columns = np.full((len(values), count, *values.shape[2:]), np.nan)
     all_columns[:, columns] = values
     return all_columns

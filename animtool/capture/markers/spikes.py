@@ -48,10 +48,10 @@ class Spike:
     """A marker that deviates for a few frames.
 
     Attributes:
-        marker: Its name.
+        marker: Name of the marker.
         first: First frame, from 0.
         last: Last frame.
-        size: Its largest deviation [m].
+        size: Largest deviation in the spike [m].
     """
 
     marker: str
@@ -105,7 +105,7 @@ def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
 def _clearest_spikes(
     path: FloatArray, visible: BoolArray, roughness: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
-    """Return separate spikes, the clearest of overlapping ones."""
+    """Select spikes that do not overlap, the clearest first."""
     candidates = []
     local_level: FloatArray | None = None
     for length in range(1, MAX_SPIKE_FRAMES + 1):
@@ -171,7 +171,7 @@ def _is_gap_artifact(
 
 
 def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
-    """Return which spans have no nearby position before or after them."""
+    """Return a mask of spans without a nearby position before or after the span."""
     padded = np.concatenate(
         [np.zeros(SUPPORT_FRAMES, bool), visible, np.zeros(SUPPORT_FRAMES, bool)]
     )
@@ -185,7 +185,7 @@ def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArra
 def _local_level(
     starts: IntArray, squared_residuals: FloatArray, frames: int
 ) -> FloatArray:
-    """Return the local noise level of single frames over the typical one ``(F,)``."""
+    """Return each frame's local noise level over the typical level ``(F,)``."""
     level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
     window_start = np.maximum(order - FIT_WINDOW, 0)
@@ -204,9 +204,9 @@ def _local_level(
 
 
 def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
-    """Return the roughness of a motion, and its noise by span length [m].
+    """Return the roughness of a motion, and the prediction noise by span length [m].
 
-    It is the roughness that predicts most positions best from those around.
+    The roughness is the one that predicts positions best from nearby positions.
     """
     best = (np.inf, ROUGHNESS_LEVELS[0])
     for roughness in ROUGHNESS_LEVELS:
@@ -237,7 +237,7 @@ def _span_deviations(
     *,
     complete: bool = False,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return spans, and their deviation from the curve through frames around.
+    """Return spans, and their deviations from the smooth curve through nearby frames.
 
     The first frames ``(S,)`` of the spans; the smallest deviation among each span's
     frames [m]; the drop in the fit's sum of squares when the span is left out [m^2];
@@ -286,7 +286,7 @@ def _span_deviations(
 def _prediction_weights(
     code: int, length: int, roughness: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return how positions around a span predict it.
+    """Return the weights with which positions around a span predict its positions.
 
     code: Bit mask of the visible frames around. Returns their indices in the window,
     their weights, the inverse variance of the prediction error, and the quadratic form

@@ -114,7 +114,7 @@ def _expected_positions(
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return each marker's expected position, its tolerance [m], and validity.
 
-    It is extrapolated linearly from the last visible frames.
+    The position is extrapolated linearly from the last visible frames.
     """
     frames, count, _ = positions.shape
     visible = np.isfinite(positions[..., 0])
@@ -149,7 +149,7 @@ def _expected_positions(
 
 
 def _jump_pairs(positions: FloatArray, rate: float) -> list[tuple[int, int]]:
-    """Return pairs where one marker jumps to the other's position, by frequency."""
+    """Return marker pairs of which one jumps to the other, most frequent first."""
     expected, tolerance, is_known = _expected_positions(positions, rate)
     visible = np.isfinite(positions[..., 0])
     deviation = np.linalg.norm(positions - expected, axis=-1)
@@ -193,7 +193,7 @@ def _find_crossed_frames(
 ) -> tuple[float, BoolArray]:
     """Return the frames in which two markers have each other's names ``(F,)``.
 
-    Also returns the log-likelihood gain over no exchange.
+    The log-likelihood gain over no exchange is returned first.
 
     Viterbi search: of the paths that end normally and of those that end exchanged, the
     best one is kept from frame to frame, with the last visible positions of both
@@ -279,7 +279,7 @@ def _find_crossed_frames(
 
 
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
-    """Return the typical largest acceleration of two markers [m/s^2]."""
+    """Estimate the largest acceleration of two markers from its median [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
     finite = second_differences[np.isfinite(second_differences)]
     if not len(finite):
@@ -332,7 +332,7 @@ def _shape_gain(
     end: int,
     known_lengths: MarkerDistances,
 ) -> float:
-    """Return how much better an exchange fits distances to the other markers."""
+    """Return the log-likelihood gain of an exchange from distances to other markers."""
     if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
@@ -371,7 +371,7 @@ def _swap_spans(
 ) -> list[tuple[int, int]]:
     """Return first and last frames of crossed spans that are long enough.
 
-    One that begins or ends while neither is visible does so in the middle of that gap.
+    A span that begins or ends in a gap of both markers begins or ends in its middle.
     """
     visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
@@ -399,7 +399,7 @@ def _permute_columns(markers: Markers, source: IntArray) -> Markers:
     """Return markers with their columns permuted per frame ``(F, M)``."""
 
     def exchanged(values: Any) -> Any:
-        """Return per-marker values permuted like the names."""
+        """Return values of markers with columns permuted like the names."""
         return None if values is None else np.take_along_axis(values, source, 1)
 
     return replace(

@@ -39,7 +39,7 @@ class Tracklets:
 
 
 def track_points(positions: FloatArray, rate: float) -> Tracklets:
-    """Return the runs of points, tracked frame by frame.
+    """Track points frame by frame; return their gapless runs.
 
     A point continues a run if each is the other's nearest, within the reach of a
     marker's acceleration, and clearly nearer than any second candidate. Ambiguous

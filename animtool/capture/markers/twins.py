@@ -52,7 +52,7 @@ def distinguish_twins(
 ) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
     """Return the name of each marker ``(M,)``, and the exchanges that stay in doubt.
 
-    The pairs are those that distances leave open, by their final names.
+    The last list has the pairs that distances cannot distinguish, by final names.
 
     Exchanges that distances do not rule out are compared by distances and by shape: the
     error of the rest shape on the points, with any two neighbouring markers, in the
@@ -111,7 +111,7 @@ def is_exchanged(
 ) -> bool:
     """Return whether shapes clearly show two markers exchanged in some frames.
 
-    positions: Of these frames, by current names ``(F, M, 3)``.
+    positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
     names = np.arange(len(shape))
     exchanged_names = names.copy()
@@ -126,7 +126,7 @@ def is_exchanged(
 def _drop_unrelated(
     exchanges: list[tuple[IntArray, IntArray]], rest: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
-    """Return the exchanges, except those of two unrelated pairs."""
+    """Drop double exchanges of two pairs that do not affect each other's distances."""
     near_exchanges = []
     for old, new in exchanges:
         is_near = np.ones(len(old), bool)
@@ -146,7 +146,7 @@ def _shape_evidence(
     other_names: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
-    """Return the shape evidence for other names, a mean over neighbours [nat]."""
+    """Return the mean evidence of rest shapes for an exchange of names [nat]."""
     distance = rest[current_names[changed_markers]][:, current_names].min(axis=0)
     distance[changed_markers] = np.inf
     nearest = np.argsort(distance, kind="stable")[:NEIGHBOUR_COUNT]
@@ -165,7 +165,7 @@ def _shape_evidence(
 
 
 def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
-    """Return the error of a shape on points in the frames that fit it best [m]."""
+    """Return the rigid fit error of a shape in the best-fitting frames [m]."""
     points = positions[:, group]
     complete_frames = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
     if len(complete_frames) < MIN_SAMPLES:

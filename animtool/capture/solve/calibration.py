@@ -69,7 +69,7 @@ MIN_FRAMES = 10
 
 @dataclass(frozen=True)
 class Calibration:
-    """A subject's rig and template.
+    """A subject's calibrated rig and template, with scales and statistics.
 
     Attributes:
         rig: The rig with the subject's bones.
@@ -103,7 +103,7 @@ class Calibration:
 
     @property
     def marker_shifts(self) -> dict[str, float]:
-        """Shift of each marker from its template offset [m]."""
+        """Distance of each marker from its offset in the template [m]."""
         return dict(zip(self.template.names, self.shifts.tolist(), strict=True))
 
 
@@ -115,7 +115,7 @@ def calibrate(
     static: Markers | None = None,
     options: SolveOptions | None = None,
 ) -> Calibration:
-    """Return the bones and marker offsets that fit a subject best.
+    """Fit bone scales and marker offsets to a subject by least squares.
 
     Args:
         markers: A take in which every joint moves.
@@ -140,7 +140,7 @@ def calibrate(
 
 
 class _CalibrationState:
-    """State of a calibration: bones, offsets and poses."""
+    """State of a calibration: bone scales, marker offsets and poses."""
 
     def __init__(
         self,
@@ -186,7 +186,7 @@ class _CalibrationState:
     def _to_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
     ) -> FloatArray:
-        """Return another take's markers in the order of the model."""
+        """Reorder the markers of another take to the order of the model."""
         match = match_markers(self.model.template, names, self.options.subject)
         ordered = np.full((len(positions), len(match.columns), 3), np.nan)
         is_captured = match.columns >= 0
@@ -247,7 +247,7 @@ class _CalibrationState:
         return pose_fit.coordinates
 
     def _solve_step(self, poses: FloatArray) -> FloatArray:
-        """Return the step of scales and offsets ``(B + 3 E,)``, poses eliminated."""
+        """Return the Gauss-Newton step of scales and offsets by Schur complement."""
         problem, model = self.model.problem, self.model
         targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
@@ -303,7 +303,7 @@ class _CalibrationState:
         return deviation
 
     def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
-        """Return derivatives of weighted markers ``(F, 3 E, B + 3 E)``."""
+        """Return the Jacobian of weighted marker positions ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
         local = model.local_transforms(poses)
         world = forward_kinematics(rig, local.translations, local.rotations)
@@ -326,7 +326,7 @@ class _CalibrationState:
         return derivatives.reshape(count, 3 * markers, -1)
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
-        """Return the prior of scales and offsets: normal matrix and right side."""
+        """Return the normal equations of the prior of scales and offsets."""
         bones, size = len(self.bone_groups), len(self.bone_groups) + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
@@ -362,10 +362,10 @@ class _CalibrationState:
         return matrix, gradient
 
     def _bone_weights(self) -> FloatArray:
-        """Return the weight of each bone in the size of a marker's joint ``(E, B)``.
+        """Return the weight of each bone scale in a marker's offset scale ``(E, B)``.
 
-        A joint scales with the bones that begin there; an end joint with the bone to
-        it, else with all bones.
+        A joint scales with the bones that begin there; an end joint scales with the
+        bone that ends there, else with all bones.
         """
         rig = self.model.rig
         bone_joints = np.array([group[0] for group in self.bone_groups])
@@ -377,7 +377,7 @@ class _CalibrationState:
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def _side_pairs(self) -> list[tuple[int, int]]:
-        """Return the indices of left and right bones."""
+        """Return the index pairs of left bones and their right partners."""
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
@@ -392,7 +392,7 @@ class _CalibrationState:
         ]
 
     def build_result(self, rounds: int, converged: bool) -> Calibration:
-        """Return the calibration."""
+        """Return the calibration of the final state: rig, template and statistics."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
         for b, group in enumerate(self.bone_groups):

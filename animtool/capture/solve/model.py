@@ -46,7 +46,7 @@ class MarkerProblem:
 
     @property
     def rig(self) -> Rig:
-        """The rig, its joints typed."""
+        """The rig with a joint type assigned to every joint."""
         return self.problem.rig
 
     @property
@@ -65,9 +65,9 @@ class MarkerProblem:
         return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
 
     def start_poses(self, positions: FloatArray) -> FloatArray:
-        """Return rest poses rigidly aligned to markers ``(F, E, 3)``: ``(F, Q)``.
+        """Return rest poses ``(F, Q)`` rigidly aligned to markers ``(F, E, 3)``.
 
-        Markers near the root count most.
+        Markers near the root have the largest weights.
         """
         rig = self.rig
         q = np.zeros((len(positions), self.problem.coordinates))
@@ -116,7 +116,7 @@ class MarkerProblem:
         return local_from_coordinates(self.rig, coordinates)
 
     def points(self, coordinates: FloatArray) -> FloatArray:
-        """Return marker positions in poses ``(F, Q)``: ``(F, E, 3)`` [m]."""
+        """Return the marker positions ``(F, E, 3)`` [m] of poses ``(F, Q)``."""
         local = self.local_transforms(coordinates)
         world = forward_kinematics(self.rig, local.translations, local.rotations)
         linear = world.linear[:, self.joints]
@@ -180,7 +180,7 @@ def fit_rigid_motions(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(F, 4)`` and translations ``(F, 3)`` between point sets.
 
-    They minimise the weighted sum of squares (W. Kabsch, 1976).
+    The motions minimise the weighted sum of squared distances (W. Kabsch, 1976).
 
     Args:
         points: ``(E, 3)``.
@@ -205,5 +205,5 @@ def fit_rigid_motions(
 
 
 def visible_markers(positions: FloatArray) -> BoolArray:
-    """Return which markers of ``(F, E, 3)`` have a position ``(F, E)``."""
+    """Return a mask ``(F, E)`` of the markers ``(F, E, 3)`` that have a position."""
     return np.asarray(np.isfinite(positions).all(axis=2))

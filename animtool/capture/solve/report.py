@@ -18,7 +18,7 @@ MIN_FITTED_FRACTION = 0.5
 
 @dataclass(frozen=True, slots=True)
 class MarkerScore:
-    """Fit of one marker.
+    """Residuals and outliers of one marker.
 
     Attributes:
         name: Name in the template.
@@ -53,7 +53,7 @@ class ExchangedLabels:
 
 @dataclass
 class SolveScore:
-    """Fit of the markers of F frames; complete when all are solved.
+    """Residuals of the markers over F frames; complete when all frames are solved.
 
     Attributes:
         names: Names of the E markers.
@@ -106,7 +106,7 @@ class SolveScore:
         self._is_restarted[rows], self._visible[rows] = is_restarted, visible
 
     def finish(self) -> None:
-        """Compute the totals."""
+        """Compute the scores of all markers and the total."""
         indices = np.arange(len(self.names))
         # A marker with the position of another label counts as visible.
         is_visible = np.where(

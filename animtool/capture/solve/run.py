@@ -81,7 +81,7 @@ MIN_MOVING_FRAMES = 25
 
 @dataclass
 class MarkerSolve:
-    """The solve of a capture.
+    """A marker solve whose frames are solved as its blocks are read.
 
     Attributes:
         model: Rig and markers of the solve.
@@ -131,7 +131,7 @@ class MarkerSolve:
     def _solve_window(
         self, first: int, end: int, previous: FloatArray | None
     ) -> FloatArray:
-        """Return the poses of frames that continue those before them."""
+        """Solve a window of frames, starting from the poses before it."""
         past_frames = 0 if previous is None else len(previous)
         lookahead = min(end + LOOKAHEAD_FRAMES, len(self.positions))
         positions = self.positions[first - past_frames : lookahead]
@@ -206,7 +206,7 @@ def solve_markers(
     template: MarkerTemplate,
     options: SolveOptions | None = None,
 ) -> MarkerSolve:
-    """Return the solve of a capture; iterating its blocks does the work.
+    """Prepare the solve of a capture; frames are solved as its blocks are read.
 
     Args:
         markers: F frames of labelled markers.
@@ -251,7 +251,7 @@ def solve_markers(
 
 
 def _renamed_hint(match: MarkerMatch) -> str | None:
-    """Return which missing markers a capture may have under another name."""
+    """Return a hint with unused names that resemble missing markers, or None."""
     unused = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in match.unused}
     renamed = []
     for name in match.missing:
@@ -264,10 +264,10 @@ def _renamed_hint(match: MarkerMatch) -> str | None:
 
 
 def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
-    """Return warnings about markers off their positions on the rig (SOL107).
+    """Warn about markers that are far from their positions on the rig (SOL107).
 
-    A few that are much farther off than the others likely have swapped names, which
-    calibration would keep.
+    A few markers that are much farther off than the others likely have swapped names,
+    which calibration would not correct.
     """
     median = float(np.median(noise))
     is_far = (noise > FAR_FACTOR * median) & (noise > MIN_STRANGE_RESIDUAL)
@@ -289,7 +289,7 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
 
 
 def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
-    """Return a warning about markers ``(F, E, 3)`` that never move (SOL108)."""
+    """Return a warning if markers ``(F, E, 3)`` never move (SOL108)."""
     if len(positions) < MIN_MOVING_FRAMES:
         return []
     is_known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
@@ -327,8 +327,8 @@ def estimate_noise(
 ) -> FloatArray:
     """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
 
-    It starts from a large value, so that another subject's rig and wrong labels can be
-    distinguished.
+    The estimate starts from a large value, so that another subject's rig and wrong
+    labels can be distinguished.
     """
     noise = np.full(len(model.joints), INITIAL_NOISE)
     for _ in range(NOISE_ROUNDS):
@@ -350,7 +350,7 @@ def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
 
 
 def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
-    """Return the unit of a capture, and the one it is read as, by its relative size.
+    """Return the likely true unit of a capture, and the unit in which it is read.
 
     >>> [unit.value for unit in _confused_units(857.0)]
     ['mm', 'm']
@@ -365,9 +365,9 @@ def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
 def check_units(
     model: MarkerProblem, sample: FloatArray, template: MarkerTemplate | None = None
 ) -> None:
-    """Refuse markers ``(F, E, 3)`` in other units than the rig (SOL005).
+    """Raise if markers ``(F, E, 3)`` are in another unit than the rig (SOL005).
 
-    The template is to blame if its offsets are suspicious (MKT003).
+    The error is located in the template if the offsets are suspicious (MKT003).
     """
     rest_points_all = model.points(model.start_poses(sample[:1]))[0]
     ratios = []

@@ -19,7 +19,7 @@ MIN_VISIBLE_FRAMES = 5
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
-    """Return evenly spaced frames of ``(F, E, 3)`` with the most markers."""
+    """Return the frame with the most markers from each of ``count`` equal intervals."""
     counts = visible_markers(positions).sum(axis=1)
     chunks = np.array_split(np.arange(len(positions)), min(count, len(positions)))
     best_frames = [
@@ -31,7 +31,7 @@ def sampled_frames(positions: FloatArray, count: int) -> IntArray:
 def sampled_poses(
     model: MarkerProblem, positions: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """Return poses ``(F, Q)`` of frames solved independently."""
+    """Solve each frame independently by robust least squares; return ``(F, Q)``."""
     starts = model.start_poses(positions)
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
@@ -47,8 +47,8 @@ def sampled_poses(
 def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
     """Return the standard deviation per axis of each marker ``(E,)`` [m].
 
-    A marker with tiny residuals, as the only one on its joints, is assumed to be half
-    as noisy as the others.
+    A marker with tiny residuals, such as the only marker on its joints, is assumed to
+    be half as noisy as the others.
 
     Args:
         misses: ``(F, E)`` [m], NaN where a marker is missing.

@@ -75,7 +75,7 @@ def open_markers_source(
 
 
 def rig_of_template(template: MarkerTemplate, rig: Path | None, path: Path) -> Path:
-    """Return the given rig, or the one that a template names (else SOL008)."""
+    """Return the given rig file, or the rig that the template names (else SOL008)."""
     if rig is not None:
         return rig
     if template.rig is not None:
@@ -112,7 +112,7 @@ def triangulate_source(
 def solve_stream(
     solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
 ) -> TakeStream:
-    """Return a solve's motion as a stream; its notices are complete after reading."""
+    """Return a solve as a stream, whose notices are complete after reading."""
     markers, rig = solve.markers, solve.model.rig
     clock = markers.clock
     stream = TakeStream(
@@ -142,7 +142,7 @@ def solve_stream(
 
 
 def solve_scores(solve: MarkerSolve) -> PassScores:
-    """Return the scores of a solve, as reports and batches list them."""
+    """Return the mean marker error and the outlier fraction of a solve as scores."""
     score = solve.score
     outliers = float(np.mean([marker_score.outliers for marker_score in score.markers]))
     scores = (

@@ -26,13 +26,13 @@ def swapped_side_notices(
     min_noise: float,
     estimate_noise_of: Noise,
 ) -> list[Fault]:
-    """Return a warning about sides that are swapped, all of them or some (SOL109).
+    """Return a warning if all or several left and right markers are swapped (SOL109).
 
     Args:
         model: E markers.
-        sample: Positions of markers in some frames ``(F, E, 3)`` [m].
-        noise: Their noise ``(E,)`` [m].
-        min_noise: Its lower bound [m].
+        sample: Positions of markers in sampled frames ``(F, E, 3)`` [m].
+        noise: Noise of the markers ``(E,)`` [m].
+        min_noise: Lower bound of the noise [m].
         estimate_noise_of: Function that returns the noise of other positions.
     """
     names = model.template.names
@@ -81,12 +81,12 @@ def swapped_side_notices(
 
 
 def _medians(misses: FloatArray) -> FloatArray:
-    """Return the median of each column ``(E,)``; infinity without any number."""
+    """Return each column's median ``(E,)``, ignoring NaN; infinity if all are NaN."""
     columns = [column[np.isfinite(column)] for column in misses.T]
     return np.array([np.median(c) if len(c) else np.inf for c in columns])
 
 
 def _warning(message: str) -> Fault:
-    """Return the warning about swapped sides (SOL109)."""
+    """Return a warning about swapped sides with a message (SOL109)."""
     hint = "exchange their names in the capture, or their entries in the template"
     return Fault("SOL109", message, hint=hint, severity=Severity.WARNING)

@@ -84,13 +84,13 @@ def load_template(path: Path | str) -> MarkerTemplate:
     """Return the marker template of a file; `MarkerTemplate.joints` checks joints.
 
     Raises:
-        FormatError: It cannot be read or is malformed, with every fault.
+        FormatError: The file cannot be read or is malformed; lists every fault.
     """
     return parse_template(read_document(Path(path)))
 
 
 def parse_template(document: Document) -> MarkerTemplate:
-    """Return a document as a marker template; see `load_template`."""
+    """Parse a marker template document; see `load_template`."""
     check_version(document, "markers")
     model = validate_document(document, MarkersModel)
     unit = LengthUnit(model.units.length).meters
@@ -131,7 +131,7 @@ def parse_template(document: Document) -> MarkerTemplate:
 def _warn_of_offsets(
     document: Document, markers: Sequence[TemplateMarker], unit: LengthUnit
 ) -> None:
-    """Warn once of offsets that are far too large, or all far too small (MKT003)."""
+    """Warn of an implausibly large offset, or if all are too small (MKT003)."""
     sizes = [max(map(abs, marker.offset)) for marker in markers]
     i = max(range(len(sizes)), key=lambda i: sizes[i])
     largest = sizes[i]
@@ -162,12 +162,12 @@ def _warn_of_offsets(
 
 
 def _in_unit(size: float, unit: LengthUnit, other: LengthUnit) -> float:
-    """Return a size [m] as it would be if its number were in another unit."""
+    """Reinterpret the number of a size [m] in another unit; return metres."""
     return size * other.meters / unit.meters
 
 
 def _referred_rig(document: Document, name: str | None) -> Path | None:
-    """Return the rig file that a template names; a fault where it is missing."""
+    """Return the rig file that a template names; record a fault if it is missing."""
     if name is None:
         return None
     path = resolve_reference(document, ("rig",), name, project_roots(document.path))

@@ -19,7 +19,7 @@ MAX_LISTED_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class MarkerMatch:
-    """Indices of a template's markers in a capture.
+    """Indices of a template's markers in a capture, and the unmatched names.
 
     Attributes:
         columns: Index of each template marker in the capture ``(M,)``; -1
@@ -98,7 +98,7 @@ def match_markers(
 
 
 def _subject_prefixes(names: Iterable[str]) -> list[str]:
-    """Return the prefixes of names; empty for names without."""
+    """Return the distinct subject prefixes of names; "" for names without a prefix."""
     return list(dict.fromkeys(_split_prefix(name)[0] for name in names))
 
 

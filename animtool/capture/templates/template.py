@@ -28,7 +28,7 @@ OFFSET_DECIMALS = 6
 
 @dataclass(frozen=True, slots=True)
 class TemplateMarker:
-    """One marker.
+    """A marker: its name, joint, offset and weight.
 
     Attributes:
         name: Name in captures, without the subject prefix.
@@ -109,7 +109,7 @@ class MarkerTemplate:
         return np.array([index[m.joint] for m in self.markers], np.int64)
 
     def _blame_rig(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
-        """Return one fault if the rig that the template names has all joints."""
+        """Merge the faults to one if the template's own rig has all the joints."""
         if self.document is None or self.rig is None or len(faults) < 2:
             return faults
         try:
@@ -130,7 +130,7 @@ class MarkerTemplate:
 
 
 def template_text(template: MarkerTemplate, title: str, rig: str | None = None) -> str:
-    """Return a template as the text of a template file.
+    """Format a template as the text of a template file.
 
     Args:
         template: The markers.

@@ -50,7 +50,7 @@ class ReducedChannel:
 
 @dataclass(frozen=True, slots=True)
 class Reduction:
-    """Sparse keys of a take and their error."""
+    """Sparse keys of a take, and the errors of the motion that they give."""
 
     clock: Clock  # clock of the take, F frames
     rest: Motion  # one frame with the values of parts without channels
@@ -85,7 +85,7 @@ def evaluate_reduction(reduction: Reduction, frames: ArrayLike | None = None) ->
     def optional_channel(
         kind: ChannelKind, rest_motion: Channel | None
     ) -> Channel | None:
-        """Return a channel of a kind; None if the rest pose has none."""
+        """Return the channel of a kind; None if the rest pose lacks that kind."""
         return (
             None
             if rest_motion is None
@@ -212,7 +212,7 @@ def _target_name(channel: ReducedChannel, rig: Rig) -> str:
 
 
 def _round_in_unit(values: ArrayLike, unit: float) -> FloatArray:
-    """Round values in a unit; return them in metres and radians."""
+    """Round values to the digits of a file unit; return metres and radians."""
     flattened = np.ravel(values).tolist()
     rounded_values = [
         float(f"{value + 0.0:.{SIGNIFICANT_DIGITS}g}") * unit for value in flattened

@@ -70,7 +70,7 @@ def joint_bounds(
 
 
 def attached_points(rig: Rig, shell: float) -> FloatArray:
-    """Return points attached to every joint, in its frame ``(J, P, 3)`` [m].
+    """Return points attached to each joint, in the joint's frame ``(J, P, 3)`` [m].
 
     These are the joint's origin, one point along each axis, and the tips of its bone.
     Joints with fewer tips repeat their origin.
@@ -93,7 +93,7 @@ def attached_points(rig: Rig, shell: float) -> FloatArray:
 
 
 def point_distances(points: FloatArray) -> FloatArray:
-    """Return the largest distance of each joint's points from it ``(J,)`` [m]."""
+    """Return the largest distance of attached points from each joint ``(J,)`` [m]."""
     return np.asarray(np.linalg.norm(points, axis=-1).max(axis=-1))
 
 
@@ -114,7 +114,7 @@ def point_errors(
 
 @dataclass(slots=True)
 class TrackBudget:
-    """A track with its current tolerance and keys."""
+    """A track with its current tolerance, fitted keys and their errors."""
 
     track: KeyTrack  # samples of one channel
     tolerance: float  # for the Euclidean error, in the unit of the samples
@@ -129,7 +129,7 @@ class TrackBudget:
 
     @staticmethod
     def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
-        """Return a track with its initial keys."""
+        """Fit initial keys to a track with a tolerance."""
         frames = len(track.samples)
         keys = fit_keys(track.samples, tolerance, bounds_or_none=track.range)
         no_fraction = np.zeros(frames)
@@ -140,7 +140,7 @@ class TrackBudget:
         return budget
 
     def scale_tolerance(self, factor: float) -> None:
-        """Refit with the tolerance multiplied by a factor."""
+        """Multiply the tolerance by a factor in all frames, and refit the keys."""
         self.tolerance *= factor
         self.tolerance_fractions = np.ones(len(self.tolerance_fractions))
         self.refit()
@@ -148,7 +148,7 @@ class TrackBudget:
     def tighten_frames(
         self, frames: ArrayLike, factor: ArrayLike, *, spread: bool
     ) -> None:
-        """Refit the segments around some frames; keep the others.
+        """Reduce the tolerance around the given frames, and refit their segments.
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
@@ -186,7 +186,7 @@ class TrackBudget:
         self.refit(starts[1:-1][is_kept[1:-1]])
 
     def straighten_segments(self, frames: IntArray) -> None:
-        """Refit with straight segments at additional frames."""
+        """Force straight segments from the given frames, and refit the keys."""
         self.straight_starts = np.union1d(self.straight_starts, frames)
         self.tighten_frames(
             frames, self.tolerance_fractions[frames] * self.tolerance, spread=False
@@ -205,7 +205,7 @@ class TrackBudget:
         self.update_errors()
 
     def update_errors(self) -> None:
-        """Evaluate the keys at every frame."""
+        """Evaluate the keys at every frame, and store values and errors."""
         samples = self.track.samples
         self.values = evaluate_keys(self.keys, np.arange(len(samples)))
         self.errors = np.linalg.norm(self.values - samples, axis=1)
@@ -219,7 +219,7 @@ class TrackBudget:
 
 
 def subtree_maxima(parents: IntArray, values: FloatArray) -> FloatArray:
-    """Return the largest of each joint's and its descendants' values ``(F, J)``."""
+    """Return the maximum value over each joint and its descendants ``(F, J)``."""
     largest = np.ascontiguousarray(values.T)
     for joint in range(len(largest) - 1, -1, -1):
         if parents[joint] >= 0:

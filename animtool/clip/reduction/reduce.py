@@ -154,7 +154,7 @@ def reduce_motion(
 
 @dataclass(frozen=True, slots=True)
 class _SearchResult:
-    """Keys within their tolerances, and the remaining error."""
+    """Keys of the tolerance search, their world errors and number of rounds."""
 
     keys: list[FittedKeys]
     errors: FloatArray
@@ -163,7 +163,7 @@ class _SearchResult:
 
 
 class _WorldErrors:
-    """World-space points of a rig: original and from keys."""
+    """Measures world-space errors of reduced keys on points attached to joints."""
 
     def __init__(
         self,
@@ -202,14 +202,14 @@ class _WorldErrors:
         return float(np.degrees(tolerance)) if is_rotation else tolerance
 
     def measure_errors(self, budgets: list[TrackBudget]) -> FloatArray:
-        """Return the error of every joint ``(F, J)`` [m] with some tracks replaced."""
+        """Return every joint's error ``(F, J)`` [m] after updating the given tracks."""
         for budget in budgets:
             self.pose.set_track(budget.track, budget.values)
         self.reduced_world = self.pose.world_transforms(self.reduced_world)
         return point_errors(self.points, self.original_world, self.reduced_world)
 
     def lever_arms(self, joint: int, frames: IntArray, ends: IntArray) -> FloatArray:
-        """Return the distances of points of joints ``ends`` from a joint [m]."""
+        """Return the lever arms from a joint to the points of joints ``ends`` [m]."""
         positions = self.original_world.positions
         offsets = positions[frames, ends] - positions[frames, joint]
         return np.asarray(np.linalg.norm(offsets, axis=-1) + self.point_distances[ends])
@@ -218,7 +218,7 @@ class _WorldErrors:
 def _search_tolerances(
     world: _WorldErrors, budgets: list[TrackBudget]
 ) -> _SearchResult:
-    """Calibrate and tighten channel tolerances; return the keys."""
+    """Scale, then locally reduce channel tolerances until errors are within bounds."""
     errors = world.measure_errors(budgets)
     rounds = 1
     for _ in range(CALIBRATION_ROUNDS if budgets else 0):
@@ -255,7 +255,7 @@ def _search_tolerances(
 def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     """Return the frames after which a ball's keys exceed its limits between samples.
 
-    Samples beyond the limits are kept, and so are values between them.
+    Between two samples, the larger excess of these samples is allowed.
     """
     track = budget.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
@@ -282,7 +282,7 @@ def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
 def _tighten(
     world: _WorldErrors, budgets: list[TrackBudget], errors: FloatArray, *, spread: bool
 ) -> list[TrackBudget]:
-    """Tighten the channels that contribute most to each excessive error."""
+    """Reduce tolerances of channels that contribute most to errors above bounds."""
     frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, joints_beyond] / world.bounds[joints_beyond]
     contributions = np.zeros((len(budgets), len(frames)))
@@ -346,7 +346,7 @@ def _reduced_channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChan
 
 
 def _descendants(rig: Rig) -> BoolArray:
-    """Return whether joint k is joint j or a descendant of it ``(J, J)``, at [j, k]."""
+    """Return a mask ``(J, J)``: at [j, k], whether k is j or a descendant of j."""
     is_descendant = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):
         if parent >= 0:
@@ -355,7 +355,7 @@ def _descendants(rig: Rig) -> BoolArray:
 
 
 def _unkeyed_motion(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
-    """Return one frame of the values without keys."""
+    """Return one frame with the values of channels that have no keys."""
     joints = len(rig.joints)
     static = Channel.static
     return Motion(

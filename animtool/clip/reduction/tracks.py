@@ -76,7 +76,7 @@ class KeyTrack:
         return lower, upper
 
     def limit_excess(self, values: FloatArray) -> FloatArray:
-        """Return how far ball values ``(F, D)`` exceed the limits [rad]."""
+        """Return the angle by which ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
         rotations = so3.multiply(
@@ -86,7 +86,7 @@ class KeyTrack:
 
     @property
     def is_animated(self) -> bool:
-        """Whether it has one sample per frame."""
+        """Whether the track has a sample for each frame, not a single one."""
         return len(self.samples) > 1
 
 
@@ -115,7 +115,7 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
 
 
 def find_tracks(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:
-    """Return tracks of all channels that move or are not at rest."""
+    """Return the tracks of all channels that move or differ from rest."""
     return sort_tracks(_tracks(rig, motion, rest))
 
 
@@ -223,7 +223,7 @@ class ReducedPose:
 
 
 def additive_pose(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
-    """Return the pose of a motion, added to its base if additive."""
+    """Return the pose of a motion, added to its base if it has a base."""
     if base is None:
         return ReducedPose(rig, *motion.dense())
     base_pose = additive_pose(rig, base, None)
