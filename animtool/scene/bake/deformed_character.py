@@ -46,7 +46,7 @@ class DeformedCharacter:
     def with_meshes(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
-        """Return a copy with some of its meshes and strands, in its order."""
+        """Return a copy with only the named surfaces and strands, in its own order."""
         is_selected = [mesh.name in surfaces for mesh in self.surfaces]
         is_selected += [mesh.name in strands for mesh in self.strands]
         return replace(
@@ -125,7 +125,7 @@ def _rotate_surfaces(
 def motion_pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short chunks of a motion, each with a slice of its own frames.
+    """Yield a motion in short chunks, each with the slice of the frames to write.
 
     With ``neighbours``, a chunk also contains the frames before and after these.
     """

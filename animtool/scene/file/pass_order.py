@@ -1,4 +1,4 @@
-"""Hints for passes that name parts of a rig to which a later pass retargets."""
+"""Hints for passes that use a name of a rig to which only a later pass retargets."""
 
 from __future__ import annotations
 

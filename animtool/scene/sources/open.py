@@ -376,7 +376,7 @@ def open_checked(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return a function to open the take of each Skeleton in a USD file, by path."""
+    """Return, by Skeleton path, a function that opens the take of that Skeleton."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -388,7 +388,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def _drive_tracks(stream: TakeStream) -> TakeStream:
-    """Return a source with tracks evaluated that the rig's controls drive."""
+    """Return a source with the tracks that the rig's controls drive evaluated."""
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driving import drive_stream

@@ -72,7 +72,7 @@ class Prototype:
     samples: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return the mesh at each phase; a single one if it is static."""
+        """Return the mesh at each phase of the cycle; a single mesh if it is static."""
         sample_frame, span = (
             self._rig_sampler() if self.prim is None else self._stage_sampler()
         )
@@ -329,7 +329,7 @@ class SpecPartReader(EntryReader):
         return BodyCarrier(model.system, model.body)
 
     def _checked_part(self, location: Location, part: Any, *, check: bool) -> Any:
-        """Return a parsed entry, with its own faults recorded if requested."""
+        """Return a parsed entry; if requested, record the faults that it reports."""
         self.sound &= part is not None
         for reason in part.faults() if check and part is not None else ():
             self.note(location, Fault("SIM020", reason))

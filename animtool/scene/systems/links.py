@@ -77,7 +77,7 @@ def with_dependencies(
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return groups of indices of joined systems, ordered by their first member.
+    """Return the index groups of joined systems, ordered by their first member.
 
     Systems attached to the same rigid bodies are joined too.
     """
@@ -180,7 +180,7 @@ def _check_body(
     body: str,
     key_text: str,
 ) -> bool:
-    """Record a body that a rigid system lacks (SIM162); stages are checked later."""
+    """Record a fault if a rigid system lacks a body (SIM162)."""
     specs: list[Any] = [
         candidate.setup.spec for candidate in systems if candidate.name == name
     ]
@@ -249,7 +249,7 @@ def check_names(
     requested_names: Sequence[str],
     names: Sequence[str],
 ) -> None:
-    """Record unknown system names of an output."""
+    """Record a fault for each system name that an output requests but no system has."""
     known_names = sorted({*names})
     for i, name in enumerate(requested_names):
         if name not in names:
@@ -268,7 +268,7 @@ def _check_name(
     names: Sequence[str],
     capability: str,
 ) -> bool:
-    """Record a fault unless a name is that of another, suitable system."""
+    """Record a fault unless a name is that of a suitable other system."""
     self_name = None if system is None else system.name
     matching_systems = [
         other_system for other_system in systems if other_system.name == name

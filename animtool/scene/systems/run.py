@@ -1,4 +1,4 @@
-"""A run of systems through the frames, after a tear pre-pass."""
+"""Simulation of systems over the frames, after a tear pre-pass."""
 
 from __future__ import annotations
 
@@ -332,7 +332,7 @@ class SystemRun:
 
 
 def _unusual_number_hint(system: SceneSystem) -> list[str]:
-    """Return a hint to check the number of a system with the most extreme exponent."""
+    """Return a hint to check the number whose exponent is the most extreme."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
     sizes = [*_number_sizes(values, ""), *_number_sizes(system.setup.parts, "")]
     exponents = [
@@ -345,7 +345,7 @@ def _unusual_number_hint(system: SceneSystem) -> list[str]:
 
 
 def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
-    """Yield sizes by key: numbers, lengths of vectors, and extents of arrays."""
+    """Yield the magnitude of each number, vector and array extent, with its key."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             yield from _number_sizes(

@@ -79,7 +79,7 @@ class MotionSubject:
 
     @cached_property
     def interval(self) -> float:
-        """Typical time between two frames [s]."""
+        """Median time between two frames [s]."""
         if self.frames < 2:
             return 1.0 / float(self.take.clock.rate)
         return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
@@ -97,7 +97,7 @@ class MotionSubject:
 
     @property
     def translating_joints(self) -> IntArray:
-        """Indices of the joints that translate against their parents ``(B,)``."""
+        """Indices of the joints that move relative to their parents ``(B,)``."""
         return self.take.motion.translations.animated
 
     @cached_property
@@ -118,7 +118,7 @@ class MotionSubject:
 
     @cached_property
     def speeds(self) -> FloatArray:
-        """Total motion of all joints from each frame to the next ``(F - 1,)``.
+        """Combined motion of all joints from each frame to the next ``(F - 1,)``.
 
         The root of the sum of squares of rotations [rad] and of translations [half the
         size].
@@ -151,7 +151,7 @@ class MotionSubject:
 
     @cached_property
     def without_first_pose(self) -> MotionSubject:
-        """The take, without a first frame that is a reference pose."""
+        """The take without its first frame, if this frame is a reference pose."""
         if not len(self.joints_leaving_pose):
             return self
         clock = self.take.clock
@@ -240,7 +240,7 @@ class MotionSubject:
         return np.asarray(points - (points @ self.up)[..., None] * self.up)
 
     def cuts(self) -> BoolArray:
-        """Return the steps that rules ignore as cuts ``(F - 1,)``."""
+        """Return a mask of the steps that are intended cuts ``(F - 1,)``."""
         steps = max(self.frames - 1, 0)
         return (
             np.zeros(steps, bool)

@@ -87,7 +87,7 @@ def _driver_values(rig: RigSubject, driver: Driver) -> FloatArray:
 
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
-    """Return sampled values of a driver's inputs: each over its range, then all."""
+    """Return sampled driver inputs: each over its range, then all at random."""
     rng = np.random.default_rng(0)
     names = driver.names
     samples = {}

@@ -46,7 +46,7 @@ class ClipSubject(DocumentSubject):
         return [float(time) for time in self.take.clock.times]
 
     def at(self, joint: str, frame: float) -> Location:
-        """Return the previous key of a joint's first channel at a frame.
+        """Return the location of the last key up to a frame in a joint's first channel.
 
         Without a channel, the list of channels.
         """
@@ -77,7 +77,7 @@ class ClipSubject(DocumentSubject):
         return cuts
 
     def previous_key(self, channel: int, frame: float) -> Location:
-        """Return a channel's last key up to a frame, or its first key."""
+        """Return the last key of a channel up to a frame, else the first key."""
         times = self.clip.channels[channel].times
         k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)
         return ("channels", channel, "keys", k)
