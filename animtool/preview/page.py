@@ -1,4 +1,4 @@
-"""The HTML of a page: manifest, blocks and viewer in one self-contained file."""
+"""The HTML of a page: manifest, data blocks and viewer in one self-contained file."""
 
 from __future__ import annotations
 
@@ -132,7 +132,7 @@ def viewer_modules() -> dict[str, str]:
 
 
 def compact_code(text: str) -> str:
-    r"""Return code without comment lines and indentation.
+    r"""Return source code without comment lines and indentation.
 
     >>> compact_code("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
@@ -143,6 +143,6 @@ def compact_code(text: str) -> str:
 
 
 def viewer_text(name: str) -> str:
-    """Return the text of a viewer file."""
+    """Return the text of a source file of the viewer."""
     path = VIEWER_FOLDER / name
     return path.read_text("utf-8")

@@ -92,7 +92,7 @@ class LayerDraft:
         return ()
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the layer to a file; return descriptions of other changes of the copy."""
+        """Write the layer to a file; return descriptions of other changes in it."""
         from animtool.usd.fixes.target import write_copy
 
         return write_copy(self.path, self.content, output)

@@ -270,7 +270,7 @@ def _wraps_after(
     short_path: float,
     limits: RangeLimit | None,
 ) -> bool:
-    """Return whether an angle wraps after a key; ``short_path`` is its shortest step."""
+    """Return whether an angle wraps after a key; ``short_path`` is the short step."""
     values = channel.values[:, axis]
     first_value, second_value = float(values[key]), float(values[key + 1])
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
