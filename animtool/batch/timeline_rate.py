@@ -1,4 +1,4 @@
-"""Frame rates of timelines: declared, requested, or inferred from clips."""
+"""Frame rates of timelines: stated, requested, or inferred from clips."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def timeline_rate(
 def _checked_rate(
     stated_rate: Fraction, requested_rate: Fraction | None, path: str
 ) -> Fraction:
-    """Return a stated rate (BAT051 if another one is requested)."""
+    """Return the stated rate; raise BAT051 if another rate is requested."""
     if requested_rate is not None and requested_rate != stated_rate:
         message = (
             f"has {rate_label(stated_rate)}, "

@@ -394,7 +394,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
 
 def _largest_extent(positions: FloatArray) -> float:
-    """Return the largest bounds diagonal of any frame, or of a single joint's path [m]."""
+    """Return the largest extent of any frame, or of the path of a single joint [m]."""
     if not positions.size:
         return 0.0
     extents = np.ptp(positions, axis=1)

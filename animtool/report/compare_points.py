@@ -242,7 +242,7 @@ def _matched_indices(
 def _distances(
     first: PointSample, second: PointSample
 ) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Return the differences of points and the point ids, ``(N,)`` each, by quantity."""
+    """Return differences of points and the point ids, ``(N,)`` each, by quantity."""
     ids, first_indices, second_indices = _matched_indices(first, second)
     distances = np.linalg.norm(
         first.points[first_indices] - second.points[second_indices], axis=1

@@ -254,7 +254,7 @@ class CameraView:
 
 
 def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:
-    """Return the world_from_camera matrix of a camera that looks at a point along -Z."""
+    """Return the world_from_camera matrix of a camera aimed at a point along -Z."""
     z = (eye - target) / np.linalg.norm(eye - target)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)

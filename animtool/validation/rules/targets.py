@@ -1,8 +1,6 @@
 """Rules on targets: the requested goals, and whether effectors can reach them.
 
 A targets file names no rig. The rules on reach use the scenes that name both.
-
-A targets file names no rig. The rules on reach use the scenes that name both.
 """
 
 from __future__ import annotations
