@@ -37,7 +37,7 @@ class Work:
         limits: Limits of each item.
         jobs: Maximum number of simultaneous items.
         argument: Text after the executor's name and ``=``.
-        asked: Number of simultaneous items that the user requested; None if
+        requested_jobs: Number of simultaneous items that the user requested; None if
             unspecified.
         inputs: Files that every machine must see: those of the items, and those that
             all items are built with.

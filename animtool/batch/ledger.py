@@ -190,7 +190,7 @@ class Ledger:
 
     Attributes:
         history: Results of earlier runs.
-        now: Start of the run, by the disk's clock [ns].
+        start_time_ns: Start of the run, by the disk's clock [ns].
     """
 
     def __init__(self, files: _RecordFiles, start_time_ns: int) -> None:

@@ -59,7 +59,7 @@ class Listener:
     """Receives the events of a run; this base class ignores them.
 
     Attributes:
-        shown: Warnings that were already displayed.
+        shown_warnings: Warnings that were already displayed.
     """
 
     shown_warnings: tuple[Fault, ...] = ()

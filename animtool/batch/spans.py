@@ -37,8 +37,8 @@ class ShownClip:
     Attributes:
         clip: The clip.
         track: Path of its track.
-        named: Name of the clip in messages.
-        part: Visible range since the clip's first frame [s]; None for all.
+        clip_text: Name of the clip in messages.
+        visible_range: Visible range since the clip's first frame [s]; None for all.
         speed: Playback speed of the surrounding tracks and stacks.
         name: Name of its shot.
     """
@@ -60,8 +60,8 @@ class Span:
         seconds: Duration in the timeline [s].
         speed: Playback speed of the media; negative for backwards.
         rate: Frame rate of the clip.
-        head: Whether the clip's begin is visible.
-        tail: Whether its end is visible.
+        shows_begin: Whether the clip's begin is visible.
+        shows_end: Whether its end is visible.
     """
 
     begin: Fraction

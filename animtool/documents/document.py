@@ -173,7 +173,7 @@ class Document:
     def not_ascending(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the index pairs of list entries that are not in ascending order.
+        """Yield the index of each entry not above its predecessor, and the latter's.
 
         Args:
             location: Location of the list.

@@ -128,7 +128,7 @@ class CameraView:
         radius: Radius of the framed bounds [m].
         floor: Height of the lowest point of the bounds [m].
         is_following: Whether it follows a joint.
-        followed: Last position of the followed joint [m].
+        followed_position: Last position of the followed joint [m].
         light: Direction to the key light, in view space.
     """
 
