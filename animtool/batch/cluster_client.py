@@ -84,7 +84,7 @@ def unusable_cluster_error(address: str, reason: str, hint: str) -> OutputError:
 def leave_cluster(client: Any, name: str) -> None:
     """Stop the work of this run on all workers, and disconnect from the cluster.
 
-    A scheduler that does not answer is not waited for.
+    This does not wait for a scheduler that does not answer.
     """
 
     def release_run(dask_worker: Any) -> None:

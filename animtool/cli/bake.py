@@ -281,7 +281,7 @@ def _print_reports(
 ) -> None:
     """Print the reports of all outputs, as JSON or as text.
 
-    No scene has no stages.
+    Without a scene, the costs of stages are left out.
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped

@@ -163,7 +163,7 @@ def _resolve_output(
 def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     """Convert each take of a file to a USD file in a folder.
 
-    Returns whether the file has any takes.
+    Returns whether the file contains any takes.
     """
     from animtool.core.readers import reader_of
     from animtool.usd.layers.names import distinct_names

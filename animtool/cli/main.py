@@ -116,7 +116,7 @@ def memory_limit_bytes() -> int | None:
 def crash_reason(name: str, path: str = "") -> Fault | None:
     """Return the fault of a process that was killed from outside, else None.
 
-    None for any other crash. ``path`` is the file that USD read; may be empty.
+    ``path`` is the file that USD was reading, or "".
     """
     location = path or None
     if name == "SIGKILL":
@@ -396,7 +396,7 @@ def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
 def _logs_json(arguments: Sequence[str]) -> bool:
     """Return whether stderr is JSON.
 
-    Determined here and not by the commands, so that usage errors are JSON too.
+    This is determined before a command runs, so that usage errors are JSON too.
     """
     command_line = " ".join(arguments).replace("=", " ")
     is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"

@@ -128,7 +128,8 @@ def _show_difference(
 ) -> None:
     """Print the diff of `--fix` and the remaining findings.
 
-    Exits with 1 if something would change, else by the findings.
+    The process exits with 1 if a file would change, else with the exit code of the
+    findings.
     """
     from animtool.core.errors import ExitCode
     from animtool.validation.fixes.run import plan_files

@@ -217,8 +217,8 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
 def project_roots(path: Path) -> tuple[Path, ...]:
     """Return the folders whose files a file may refer to.
 
-    They are those of its project's settings; without settings, the nearest parent
-    folder under version control; else the file's folder.
+    The folders are those of the project's settings; without settings, the nearest
+    parent folder under version control, else the folder of the file.
     """
     folder = path.resolve().parent
     return find_config(path).roots or (_version_control_root(folder) or folder,)

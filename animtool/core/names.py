@@ -156,7 +156,8 @@ def decimal_text(value: float) -> str:
 def scaled_decimal(value: float, unit: float) -> str:
     """Return the shortest decimal whose product with a unit is a given float.
 
-    If there is none, since products skip some floats, the nearest is used.
+    If no product equals the float exactly, the decimal with the nearest product is
+    returned.
 
     >>> scaled_decimal(0.0254, 0.0254), scaled_decimal(math.pi / 6, math.pi / 180)
     ('1', '30')

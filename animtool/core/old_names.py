@@ -47,8 +47,8 @@ def new_name(name: str) -> str | None:
 class _OldNameFinder:
     """Import finder of renamed modules by their old names.
 
-    It has the methods that `importlib.abc` requires of a finder and a loader; importing
-    that would load 40 modules.
+    The class has the methods that ``importlib.abc`` requires of a finder and a loader;
+    importing that module would load 40 others.
     """
 
     def create_module(self, _: ModuleSpec) -> None:

@@ -113,7 +113,7 @@ def floor_to_two_digits(value: float) -> float:
 def plain_number(value: float, digits: int = 3) -> str:
     """Return a number rounded to significant digits, without an exponent.
 
-    Beyond some fifteen zeros it has an exponent.
+    Numbers with more than about fifteen zeros have an exponent.
 
     >>> [plain_number(value) for value in (1614.2, 0.000267, 26.2, 0.0, 5e-324)]
     ['1610', '0.000267', '26.2', '0', '4.94e-324']

@@ -111,7 +111,7 @@ class Document:
         return self._computed_marks
 
     def _index(self, location: Location) -> int:
-        """Return the index in `Marks.positions` of a value or its nearest ancestor."""
+        """Return the index in `SourceMarks.positions` of a value or its ancestor."""
         if not self._child_indices:
             self._index_nodes(self.value, 0)
         node: Any = self.value

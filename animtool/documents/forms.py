@@ -256,7 +256,7 @@ def _example_contains(example: Any, value: Any) -> bool:
 
 
 def _entry_examples(annotation: Any) -> EntryExamples | None:
-    """Return the `EntryForms` annotation of a type or of a union's member."""
+    """Return the `EntryExamples` of a type or of a union's member."""
     for constraint in getattr(annotation, "__metadata__", ()):
         if isinstance(constraint, EntryExamples):
             return constraint

@@ -211,7 +211,7 @@ class Scene:
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and the result of each pass, as takes and as streams.
 
-        Props that no pass retimes are not included. Passes write no file.
+        Props that no pass retimes are not included. Passes write no files.
         """
         source = self._source()
         props = self._open_props(source)
@@ -226,7 +226,7 @@ class Scene:
     def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
         """Return the result of a pass on a take, with its preroll.
 
-        It writes no file.
+        The pass writes no files.
         """
         return self._apply_pass(stream, entry, self._context(writes_files=False))
 
@@ -321,7 +321,8 @@ class Scene:
     ) -> TakeStream:
         """Return the result of a pass on a take, charged to the meter.
 
-        Its notices, immediate or block by block, are located at its entry.
+        All notices of the pass are located at its entry, including those that appear
+        while blocks are read.
         """
         pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores

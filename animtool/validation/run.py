@@ -326,8 +326,8 @@ def _findings_in_processes(
 ) -> list[list[Fault]] | None:
     """Return the reported findings of each file, from several processes.
 
-    None if one of them crashed: repeated in this process, the file that causes it is
-    found.
+    Returns None if a process crashed; validating again in this process then finds the
+    file that causes the crash.
     """
     from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
     from multiprocessing import get_context

@@ -338,10 +338,10 @@ def written_size(path: Path) -> int:
 def atomic_outputs() -> Iterator[None]:
     """In a block, write files that are committed together at its end.
 
-    They are renamed in the order of writing; if the block fails, none is. In a nested
-    block, the outer one commits them. Inputs of the block must not change (IO004), no
-    other process may write one of the outputs (OUT001), and no two outputs may be the
-    same file (OUT007).
+    The files are renamed in the order of writing; if the block fails, none of them is.
+    In a nested block, the outer one commits them. Inputs of the block must not change
+    (IO004), no other process may write one of the outputs (OUT001), and no two outputs
+    may be the same file (OUT007).
     """
     if _pending_outputs.get() is not None:
         yield
@@ -370,8 +370,9 @@ def atomic_outputs() -> Iterator[None]:
 def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
     """In a block, write new files that are committed before the other files.
 
-    For files that are read again before the files that refer to them are written. They
-    are removed if the block, or an enclosing `atomic_outputs`, fails.
+    This is for files that are read again before the files that refer to them are
+    written. The files are removed if the block, or an enclosing `atomic_outputs`,
+    fails.
     """
     pending_set = _pending_outputs.get()
     token = _pending_outputs.set(None)

@@ -131,7 +131,7 @@ def receive_signals() -> None:
 def without_interrupts() -> Iterator[None]:
     """In a block, start processes with SIGINT blocked.
 
-    A terminal sends it to all processes of a command; the parent process ends its
+    A terminal sends SIGINT to all processes of a command; the parent process ends its
     children.
     """
     if not hasattr(signal, "pthread_sigmask"):
@@ -157,10 +157,10 @@ def ignore_signals() -> None:
 def deferred_signals() -> Iterator[None]:
     """In a block, defer SIGINT, SIGTERM and SIGHUP to its end.
 
-    For steps of milliseconds that must not be interrupted: importing a library that
-    swallows exceptions, or renaming files that belong together. Only the main thread is
-    interrupted by signals; in other threads, and for ignored signals, nothing is
-    deferred.
+    This is for steps of milliseconds that must not be interrupted: importing a library
+    that swallows exceptions, or renaming files that belong together. Only the main
+    thread is interrupted by signals; in other threads, and for ignored signals, nothing
+    is deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -60,8 +60,8 @@ class DeformedCharacter:
 def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
     """Return the meshes and strands that a take deforms.
 
-    They are those of the take's rig if it has meshes; else those of the rig layer; else
-    those of the USD file that the take was read from.
+    The meshes and strands are from the take's rig if it has meshes, else from the rig
+    layer, else from the USD file that the take was read from.
     """
     stream, source, mapping = take.stream, take.source, take.mapping
     options = take.options

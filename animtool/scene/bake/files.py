@@ -202,7 +202,8 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
 def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
     """Return the weights of a take for all the given shapes, in their order.
 
-    Shapes without a weight in the take are combinations of others, or at 0.
+    Combination shapes that the take lacks get the weight that follows from its shapes;
+    other missing shapes get 0.
     """
     weights, all_names = take.motion.weights, [shape.name for shape in shapes]
     names = [shape.name for shape in take.rig.shapes]

@@ -47,8 +47,8 @@ def frame_start(
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
     """Return the integer time codes that cover a take; None if none are needed.
 
-    The first is rounded up from the time code of the first sample, the last from that
-    of the last. None also if that start is an integer or each frame has one sample.
+    The time codes of the first and the last sample are rounded up. Returns None if the
+    start is an integer or each frame has one sample.
 
     fps: [frame/s]. start: Time code of the first sample [frame].
 

@@ -185,7 +185,7 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """Return notices of frames of a shot that the take lacks.
 
-    The last frame of a take lasts until the next would begin.
+    The last frame of a take lasts until the next frame would begin.
     """
     frame_range, source_path = plan.options.frame_range, str(plan.source)
     assert frame_range is not None

@@ -94,8 +94,8 @@ def in_joint_order(
 def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
     """Return the parent of every joint by USD name, in joint order.
 
-    By USD name, a BVH and its conversion to USD have equal joints. A root has the
-    parent "".
+    USD names are used so that a BVH file and its conversion to USD have equal joints.
+    The parent of a root is "".
     """
     names = joint_names(rig.joints, options.strip_namespace).names
     return {

@@ -52,10 +52,10 @@ def join_sources(
 ) -> TakeStream:
     """Return the first source with tracks replaced by those of other sources.
 
-    The result has the rig, rate and frames of the first source. The others are mapped
-    to that rig by name. They start with the first source or at their time codes, and
-    hold their first and last frame. Notices report held frames, unmapped tracks and
-    duplicates; those about frames may appear only while blocks are read.
+    The result has the rig, rate and frames of the first source. The other sources are
+    mapped to that rig by name. They start with the first source or at their time codes,
+    and hold their first and last frame. Notices report held frames, unmapped tracks and
+    duplicate tracks; notices about frames may appear only while blocks are read.
     """
     layers: list[_Layer] = []
     faults: list[Fault] = []

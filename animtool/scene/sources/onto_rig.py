@@ -97,8 +97,8 @@ class NameMap:
 def map_names(rig: Rig, other_rig: Rig) -> NameMap:
     """Return the index of each track of a rig in another rig, matched by name.
 
-    A joint that was renamed on reading is found by either name. Of several joints with
-    one name, the one below the mapped parent is taken.
+    A joint that was renamed on reading is found by either name. If several joints have
+    the same name, the joint below the mapped parent is used.
     """
     indices_by_name: dict[str, list[int]] = {}
     for index, joint in enumerate(other_rig.joints):

@@ -275,8 +275,8 @@ def fitting_options(
 ) -> SourceOptions:
     """Return the options that apply to one of several files.
 
-    Options that its format does not support are left out if another file supports them.
-    The rig applies to all.
+    Options that the format of the file does not support are left out if another file
+    supports them. The option ``rig`` applies to all files.
 
     >>> walk, idle = Path("walk.bvh"), Path("idle.usda")
     >>> options = SourceOptions(up=UpAxis.Z, clamp=True)

@@ -261,7 +261,8 @@ def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     """Return the plan of systems that are written in the same layer as a take.
 
-    They are below the character's model, so they share its placement, unit and up axis.
+    The prims of the systems are below the character's model, so they share its
+    placement, unit and up axis.
     """
     unit, up = plan.meters_per_unit, plan.rig.up
     unit_and_up = (

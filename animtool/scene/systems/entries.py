@@ -148,7 +148,7 @@ class EntryReader:
     def around(
         self, location: Location, key: str, models: Iterable[Any]
     ) -> tuple[Any, ...]:
-        """Return the parsed colliders of one of the keys in `AROUND`."""
+        """Return the parsed colliders of a key in `COLLISION_KEYS`."""
         readers: Mapping[str, Callable[[Location, Any], Any]] = {
             "colliders": self.collider,
             "characters": self.character_collider,

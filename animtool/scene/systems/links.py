@@ -18,7 +18,8 @@ from animtool.systems.framework.spec import Member
 def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return groups of system indices in simulation order.
 
-    A system comes after those it depends on, otherwise in the scene's order.
+    A system comes after the systems it depends on; apart from that, the order is that
+    of the scene.
     """
     groups = joined_groups(systems)
     group_of = {i: k for k, group in enumerate(groups) for i in group}
@@ -38,7 +39,7 @@ def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     """Return the indices of the systems that a joined group depends on.
 
-    They include indirect dependencies and the systems these are joined to.
+    This includes indirect dependencies and the systems that they are joined to.
     """
     groups = simulation_order(systems)
     needed_names = {name for i in group for name, _ in systems[i].setup.around.needs}

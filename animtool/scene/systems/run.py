@@ -45,9 +45,9 @@ def last_states(
 ) -> Mapping[int, Any]:
     """Return the final states of the requested systems, by index.
 
-    The topology of a mesh that tears is constant: it has all its points from the first
-    frame on. So the final tears must be known before anything is written. Only the
-    requested systems and their dependencies are simulated.
+    The topology of a tearing mesh is constant: it has all its points from the first
+    frame on. Therefore the final tears must be known before anything is written. Only
+    the requested systems and their dependencies are simulated.
 
     ``times`` [s].
     """

@@ -98,9 +98,9 @@ def suite_tradeoffs(
 ) -> Tradeoffs:
     """Measure animtool's own examples; see `measure_tradeoffs`.
 
-    They are comets with each integrator, a rope with each solver, a reaching arm with
-    each method, and a wave of the arm as samples and keys. Times are those of this
-    machine.
+    The examples are comets with each integrator, a rope with each solver, a reaching
+    arm with each method, and an arm wave as samples and as keys. Times are measured on
+    this machine.
     """
     tables: list[TrialTable] = []
     notices: list[Fault] = []

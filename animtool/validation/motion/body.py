@@ -36,8 +36,8 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     """Return the joints that move the complete body, from the first root to the hips.
 
-    Below a static root, or a root with the path of a walk, another joint carries the
-    body. Other children of these are targets and props.
+    Below a static root, or a root that only follows the path of a walk, another joint
+    carries the body. Other children of these joints are targets and props.
     """
     rig = subject.take.rig
     if not rig.roots:

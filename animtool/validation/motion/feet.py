@@ -70,8 +70,8 @@ def _velocity_ratios(
 ) -> tuple[FloatArray, FloatArray]:
     """Return ratios of stance-foot to hip velocity, and hip speeds [m/s] ``(N,)``.
 
-    These are the components along the hips' velocity, and the hips' speeds [m/s]. Of
-    the feet near the ground, the slowest one counts.
+    The ratios are the component of the slowest near-ground foot's velocity along the
+    hips' velocity, divided by the hip speed.
     """
     points = subject.ground_positions(np.append(contacts.feet, hips_of(subject)))
     travels, step_counts = displacements_around(subject, points, VELOCITY_SECONDS)

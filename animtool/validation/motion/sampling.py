@@ -278,8 +278,9 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
 def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     """Return a mask of steps in which joints of two or more limbs are flagged ``(S,)``.
 
-    A finger that jumps with its hand is no loss. A trunk that both rotates and moves as
-    far as in several steps counts as two limbs. ``is_flagged``: per column ``(S, N)``.
+    A finger that jumps with its hand is not a lost frame. A trunk that both rotates and
+    moves as far as in several steps counts as two limbs. ``is_flagged``: mask of
+    flagged columns ``(S, N)``.
     """
     limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
     is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
@@ -295,9 +296,9 @@ def _predicted_step(
 ) -> FloatArray:
     """Return the step over lost frames, extrapolated from the neighbouring steps.
 
-    ``near_steps`` and ``far_steps`` ``(S, N, 3)``: means of the adjacent steps before
-    and after, and of the second ones. The prediction sums a parabola through these and
-    their mirror images.
+    ``near_steps`` and ``far_steps`` ``(S, N, 3)`` are the means of the first, and of
+    the second, steps before and after. The prediction integrates the symmetric parabola
+    through both.
     """
     near_position, far_position = 1.0 + 0.5 * lost_count, 2.0 + 0.5 * lost_count
     curvature = (far_steps - near_steps) / (far_position**2 - near_position**2)
@@ -316,7 +317,7 @@ def _squared_lengths(vectors: FloatArray) -> FloatArray:
 def _typical_squares(squares: FloatArray) -> FloatArray:
     """Return a local maximum of block medians for each row and column ``(S, N)``.
 
-    This is the largest median of its block of rows and the two neighbouring blocks.
+    The maximum is taken over the block of the row and the two neighbouring blocks.
     """
     count = len(squares)
     block_count = max(1, count // BLOCK_FRAMES)

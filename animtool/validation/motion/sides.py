@@ -350,8 +350,8 @@ def _side_deviations(
 def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> FloatArray:
     """Return the angle between rotations and the extrapolation of predictor rotations.
 
-    ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others either stay or continue
-    to rotate as in the previous step: the smaller difference counts.
+    Both are ``(F, P, 4)``, the result is ``(F - 1, P)`` [rad]. Predictors either hold
+    still or repeat the rotation of the previous step: the smaller angle counts.
     """
     rotations_per_step = so3.multiply(predictors[1:-1], so3.conjugate(predictors[:-2]))
     predicted_side = predictors[:-1].copy()

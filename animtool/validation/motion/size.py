@@ -180,7 +180,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root far above its rest height and the likely unit factor.
+    """Return a root whose height does not fit its rest height, and the unit factor.
 
     If the rig rests at its hips, their height is the length of its legs.
     """
@@ -208,10 +208,10 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
 
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the unit factor missing from the root translation, if the feet show it.
+    """Return the unit factor by which a root translation is too small, else None.
 
-    Multiplied by that factor, its translation puts the lowest joint on the ground,
-    however the body crouches or crawls.
+    Multiplying the translation by the inverse of that factor would put the lowest joint
+    on the ground in most frames, also of a crouching or crawling body.
     """
     body_positions = subject.positions[:, body_joints(subject)]
     lowest_joints = (body_positions @ subject.up).argmin(axis=1)

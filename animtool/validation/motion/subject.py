@@ -104,7 +104,8 @@ class MotionSubject:
     def rotation_steps(self) -> FloatArray:
         """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
 
-        In the parent's space, and per typical interval if samples are uneven.
+        The rotations are in the parent's space, and scaled to the median interval if
+        samples are uneven.
         """
         values = self.take.motion.rotations.values
         vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
@@ -120,8 +121,8 @@ class MotionSubject:
     def speeds(self) -> FloatArray:
         """Combined motion of all joints from each frame to the next ``(F - 1,)``.
 
-        The root of the sum of squares of rotations [rad] and of translations [half the
-        size].
+        The square root of the sum of squared rotations [rad] and squared translations,
+        in units of half the size of the rig.
         """
         squared_rotations = np.einsum(
             "fjc,fjc->f", self.rotation_steps, self.rotation_steps

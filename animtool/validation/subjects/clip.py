@@ -48,7 +48,7 @@ class ClipSubject(DocumentSubject):
     def at(self, joint: str, frame: float) -> Location:
         """Return the location of the last key up to a frame in a joint's first channel.
 
-        Without a channel, the list of channels.
+        If the joint has no channel, this is the location of the list of channels.
         """
         for i, channel in enumerate(self.clip.channels):
             if channel.target.startswith(f"joint/{joint}."):
