@@ -182,7 +182,7 @@ def exact_rate(rate: float) -> Fraction:
 
 
 def seconds_of(time: Any) -> Fraction:
-    """Return a time of a timeline, exact at its own rate [s]."""
+    """Return the time of a timeline object in seconds, exact at the object's rate."""
     rate = exact_rate(time.rate)
     if not abs(time.value) <= MAX_MEDIA_SECONDS * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")

@@ -67,7 +67,7 @@ class ItemOutcome:
 
     @classmethod
     def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
-        """Return the outcome of an item that failed after some time [s]."""
+        """Return the outcome of an item that failed after a time in seconds."""
         return cls(item.number, ItemStatus.FAILED, seconds, faults)
 
 

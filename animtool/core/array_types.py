@@ -15,7 +15,7 @@ ArrayLike: TypeAlias = npt.ArrayLike
 
 
 def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:
-    """Return values as C-contiguous float64 of the given shape.
+    """Return values as a C-contiguous float64 array after checking its shape.
 
     Args:
         values: Anything that numpy converts to floats.

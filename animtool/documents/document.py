@@ -72,7 +72,7 @@ class Document:
         return self._cached_marks().positions[index - is_key]
 
     def source_text(self, location: Location) -> str | None:
-        """Return the source text of an unquoted scalar; None for anything else."""
+        """Return the source text of an unquoted scalar; None for other values."""
         return self._cached_marks().unquoted.get(self._index(location))
 
     def decimal_commas(self, location: Location, width: int = 0) -> str | None:

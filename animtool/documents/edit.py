@@ -93,7 +93,7 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
 
 
 def _parses_to(text: str, path: Path, value: Any) -> bool:
-    """Return whether a text parses to the given values; False if it is malformed."""
+    """Return whether a text parses to the expected values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
     except FormatError:

@@ -74,7 +74,7 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
 def shared_key(text: str, example: Any) -> Any:
-    """Return the key of a type that several models share, for its `Annotated`."""
+    """Return the annotation for a type of key that several models use."""
     return model_field(Key(text, example))
 
 

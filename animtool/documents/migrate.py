@@ -170,7 +170,7 @@ def migrate(
     strict: bool = False,
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
 ) -> list[Migration]:
-    """Rewrite files of older versions in place: all of them or none.
+    """Rewrite files of older versions in place; if one fails, none is rewritten.
 
     All are read and checked before the first is written.
 

@@ -120,7 +120,7 @@ def viewer_modules() -> dict[str, str]:
     modules: dict[str, str] = {}
 
     def add(name: str, importers: tuple[str, ...] = ()) -> None:
-        """Add a module after those it imports."""
+        """Append a module after all the modules that it imports."""
         if name in modules or name in importers or name not in texts:
             return
         for match in _IMPORT.finditer(texts[name]):

@@ -238,7 +238,7 @@ class StreamPacker:
 def _split_by_size(
     streams: Sequence[_Stream], max_bytes: int, samples: int
 ) -> list[list[_Stream]]:
-    """Group streams up to a total size; a larger stream gets its own group."""
+    """Group streams up to a total size; a larger stream is a group of its own."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:

@@ -324,7 +324,7 @@ def _findings_in_processes(
     values: Sequence[SceneValues | None],
     process_count: int,
 ) -> list[list[Fault]] | None:
-    """Return the reported findings of each file, from several processes.
+    """Validate files in several processes; return the reported findings of each file.
 
     Returns None if a process crashed; validating again in this process then finds the
     file that causes the crash.

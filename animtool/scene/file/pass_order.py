@@ -20,7 +20,7 @@ _FIRST_NAME = re.compile(r"'([^']+)'")
 def with_order_hints(
     passes: Sequence[ScenePass], entry: ScenePass, folder: Path
 ) -> Iterator[None]:
-    """Add a hint if a pass names something that only a later ``retarget`` provides.
+    """In a block, add a hint to faults about names that only a later pass provides.
 
     Args:
         passes: All passes of the scene.

@@ -117,7 +117,7 @@ def _add_driven(rig: Rig, selected: dict[str, set[int]]) -> None:
 
 
 def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
-    """Return the tracks of a motion that leave the rest pose."""
+    """Return the tracks of a motion that are animated or differ from the rest pose."""
     rest_on_rig = names.apply(rest_motion(motion_rig))
 
     def moving_indices(kind: str) -> IntArray:
@@ -165,7 +165,7 @@ def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
 
 
 def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
-    """Return a motion with some tracks replaced by those of another motion."""
+    """Return a motion in which the given tracks are replaced by another motion's."""
 
     def optional(
         name: str, indices: IntArray, neutral: float | FloatArray

@@ -37,7 +37,7 @@ MAX_NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class JoinedSource:
-    """One of several sources to join."""
+    """A source to join, with the tracks that it sets."""
 
     stream: TakeStream
     tracks: TrackNames | None  # its tracks; None uses all moving ones
@@ -50,7 +50,7 @@ class JoinedSource:
 def join_sources(
     first: JoinedSource, other_sources: Sequence[JoinedSource]
 ) -> TakeStream:
-    """Return the first source with tracks replaced by those of other sources.
+    """Return the first source, with tracks replaced by those of the other sources.
 
     The result has the rig, rate and frames of the first source. The other sources are
     mapped to that rig by name. They start with the first source or at their time codes,

@@ -243,7 +243,7 @@ def is_usd(path: Path) -> bool:
 
 
 def motion_bytes(path: Path) -> int:
-    """Return the size of a motion file; 0 for a scene, which refers to others."""
+    """Return the size of a motion file [byte]; 0 for a scene."""
     # A file removed meanwhile is reported by the check of inputs.
     state = None if has_kind_suffix(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
@@ -273,7 +273,7 @@ def supports_option(path: Path, name: str) -> bool:
 def fitting_options(
     options: SourceOptions, path: Path, all_paths: Sequence[Path]
 ) -> SourceOptions:
-    """Return the options that apply to one of several files.
+    """Return the options that apply to one of the files of a command.
 
     Options that the format of the file does not support are left out if another file
     supports them. The option ``rig`` applies to all files.

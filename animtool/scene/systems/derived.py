@@ -253,7 +253,7 @@ class SpecPartReader(EntryReader):
             return None
 
     def names(self, location: Location, entry: str | int) -> list[str | int]:
-        """Return a name or number, or those of an array; none if unreadable."""
+        """Return a name or number, or an array of them; empty if it is unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
         parent_keys = [step for step in location[:-2] if isinstance(step, str)]

@@ -56,7 +56,7 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
 def with_dependencies(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
-    """Return indices of systems, with those they are joined to or depend on."""
+    """Return the requested systems with all systems that they are joined to or need."""
     ordered_groups, included_indices = simulation_order(systems), {*requested}
     while True:
         groups = [

@@ -189,7 +189,7 @@ def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
 
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if left and right are swapped, in all or some frames (MOT210)."""
+    """Yield a fault if left and right are swapped in any or all frames (MOT210)."""
     subject = subject.without_first_pose
     pairs = _side_pairs(subject)
     if not pairs:

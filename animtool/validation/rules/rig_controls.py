@@ -110,7 +110,7 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives without a value somewhere in a control's range (RIG207)."""
+    """Yield drives that are undefined at a value in their control's range (RIG207)."""
     sweep = _sweep_controls(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
@@ -214,7 +214,7 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
-    """Return a sweep of each control with the others at their defaults."""
+    """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
     ranges = {control.name: _sampled_values(control) for control in controls}
     count = sum(map(len, ranges.values()))

@@ -48,7 +48,7 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers without a value for some inputs (RIG224)."""
+    """Yield drivers that are undefined at a sample of their inputs (RIG224)."""
     for key, kind, elements in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
