@@ -36,7 +36,7 @@ _MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
-    """Return the prefix of temporary files of a process; None for this process."""
+    """Return the prefix of a process's temporary files; by default this process's."""
     return f".animtool-{_host_digest()}-{process or os.getpid()}-"
 
 

@@ -332,7 +332,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _non_file_kind(status: os.stat_result) -> str:
-    """Return the noun for a path that is not a file, such as a folder."""
+    """Return text on what a path is instead of a file."""
     return _NON_FILE_KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 

@@ -167,7 +167,7 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
 
 
 def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
-    """Return a hint that gives a frame range in the numbering of the take."""
+    """Return a hint on how to number the take so that it contains a frame range."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
     origin = Fraction(1) if plan.stream.start is None else plan.stream.start
     offset = plan.start - origin
