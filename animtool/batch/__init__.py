@@ -1,1 +1,1 @@
-"""Batches: find, plan, build in several processes, and resume."""
+"""Batches: finds, plans and builds items in several processes, and resumes."""

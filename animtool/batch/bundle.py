@@ -51,7 +51,7 @@ MAX_SECONDS = 1e9
 
 @dataclass(frozen=True, slots=True)
 class CutArguments:
-    """Shot options of the command line that extend a batch file."""
+    """Shot options of the command line that complete a batch file."""
 
     path: Path | None = None  # the timeline; None uses the batch file's
     words: tuple[str, ...] = ()  # options of its shots, replacing those of the batch
@@ -99,7 +99,7 @@ class WrittenBundle:
 
 
 def mean_seconds(path: Path) -> float:
-    """Return the mean time of an item from a batch's JSON report [s] (else BAT037)."""
+    """Return the mean build time of an item from a batch's JSON report [s]."""
     try:
         items = list_in(json_of_file(path, MAX_REPORT_BYTES), "items")
         seconds = [
@@ -122,7 +122,7 @@ def mean_seconds(path: Path) -> float:
 def chunk_size(
     items: int, seconds: float | None = None, task_seconds: float = TASK_SECONDS
 ) -> int:
-    """Return the number of items per task, from seconds per item and per task [s].
+    """Return the number of items per task, given the seconds per item and per task.
 
     >>> chunk_size(1000, 0.5), chunk_size(1000), chunk_size(10, 0.1)
     (240, 100, 10)
@@ -135,7 +135,7 @@ def chunk_size(
 def batch_bundle(
     batch: Batch, path: Path, chunk: int, cuts: CutArguments = NO_CUT_ARGUMENTS
 ) -> Bundle:
-    """Return the bundle of a batch, with shot options."""
+    """Return the bundle of a batch, with the shot options of the command line."""
     cut_words = _cut_words(cuts)
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
@@ -223,7 +223,7 @@ def _parameters(batch: Batch, chunk: int, cuts: CutArguments) -> list[dict[str, 
 
 
 def _script(*selection: str) -> dict[str, Any]:
-    """Return the script of a step."""
+    """Return the script that runs a step of the bundle."""
     arguments = ["batch", "{{Param.BatchFile}}", *selection, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
@@ -242,7 +242,7 @@ def _script(*selection: str) -> dict[str, Any]:
 def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> WrittenBundle:
-    """Write a bundle; refuse files that exist (OUT001) or a file name (OUT004)."""
+    """Write a bundle; refuse files that exist (OUT001) or a file as folder (OUT004)."""
     if folder.suffix.lower() in {".yaml", ".yml", ".json"} and not folder.is_dir():
         message = f"a bundle is a folder, not a {folder.suffix} file"
         hint = f"for example {folder.with_suffix('.job')}"

@@ -1,4 +1,4 @@
-"""The executor of a dask cluster: checks workers and sends them items.
+"""The dask executor: checks the workers of a cluster and sends items to them.
 
 A worker is checked before it gets an item, and an item is finished when this machine
 sees its files with the content that the worker wrote.
@@ -108,7 +108,7 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
 def _fetch_results(
     finished_futures: SimpleQueue[Any], results: SimpleQueue[Any]
 ) -> None:
-    """Fetch results while others are sent, until the queue holds None."""
+    """Fetch the results of finished tasks until the queue yields None."""
     while (future := finished_futures.get()) is not None:
         try:
             value = future.result()
@@ -119,7 +119,7 @@ def _fetch_results(
 
 @dataclass(slots=True, eq=False)
 class _ClusterWorker:
-    """State of a worker of the cluster."""
+    """State of one worker of the cluster."""
 
     address: str  # address of the worker
     threads: int  # its number of threads
@@ -138,7 +138,7 @@ class _ClusterWorker:
 
 @dataclass(slots=True)
 class _SentItem:
-    """A running task: building an item, or checking a worker if the item is None."""
+    """A running task: it builds an item or, if the item is None, checks a worker."""
 
     worker: _ClusterWorker  # receiving worker
     item: Item | None = None
@@ -146,7 +146,7 @@ class _SentItem:
 
 @dataclass(slots=True)
 class _ClusterRun:
-    """A run on a cluster."""
+    """A run of a batch on a cluster."""
 
     client: Any  # connection to the cluster
     name: str  # name of the run
@@ -208,7 +208,7 @@ class _ClusterRun:
             yield self.pending_warnings.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
-        """Return the current workers and the number of their threads."""
+        """Return the number of threads of each current worker, by address."""
         if self.client.status in {"closing", "closed"}:
             raise unusable_cluster_error(
                 self.work.argument, "the scheduler has stopped", RESUME
@@ -238,7 +238,7 @@ class _ClusterRun:
     def _reclaim_lost_items(
         self, addresses: Mapping[str, int]
     ) -> Iterator[ItemOutcome]:
-        """Reclaim items of lost workers, and start checks of new workers."""
+        """Reclaim the items of lost workers and start the checks of new workers."""
         for address in self.workers.keys() - addresses.keys():
             worker = self.workers.pop(address)
             for future in [
@@ -257,7 +257,7 @@ class _ClusterRun:
     def _resend_lost_item(
         self, sent_item: _SentItem, reason: str
     ) -> Iterator[ItemOutcome]:
-        """Send the item of a lost worker again, a limited number of times."""
+        """Send the item of a lost worker again; let it fail after too many attempts."""
         sent_item.worker.running_count -= sent_item.item is not None
         if sent_item.item is None:
             return
@@ -289,7 +289,7 @@ class _ClusterRun:
         future.add_done_callback(self.finished.put)
 
     def _send(self) -> bool:
-        """Send items while fit workers have free threads; return if any remain."""
+        """Send items to workers with free threads; return whether any items remain."""
         fit_workers = [worker for worker in self.workers.values() if worker.is_fit]
         total_running = sum(worker.running_count for worker in fit_workers)
         requested_count, threads = (
@@ -326,7 +326,7 @@ class _ClusterRun:
         return True
 
     def _refuse_unfit(self) -> None:
-        """Raise an error if all workers are checked and unfit."""
+        """Raise an error if all workers were checked and none is fit."""
         if not self.workers or any(
             worker.is_fit is not False for worker in self.workers.values()
         ):
@@ -338,7 +338,7 @@ class _ClusterRun:
     def _handle_answer(
         self, sent_item: _SentItem, value: object
     ) -> Iterator[ItemOutcome | Fault]:
-        """Process the answer of a worker: a check or the outcome of an item."""
+        """Process the answer of a worker: the result of a check or an item outcome."""
         worker, item = sent_item.worker, sent_item.item
         if item is None:
             yield from self._accept_check(worker, value)
@@ -379,7 +379,7 @@ class _ClusterRun:
     def _exclude(
         self, worker: _ClusterWorker, code: str, reason: str
     ) -> Iterator[Fault]:
-        """Stop sending items to a worker, and warn once."""
+        """Stop sending items to a worker, and yield one warning about it."""
         worker.is_fit = False
         message = f"worker {worker} is excluded: {excerpt(reason, 400)[1:-1]}"
         yield Fault(code, message, None, (), _HINTS[code], Severity.WARNING)
@@ -387,7 +387,7 @@ class _ClusterRun:
     def _accept_outcome(
         self, worker: _ClusterWorker, item: Item, outcome: ItemOutcome
     ) -> Iterator[ItemOutcome | Fault]:
-        """Accept an outcome with this machine's inputs; wait for its files.
+        """Accept an outcome if the inputs match local files, then wait for its outputs.
 
         If the worker's inputs differ, another worker builds the item.
         """
@@ -406,7 +406,7 @@ class _ClusterRun:
             self.undelivered.append((deadline, item, worker, outcome))
 
     def _delivered_outcomes(self) -> Iterator[ItemOutcome | Fault]:
-        """Yield the outcomes whose files have arrived with the written content."""
+        """Yield the outcomes whose output files have arrived with the right content."""
         current_time, waiting_outcomes = time.monotonic(), self.undelivered
         self.undelivered = []
         for deadline, item, worker, outcome in waiting_outcomes:

@@ -1,4 +1,4 @@
-"""The connection to a dask cluster, and the files by which its disks are known."""
+"""The connection to a dask cluster, and token files that identify shared disks."""
 
 from __future__ import annotations
 
@@ -82,9 +82,9 @@ def unusable_cluster_error(address: str, reason: str, hint: str) -> OutputError:
 
 
 def leave_cluster(client: Any, name: str) -> None:
-    """Stop the work of this run on workers, and disconnect.
+    """Stop the work of this run on all workers, and disconnect from the cluster.
 
-    A scheduler that does not answer is not waited for.
+    This does not wait for a scheduler that does not answer.
     """
 
     def release_run(dask_worker: Any) -> None:
@@ -105,7 +105,7 @@ def leave_cluster(client: Any, name: str) -> None:
 
 @contextmanager
 def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Create files in output folders by which workers recognise them."""
+    """In a block, keep token files in output folders that workers can look for."""
     texts: dict[str, str] = {}
     try:
         for folder in folders[:MAX_TOKENS]:

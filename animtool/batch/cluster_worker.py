@@ -31,7 +31,7 @@ VERSIONS_CODE, INPUTS_CODE, DISK_CODE = "BAT036", "BAT074", "BAT075"
 
 @dataclass(frozen=True, slots=True)
 class InputCheck:
-    """An input and its state on the machine that runs the batch."""
+    """An input file and its state on the machine that runs the batch."""
 
     path: str  # absolute
     size: int  # [bytes]
@@ -40,7 +40,7 @@ class InputCheck:
 
 @dataclass(frozen=True, slots=True)
 class WorkerCheck:
-    """Requirements of a worker before it is sent an item."""
+    """Requirements that a worker must meet before it is sent an item."""
 
     task: WorkerTask  # how it builds items
     inputs: tuple[InputCheck, ...]  # required files
@@ -71,7 +71,7 @@ def _code_digest() -> str:
 def version_differences(
     expected_versions: Mapping[str, str], actual_versions: Mapping[str, str]
 ) -> str:
-    """Return the versions that differ as text; empty if none does.
+    """Return a text with the versions that differ; "" if all versions are equal.
 
     >>> version_differences({"numpy": "2.1"}, {"numpy": "1.9"})
     'numpy 1.9 instead of 2.1'
@@ -87,7 +87,7 @@ def version_differences(
 def prepare_worker(
     worker: Any, name: str, versions: Mapping[str, str], pickled: bytes
 ) -> tuple[str, str]:
-    """Prepare a worker for a run; return code and reason if it is unfit.
+    """Prepare a worker for a run; return a code and a reason if it is unfit.
 
     Args:
         worker: The worker, which keeps the prepared state in its ``plugins``.
@@ -152,7 +152,7 @@ def _is_same(expected_check: InputCheck) -> bool:
 
 
 def build_on(worker: Any, name: str, item: Item) -> ItemOutcome | None:
-    """Return the outcome of an item; None on an unprepared worker."""
+    """Build an item on a worker and return its outcome; None if it is unprepared."""
     processes: WorkerProcesses | None = worker.plugins.get(name)
     return None if processes is None else processes.build(item)
 
@@ -166,14 +166,14 @@ def release(worker: Any, name: str) -> None:
 
 @dataclass(slots=True)
 class WorkerProcesses:
-    """Subprocesses of a worker that build items, one per busy thread."""
+    """Subprocesses of a worker that build items; each busy thread uses one."""
 
     task: WorkerTask  # how they build items
     _idle: list[WorkerProcess] = field(default_factory=list)
     _busy: list[WorkerProcess] = field(default_factory=list)
 
     def build(self, item: Item) -> ItemOutcome:
-        """Return the outcome of an item."""
+        """Build an item and return its outcome."""
         # Both operations are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
         self._busy.append(process)
@@ -200,7 +200,7 @@ class WorkerProcesses:
 def check_task(
     name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
-    """Return a task that checks a worker: its host, and code and reason if unfit.
+    """Return a task that checks a worker: it returns the host, and a code and reason.
 
     A worker that cannot import names in a message leaves its cluster. Therefore the
     function is sent as code, and its animtool arguments as bytes.

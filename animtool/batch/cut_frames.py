@@ -23,7 +23,7 @@ from animtool.core.timecode import is_timecode, parse_timecode
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """Metadata of shots; None for values that are not stated."""
+    """Metadata of shots; values that are not stated are None."""
 
     start_frame: int | None = None  # first frame of the shot, including the head handle
     cut_start: int | None = None  # first frame of the cut, after the head handle
@@ -35,7 +35,7 @@ class CutMetadata:
 def cut_metadata(
     metadata: Mapping[str, Any], owner_text: str, *, allows_fps: bool = False
 ) -> tuple[CutMetadata, list[tuple[str, str]]]:
-    """Return the cut's metadata, and the faults in it with hints.
+    """Return the metadata of a cut, and its faults with hints.
 
     >>> cut_metadata({"animtool": {"handles": 8.0}}, "clip 'a'")[0].handles
     8
@@ -136,7 +136,7 @@ class CutOptions:
 
 @dataclass(frozen=True, slots=True)
 class CutContext:
-    """Shot settings by precedence: options, clip, timeline, project."""
+    """Settings of a shot by precedence: options, clip, timeline, project."""
 
     options: CutOptions
     clip: CutMetadata
@@ -145,14 +145,14 @@ class CutContext:
 
     @property
     def handles(self) -> int:
-        """Shot frames before and after the cut."""
+        """Number of frames before and after the cut that the shot includes."""
         candidates = (self.options.handles, self.clip.handles, self.timeline.handles)
         return next((count for count in candidates if count is not None), 0)
 
     def first_timecode(
         self, default: Fraction | None, rate: Fraction, *, drop: bool = False
     ) -> Fraction:
-        """Return the time code of the media's first frame [s].
+        """Return the time of the media's first frame on its time code clock [s].
 
         Args:
             default: Time stated by the timeline [s]; None if it states none.
@@ -172,7 +172,7 @@ class CutContext:
         return parse_timecode(text, rate) / rate
 
     def cut_in(self) -> tuple[int, list[str]]:
-        """Return the first frame of the cut, and messages about contradicting settings.
+        """Return the first frame of the cut, and messages about conflicting settings.
 
         A start includes the head handle. The project's default is 1001.
         """
@@ -212,7 +212,7 @@ def shot_of(
     *,
     drop: bool = False,
 ) -> Shot:
-    """Return the shot frames of a clip.
+    """Return the shot of a clip: its cut, handles and media times.
 
     Args:
         name: Name of the shot.
@@ -273,7 +273,7 @@ def shot_notices(
 
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
-    """Return the media frames that a cut shows, counted from 1."""
+    """Return the media frames that a cut shows, counted from 1, for use in patterns."""
     media_seconds = (shot.seconds_at(frame) for frame in (shot.cut_in, shot.cut_out))
     first_frame, last_frame = (
         floor(seconds * media_fps + FRAME_TOLERANCE) + 1 for seconds in media_seconds

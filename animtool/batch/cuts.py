@@ -67,7 +67,7 @@ _ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """The media of an item: a clip of a timeline, or a file."""
+    """One item's media: a clip of a timeline with its shot, or a file."""
 
     media: MatchedFile  # the media
     # Values of `SHOT_NAMES` for its scene and its output.
@@ -101,7 +101,7 @@ def read_cuts(
 
 
 def read_cut(path: Path, name: str | None, options: CutOptions) -> CutList:
-    """Return a named shot, or the only one (else BAT048); see `read_cuts`."""
+    """Return the named shot, or the only one (else BAT048); see `read_cuts`."""
     return _CutReader(path, (), options).read_one(name)
 
 
@@ -111,7 +111,7 @@ def _shot_clips(
     path: Path,
     skip_reasons: Mapping[str, str],
 ) -> list[ShownClip]:
-    """Return the clips of a named shot; without a name the only clip."""
+    """Return the clips of a named shot; without a name, the only clip."""
     names = [entry.name for entry in entries]
     if name is not None and name not in names and name in skip_reasons:
         message = f"has no shot {excerpt(name)}: {skip_reasons[name]}"
@@ -161,12 +161,12 @@ class _CutReader:
         return self.cuts_of(self.clips().clips)
 
     def read_one(self, name: str | None) -> CutList:
-        """Return the shot of a name, or the only shot."""
+        """Return the shot with a name, or the only shot if the name is None."""
         walk = self.clips()
         return self.cuts_of(_shot_clips(walk.clips, name, self.path, walk.skip_reasons))
 
     def clips(self) -> ClipVisitor:
-        """Return the visible clips with the names of their shots."""
+        """Return the visible clips, each with the name of its shot."""
         walk = ClipVisitor(self.report_omission)
         timeline = self.tree = self.timeline()
         if timeline is None:
@@ -182,7 +182,7 @@ class _CutReader:
         return walk
 
     def timeline(self) -> Any:
-        """Return the timeline, its rate and metadata; None without events."""
+        """Read the timeline, its rate and its metadata; return None without events."""
         import_otio()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)
@@ -207,7 +207,7 @@ class _CutReader:
         return timeline
 
     def cuts_of(self, entries: Sequence[ShownClip]) -> CutList:
-        """Return the shots of clips."""
+        """Return the shots that clips show."""
         for entry in entries:
             self.clip(entry)
         if self.faults:
@@ -230,7 +230,7 @@ class _CutReader:
     def metadata(
         self, schema: Any, owner_text: str, *, allows_fps: bool = False
     ) -> CutMetadata:
-        """Return ``metadata.animtool`` of a clip or the timeline."""
+        """Return the ``metadata.animtool`` of a clip or of the timeline."""
         metadata, faults = cut_metadata(
             schema.metadata, owner_text, allows_fps=allows_fps
         )
@@ -245,7 +245,7 @@ class _CutReader:
         return replace(shown_clip, name=self.name(name, shown_clip.clip_text))
 
     def clip(self, entry: ShownClip) -> None:
-        """Add the shot of a clip."""
+        """Add the shot of a clip to the shots read so far."""
         # Imported here since it imports numpy, which planning a batch of files does not
         # need.
         from animtool.core.clock import MAX_FRAMES
@@ -349,7 +349,7 @@ class _CutReader:
         return None
 
     def overlaps(self, entry: ShownClip, span: Span) -> tuple[int, int]:
-        """Return the frames that transitions add before and after a cut."""
+        """Return the numbers of frames that transitions add before and after a cut."""
         sides_and_ends = zip(
             transition_sides(entry), (span.shows_begin, span.shows_end), strict=True
         )
@@ -370,7 +370,7 @@ class _CutReader:
         return frames_before, frames_after
 
     def name(self, shot: str, clip_text: str) -> str:
-        """Return a legal name that no other shot has."""
+        """Return a legal name that no earlier shot has."""
         legal_name = _ILLEGAL.sub("_", shot).strip("_-")[:MAX_NAME_LENGTH] or "shot"
         name, number = legal_name, self.used_names.get(legal_name.casefold(), 1)
         while name.casefold() in self.used_names:

@@ -1,4 +1,4 @@
-"""Checks that files written by another machine have arrived."""
+"""Checks that files written on another machine have arrived."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ MAX_COMPARED_BYTES = 10_000_000
 
 @dataclass(slots=True)
 class Delivery:
-    """Compares inputs and outputs of other machines with local files."""
+    """Compares the inputs and outputs of other machines with local files."""
 
     root: Path  # root of the paths in records
     # State of inputs at their first access.
@@ -32,14 +32,14 @@ class Delivery:
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
     def record_state(self, path: Path) -> FileState | None:
-        """Return the first recorded state of an input."""
+        """Return the state of an input when it was first recorded."""
         absolute_path = path.absolute()
         if absolute_path not in self._states:
             self._states[absolute_path] = FileState.of(absolute_path)
         return self._states[absolute_path]
 
     def input_checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
-        """Yield the inputs that a worker must see; every n-th if there are many."""
+        """Yield the inputs that a worker must see; every n-th one if there are many."""
         paths = list(dict.fromkeys(path.absolute() for path in inputs))
         for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
             state = self.record_state(path)
@@ -52,18 +52,18 @@ class Delivery:
                     yield InputCheck(str(path), state.size, digest)
 
     def differing_inputs(self, outcome: ItemOutcome) -> list[Path]:
-        """Return the inputs whose local content differs from what the item recorded."""
+        """Return the inputs whose local content differs from what the item read."""
         paths = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]
         return [path for path, record in paths if not self._is_same(path, record)]
 
     def locally_changed(self, paths: Iterable[Path]) -> list[Path]:
-        """Return the inputs that changed locally since their first record."""
+        """Return the inputs that changed locally since they were first recorded."""
         return [path for path in paths if self.record_state(path) != FileState.of(path)]
 
     def with_local_outputs(self, outcome: ItemOutcome) -> ItemOutcome | None:
-        """Return an outcome with its local outputs; None until they match.
+        """Return an outcome with the local output states; None until the files match.
 
         The state is read again each time, since a network disk may remember for a
         minute that a file was missing.

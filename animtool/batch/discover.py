@@ -1,4 +1,4 @@
-"""The items of a batch: inputs matched, outputs named, both checked."""
+"""The items of a batch: matches inputs, names outputs and checks both."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ MAX_FAULTS = 50
 def sample_source(
     spec: BatchSpec, item_task: ItemTask, shot: Cut, variables: Mapping[str, str]
 ) -> Source:
-    """Return the source of the first item of an input.
+    """Return the source of the first item that uses an input.
 
     variables: Overridden variables of the input.
     """
@@ -60,7 +60,7 @@ def sample_source(
 
 
 def check_columns(spec: BatchSpec) -> None:
-    """Refuse columns of variants with reserved names."""
+    """Raise an error if a column of variants has a reserved name."""
     if spec.variants is None:
         return
     shots = () if spec.cuts is None else SHOT_NAMES
@@ -85,7 +85,7 @@ def check_effects(
     shots: Sequence[Cut],
     overrides: OverriddenVariables,
 ) -> None:
-    """Refuse scenes whose items or variants would all be equal."""
+    """Raise an error if a scene gives equal results for all its items or variants."""
     shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
     faults = []
@@ -118,7 +118,7 @@ def check_effects(
 
 
 def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
-    """Return the fault of a scene that ignores its inputs."""
+    """Return the fault of a scene that does not use its inputs."""
     message = "the scene does not use its input"
     if count > 1:
         message += f": all {count} items would be the same"
@@ -130,7 +130,7 @@ def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch with its items."""
+    """A batch and its items."""
 
     name: str  # name of its records
     items: tuple[Item, ...]  # in order
@@ -146,7 +146,7 @@ class Batch:
 
     @property
     def records(self) -> Path:
-        """Folder of its records."""
+        """Folder of the batch's records."""
         return self.root / RECORDS_FOLDER
 
     def outputs(self, item: Item) -> list[Path]:
@@ -160,7 +160,7 @@ class Batch:
 
 
 def find_batch(spec: BatchSpec) -> Batch:
-    """Return the items of a batch, sorted by name or in timeline order."""
+    """Return a batch with its items, sorted by name or in timeline order."""
     spec = with_timeline(spec)
     if spec.output is not None:
         name = "{parent}/{stem}" if spec.cuts is None else "{shot}"
@@ -236,7 +236,7 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
 
 
 def _with_scene_input(spec: BatchSpec) -> BatchSpec:
-    """Return a batch of scene variants with the scene as its input."""
+    """Return a batch in which the scene of the variants is the only input."""
     if spec.scene is None or spec.variants is None or spec.inputs or spec.cuts:
         return spec
     scene = spec.scene if spec.path is None else spec.scene.absolute()
@@ -272,7 +272,7 @@ def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
 def _check_variables(
     spec: BatchSpec, item_task: ItemTask, sample: Source | None
 ) -> None:
-    """Refuse variables that neither the scene nor the output uses."""
+    """Raise an error for variables that neither the scene nor the output uses."""
     override_names = [
         name for override in spec.overrides for name in override.variables
     ]
@@ -296,7 +296,7 @@ def _check_variables(
 
 @dataclass(slots=True)
 class _ItemListBuilder:
-    """Builds the items, each with its output: by pattern, scene or input."""
+    """Builds the items of a batch with outputs named by pattern, scene or input."""
 
     spec: BatchSpec
     item_task: ItemTask
@@ -375,7 +375,7 @@ class _ItemListBuilder:
 
 
 def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
-    """Refuse outputs outside the folders that a batch file may write to."""
+    """Raise an error for outputs outside the folders that a batch may write to."""
     if not spec.roots:
         return
     folders = dict.fromkeys(folder for item in items for folder in item.folders)

@@ -1,4 +1,4 @@
-"""Edit decision lists (CMX 3600): events, as a timeline at a rate.
+"""Edit decision lists (CMX 3600), converted to timelines with a frame rate.
 
 References:
     CMX 3600 edit decision lists; the channels, effects and comments that Avid, Premiere
@@ -52,7 +52,7 @@ _FREEZE = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 @dataclass(slots=True)
 class Event:
-    """An event of an EDL, unparsed."""
+    """An event of an EDL, as text that is not parsed yet."""
 
     line: int
     number: str
@@ -68,7 +68,7 @@ class Event:
 
 @dataclass(slots=True)
 class Edl:
-    """The events of an EDL; its rate may be unknown."""
+    """The events of an EDL; the rate may be unknown."""
 
     path: Path
     title: str = ""
@@ -77,7 +77,7 @@ class Edl:
 
     @property
     def has_drop_frame(self) -> bool:
-        """Whether it has drop-frame time codes."""
+        """Whether any time code is a drop-frame time code."""
         return any(";" in time for event in self.events for time in event.times)
 
     @property
@@ -88,13 +88,13 @@ class Edl:
 
     @property
     def max_frame_label(self) -> int:
-        """The highest frame number within a second."""
+        """The highest frame number within a second among all time codes."""
         times = (time for event in self.events for time in event.times if ":" in time)
         return max((int(re.split("[:;]", time)[3]) for time in times), default=0)
 
 
 def read_edl(path: Path) -> Edl:
-    """Return the events of an EDL (else BAT041), with semicolons for drop-frame."""
+    """Read the events of an EDL (else BAT041); drop-frame codes have semicolons."""
     check_text(path)
     text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
     edl, is_drop_frame, is_edl = Edl(path), False, not text.strip()
@@ -157,7 +157,7 @@ def _rate_or_none(text: str) -> Fraction | None:
 
 
 def _comment(event: Event, line: str) -> None:
-    """Apply a comment after an event to that event."""
+    """Apply a comment line to the event above it."""
     if (speed := _SPEED_LINE.fullmatch(line)) is not None:
         event.speed = speed["speed"]
     elif _FREEZE.match(line) is not None:
@@ -175,7 +175,7 @@ def edl_timeline(edl: Edl, rate: Fraction) -> tuple[Any, list[Fault]]:
 
 @dataclass(frozen=True, slots=True)
 class _EventTimes:
-    """The times of an event [frame]."""
+    """Source and record times of an event [frame]."""
 
     first: int
     count: int
@@ -205,7 +205,7 @@ class _TimelineBuilder:
         return timeline, self.notices
 
     def times(self, event: Event) -> _EventTimes | None:
-        """Return the times of an event; None with a fault if invalid."""
+        """Return the times of an event; None with a fault if they are invalid."""
         try:
             frames = [self.frame(text) for text in event.times]
         except ValueError as error:
@@ -236,7 +236,7 @@ class _TimelineBuilder:
     def add(
         self, timeline: Any, event: Event, times: _EventTimes, belongs_to_next: bool
     ) -> None:
-        """Add an event to its tracks."""
+        """Add the clip of an event to all its tracks."""
         schema = self.otio.schema
         for name in _tracks_of(event.channel):
             if name not in self.tracks:
@@ -258,7 +258,7 @@ class _TimelineBuilder:
                 track.append(self.clip(event, times))
 
     def transition(self, event: Event) -> Any:
-        """Return a transition that starts with its second clip."""
+        """Return the dissolve of an event, which begins with the incoming clip."""
         rational_time = self.otio.opentime.RationalTime
         offsets = (
             rational_time(0, float(self.rate)),
@@ -267,7 +267,7 @@ class _TimelineBuilder:
         return self.otio.schema.Transition(event.edit_type, "SMPTE_Dissolve", *offsets)
 
     def clip(self, event: Event, times: _EventTimes) -> Any:
-        """Return the clip of an event, with its speed."""
+        """Return the clip of an event with its speed."""
         schema, comments = self.otio.schema, event.comments
         url = comments.get("file")
         name = comments.get("name")
@@ -313,7 +313,7 @@ class _TimelineBuilder:
         return Fraction(1), source
 
     def span(self, first: int, count: int) -> Any:
-        """Return a range of frames."""
+        """Return a time range from its first frame and its number of frames."""
         rational_time, rate = self.otio.opentime.RationalTime, float(self.rate)
         return self.otio.opentime.TimeRange(
             rational_time(first, rate), rational_time(count, rate)
@@ -351,7 +351,7 @@ TRACKS_OF_CHANNEL = {
 
 
 def _tracks_of(channel: str) -> tuple[str, ...]:
-    """Return the tracks of a channel.
+    """Return the names of the tracks of an EDL channel.
 
     >>> _tracks_of("B"), _tracks_of("V2")
     (('V', 'A1'), ('V2',))

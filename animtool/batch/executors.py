@@ -1,4 +1,4 @@
-"""The table of executors, which build the items of a batch; the local ones."""
+"""The table of executors that build the items of a batch, and the local executors."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Work:
         limits: Limits of each item.
         jobs: Maximum number of simultaneous items.
         argument: Text after the executor's name and ``=``.
-        asked: Number of simultaneous items that the user requested; None if
+        requested_jobs: Number of simultaneous items that the user requested; None if
             unspecified.
         inputs: Files that every machine must see: those of the items, and those that
             all items are built with.
@@ -104,14 +104,14 @@ EXECUTORS = {
 
 
 def processes(work: Work) -> Iterator[ItemOutcome]:
-    """Yield outcomes of items built by several local processes."""
+    """Yield the outcomes of items as several local processes build them."""
     if work.argument:
         raise _argument_error("processes", f"{argument('jobs')} sets how many")
     return run_processes(work.builder, work.items, work.limits, work.jobs)
 
 
 def serial(work: Work) -> Iterator[ItemOutcome]:
-    """Yield outcomes of items built one after another in this process."""
+    """Yield the outcomes of items as this process builds them one after another."""
     if work.argument:
         raise _argument_error("serial", "it takes no argument")
     if work.limits != Limits():
@@ -126,7 +126,7 @@ def _argument_error(name: str, hint: str) -> OptionError:
 
 
 def find_executor(name: str) -> Executor:
-    """Return an executor by name, including those of plug-ins.
+    """Return the executor with a name, including those of plug-ins.
 
     >>> find_executor("serial").about
     "one after another, in animtool's own process"

@@ -42,7 +42,7 @@ from animtool.scene.sources.open import SourceOptions
 
 
 def value_text(document: Document, location: Location, value: Value) -> str:
-    """Return a value as text; numbers are spelled as in the file."""
+    """Return a value as text, with numbers spelled as in the file."""
     if isinstance(value, str):
         return value
     source_text = document.source_text(location)
@@ -52,7 +52,7 @@ def value_text(document: Document, location: Location, value: Value) -> str:
 def variables_of_document(
     document: Document, location: Location, values: Mapping[str, Value]
 ) -> dict[str, str]:
-    """Return variables as text; invalid names are faults."""
+    """Return variables as text; record faults of invalid names."""
     for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
@@ -67,7 +67,7 @@ def variables_of_document(
 def overrides_of_document(
     document: Document, models: Sequence[OverrideModel], reserved_names: Collection[str]
 ) -> tuple[Override, ...]:
-    """Return the overrides of a batch file, with faults of names.
+    """Return the overrides of a batch file; record faults of variable names.
 
     Args:
         document: The batch file.
@@ -92,7 +92,7 @@ VARIANTS_LOCATION = ("variants",)
 def rows_of_document(
     document: Document, variants: Any, reserved_names: Collection[str]
 ) -> Variants | None:
-    """Return the variants of a batch file; None without any, or with faults."""
+    """Return the variants of a batch file; None without any, or if they are invalid."""
     reader = _VariantReader(document, reserved_names)
     fault_count = len(document.faults)
     if isinstance(variants, list):
@@ -114,7 +114,7 @@ class _VariantReader:
         self.document, self.reserved_names = document, reserved_names
 
     def columns(self, table: Mapping[str, Any]) -> dict[str, list[str]]:
-        """Return the values of each column."""
+        """Return the values of each column by its name."""
         self._check_names(VARIANTS_LOCATION, list(table))
         return {
             name: list(self._values((*VARIANTS_LOCATION, name), entry))
@@ -130,7 +130,7 @@ class _VariantReader:
             return None
 
     def rows(self, table: list[Mapping[str, Any]]) -> Variants | None:
-        """Return the rows of a list."""
+        """Return the variants of a list that has one mapping per row."""
         if len(table) > MAX_VARIANTS:
             self.document.add(
                 "BAT065", VARIANTS_LOCATION, f"{len(table)} variants: {TOO_MANY_TEXT}"
@@ -183,7 +183,7 @@ class _VariantReader:
             self.document.add("BAT064", location, str(error))
 
     def _value(self, location: Location, container: Any) -> str:
-        """Return a value in a list or a row."""
+        """Return one value of a list or a row as text."""
         text = value_text(self.document, location, container[location[-1]])
         problem = value_problem(text)
         if problem is not None:
@@ -271,7 +271,7 @@ class _BatchReader:
         )
 
     def _reserved_names(self) -> set[str]:
-        """Return the names that an input or shot defines."""
+        """Return the names that inputs and shots define."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.of_shots else ())}
 
     def _first_timecode(self) -> str | None:
@@ -299,7 +299,7 @@ class _BatchReader:
         return rows_of_document(self.document, variants, taken_names)
 
     def _check_output_names(self, columns: Sequence[str]) -> None:
-        """Check the names in braces in the output."""
+        """Record a fault for each unknown name in braces in the output."""
         model = self.model
         known_names = dict.fromkeys([*model.variables, *columns], "")
         if self.of_shots:

@@ -1,4 +1,4 @@
-"""The inputs of a batch: files that match, or the clips of a timeline."""
+"""The inputs of a batch: files that match patterns, or clips of a timeline."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ SCENE_SUFFIXES = tuple(
 
 
 def cuts_of(spec: BatchSpec) -> CutList:
-    """Return the cuts of the items: clips of a timeline, or the inputs."""
+    """Return the media of the items: clips of a timeline, or the input files."""
     cuts, is_excluded, unmatched = _matched_inputs(spec)
     if spec.cuts is None:
         return CutList([Cut(file) for file in cuts], unmatched)
@@ -62,7 +62,7 @@ def cuts_of(spec: BatchSpec) -> CutList:
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with the frame rate of the command line."""
+    """Return a batch with the frame rate of the command line applied."""
     flags = []
     if spec.cuts is None:
         flags = (
@@ -80,7 +80,7 @@ def _with_rate(spec: BatchSpec) -> BatchSpec:
 
 
 def with_timeline(spec: BatchSpec) -> BatchSpec:
-    """Return a batch with a timeline among its inputs as its cut list.
+    """Return a batch whose cut list is the timeline among its inputs.
 
     The command line's frame rate applies to the cut list.
     """
@@ -99,7 +99,7 @@ def with_timeline(spec: BatchSpec) -> BatchSpec:
 def _matched_inputs(
     spec: BatchSpec,
 ) -> tuple[list[MatchedFile], Callable[[Path], bool], list[Fault]]:
-    """Return the distinct inputs in order, a test for excluded files, and warnings.
+    """Return the distinct inputs, a test for excluded files, and warnings.
 
     There is a warning for each entry that matches no file.
     """
@@ -138,7 +138,7 @@ def _matched_inputs(
 
 
 def unmatched_inputs(spec: BatchSpec) -> list[Fault]:
-    """Return a warning for each entry of the inputs without a match."""
+    """Return a warning for each input entry that matches no file."""
     return _matched_inputs(spec)[2]
 
 
@@ -181,7 +181,7 @@ def no_input_error(spec: BatchSpec) -> NoMatchError:
 
 
 def _other_suffix_hint(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
-    """Return a hint if files match a pattern except for its suffix, or its case."""
+    """Return a hint if files match a pattern except for the suffix or its case."""
     for text in spec.inputs:
         stem, dot, suffix = text.rpartition(".")
         known_suffixes = [known_suffix.removeprefix(".") for known_suffix in suffixes]
@@ -197,7 +197,7 @@ def _other_suffix_hint(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
 
 
 def input_suffixes(spec: BatchSpec) -> Sequence[str]:
-    """Return the suffixes of files that folders are searched for."""
+    """Return the file suffixes that are searched for in folders."""
     return (
         INPUT_SUFFIXES if spec.scene is not None else (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     )

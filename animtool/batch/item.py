@@ -1,4 +1,4 @@
-"""Items of a batch: names, outputs and the bake of one.
+"""Items of a batch: their names, their outputs, and the bake of one item.
 
 References:
     Open Job Description, "pathmapping-1.0",
@@ -48,7 +48,7 @@ _INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
 def input_names(file: MatchedFile) -> dict[str, str]:
-    """Return the values of the names that every input defines.
+    """Return the names that every input defines, with their values.
 
     ``input`` is the path of the input, ``folder`` that of its folder, ``name`` its
     name, ``stem`` the name without its type suffix, and ``parent`` the folders between
@@ -81,7 +81,7 @@ def file_pattern(pattern: str, name: str) -> str:
 def unknown_names(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield faults of a pattern, with hints.
+    """Yield each fault of a pattern with a hint.
 
     >>> list(unknown_names("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
@@ -116,7 +116,7 @@ def output_root(pattern: str) -> PurePath:
 
 @dataclass(slots=True)
 class OutputPattern:
-    """A pattern of output paths, which are confined to its folder."""
+    """A pattern of output paths, all of which are inside its folder."""
 
     pattern: str  # pattern of the files to write
     folder: Path  # base folder of relative patterns
@@ -124,7 +124,7 @@ class OutputPattern:
     _is_inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
-        """Return the output path for values of the names."""
+        """Return the output path for the values of the names in the pattern."""
         root, path = self.folder, self.folder
         in_subfolder = False
         for component in PurePath(self.pattern).parts:
@@ -141,7 +141,7 @@ class OutputPattern:
         return path
 
     def _check(self, text: str, names: list[str], values: Mapping[str, str]) -> None:
-        """Refuse path parts that are not single names."""
+        """Raise an error for path parts that are not single legal names."""
         for name in names:
             value = values[name]
             bad_character = re.search(r"[\x00-\x1f\x7f\\]", value)
@@ -170,7 +170,7 @@ class OutputPattern:
 
 
 class UnsafeNameError(ValueError):
-    """An output name leaves its folder or is not legal on every system.
+    """An output name leaves its folder or is illegal on some system.
 
     Attributes:
         name: Name in the pattern with the unsafe value; empty for none.
@@ -193,14 +193,14 @@ MAX_BYTES = 4_000_000
 
 @dataclass(frozen=True, slots=True)
 class PathRule:
-    """Maps a folder of another machine to a local one."""
+    """A rule that maps a folder of another machine to a local folder."""
 
     source: PurePath  # on the other machine
     destination: str  # on this machine
 
 
 def read_rules(path: Path) -> list[PathRule]:
-    """Return the path rules of a file; empty if it has none (malformed: BAT038)."""
+    """Return the path rules of a file; empty if the file has none."""
     try:
         record = json_of_file(path, MAX_BYTES)
         key = "path_mapping_rules"
@@ -235,7 +235,7 @@ def map_path(text: str, rules: Sequence[PathRule]) -> str:
 
 
 def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
-    """Return a batch with local inputs and outputs.
+    """Return a batch with its inputs and outputs mapped to local paths.
 
     Paths in scenes and options are not changed: they work if they are relative.
     """
@@ -261,7 +261,7 @@ def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
 
 
 def values_text(values: Mapping[str, str]) -> str:
-    """Return a variant's values as a suffix to its input.
+    """Return the values of a variant as a suffix for the name of its input.
 
     >>> values_text({"k": "2", "s": "0.5"})
     ' (k=2, s=0.5)'
@@ -296,13 +296,13 @@ class Item:
 
     @property
     def folders(self) -> list[Path]:
-        """Output folders."""
+        """Folders of the item's outputs."""
         return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
 @dataclass(frozen=True, slots=True)
 class ItemTask:
-    """How items are built."""
+    """Settings by which items are built."""
 
     # Scene to apply to each input; None bakes the input itself.
     scene: Path | None = None
@@ -320,7 +320,7 @@ class ItemTask:
     )
 
     def names(self, item: Item) -> dict[str, str]:
-        """Return the values of the names in a scene."""
+        """Return the values of the names that a scene can use."""
         names = input_names(item.file)
         if self.scene is None:
             # A scene used as an input takes no input.
@@ -347,7 +347,7 @@ class ItemTask:
         return scene
 
     def with_scene_outputs(self, item: Item) -> Item:
-        """Return an item with the outputs named by its scene."""
+        """Return an item with the outputs that its scene names."""
         scene = self.source(item)
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
@@ -358,7 +358,7 @@ class ItemTask:
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_several(self, source: Source) -> None:
-        """Refuse outputs that both a scene and a pattern name."""
+        """Raise an error if both a scene and a pattern name outputs."""
         if self._names_outputs(source):
             message = "the scene names its outputs, but the batch names one too"
             hint = (
@@ -392,7 +392,7 @@ class ItemTask:
         return bake_outputs(source, item.output, options)
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
-        """Return the files that a bake writes."""
+        """Return the files that the bake of an item writes."""
         if item.files:
             return list(item.files)
         from animtool.scene.bake.outline import create_outline
@@ -409,7 +409,7 @@ class ItemTask:
         return self._options_by_suffix[kind]
 
     def description(self, item: Item, root: Path) -> dict[str, object]:
-        """Return all settings, except files, that affect how an item is built."""
+        """Return all settings, except files, that affect the result of an item."""
         result: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or has_kind_suffix(item.file.path, "scene"):
             names = self.names(item)

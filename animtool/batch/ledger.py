@@ -51,7 +51,7 @@ MAX_MESSAGE = 10_000
 
 @dataclass(frozen=True, slots=True)
 class Failures:
-    """Failed items."""
+    """The failed items of earlier runs."""
 
     reasons: dict[str, str] = field(
         default_factory=dict
@@ -61,7 +61,7 @@ class Failures:
 
 
 def read_failures(path: Path) -> Failures:
-    """Return the failed items of a file; none if it is missing."""
+    """Return the failed items in a file; none if the file is missing."""
     reader, messages = LineReader(path, FAILURES_HEADER), dict[str, str]()
     for line in reader.lines():
         try:
@@ -83,7 +83,7 @@ def add_failure(path: Path, key: str, reason: str, length: int) -> int:
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
-    """Rewrite the file; remove it if there are no failures."""
+    """Rewrite the file of failed items; remove it if there are none."""
     if not failures:
         path.unlink(missing_ok=True)
         return
@@ -107,7 +107,7 @@ MAX_OWNER_BYTES = 4096
 
 @dataclass(slots=True)
 class History:
-    """Results of earlier runs."""
+    """Results of the earlier runs of a batch."""
 
     manifest: Manifest = field(default_factory=Manifest)  # built by earlier runs
     # Failures of items that were not built since, by key.
@@ -118,7 +118,7 @@ class History:
 
 @dataclass(frozen=True, slots=True)
 class _RecordFiles:
-    """Record files: of the full batch, or of some items."""
+    """The record files of a full batch or of a part of its items."""
 
     folder: Path
     name: str
@@ -134,7 +134,7 @@ class _RecordFiles:
         return self.folder / f"batch-{self.name}{suffix}"
 
     def has_records(self) -> bool:
-        """Return whether there are records."""
+        """Return whether any record file exists."""
         paths = self.record_path(".jsonl"), self.record_path(".failed.jsonl")
         return any(path.exists() for path in paths)
 
@@ -142,7 +142,7 @@ class _RecordFiles:
         return _RecordFiles(self.folder, self.name)
 
     def part_files(self) -> list[_RecordFiles]:
-        """Return the record files of every part."""
+        """Return the record files of all parts of the batch."""
         stems = sorted(path.stem for path in self.parts.glob("*.lock"))
         return [_RecordFiles(self.folder, self.name, part) for part in stems]
 
@@ -164,14 +164,14 @@ def read_history(folder: Path, name: str) -> History:
 
 @dataclass(frozen=True, slots=True)
 class _LocalRecords:
-    """Records in the files that this run appends to."""
+    """The records in the files to which this run appends."""
 
     manifest: Manifest = field(default_factory=Manifest)
     failures: int = 0
 
 
 def _read(files: _RecordFiles) -> tuple[History, _LocalRecords]:
-    """Return the results of earlier runs, and the records in this run's files."""
+    """Return the results of earlier runs, and the records in the files of this run."""
     history, local_records = History(), _LocalRecords()
     full_files = files.batch_files()
     for source in (full_files, *full_files.part_files()):
@@ -190,7 +190,7 @@ class Ledger:
 
     Attributes:
         history: Results of earlier runs.
-        now: Start of the run, by the disk's clock [ns].
+        start_time_ns: Start of the run, by the disk's clock [ns].
     """
 
     def __init__(self, files: _RecordFiles, start_time_ns: int) -> None:
@@ -219,7 +219,7 @@ class Ledger:
         self.history.failed.pop(record.key, None)
 
     def failed(self, key: str, reason: str) -> None:
-        """Record a failed item."""
+        """Record a failed item and the reason."""
         path = self._files.record_path(".failed.jsonl")
         self._has_changes = True
         self._failed_length = add_failure(path, key, reason, self._failed_length)
@@ -230,7 +230,7 @@ class Ledger:
         self._exit_stack.close()
 
     def merge_records(self, keep: Callable[[ItemRecord], bool]) -> None:
-        """Rewrite the records of the batch, merged with those of partial runs."""
+        """Rewrite the records of the full batch, merged with those of parts."""
         self.close()
         merged_files = [] if self._files.part else self._files.part_files()
         if self._files.part or not (
@@ -258,7 +258,7 @@ class Ledger:
 
 @contextmanager
 def locked_ledger(folder: Path, name: str, part: str = "") -> Iterator[Ledger]:
-    """Provide the records of a batch, locked against other runs."""
+    """Return a context with the records of a batch, locked against other runs."""
     files = _RecordFiles(folder, name, part)
     with ExitStack() as locks:
         if part:
@@ -301,7 +301,7 @@ def _lock(locks: ExitStack, files: _RecordFiles, timeout: float) -> None:
 
 
 def _write_owner(files: _RecordFiles) -> int:
-    """Write the owner of a run; return the time by the disk's clock."""
+    """Write the owner file of a run; return its time by the clock of the disk."""
     import platform
 
     path = files.record_path(".owner")
@@ -323,7 +323,7 @@ def _write_owner(files: _RecordFiles) -> int:
 
 
 def _owner(files: _RecordFiles) -> str:
-    """Return the owner of a run, if known."""
+    """Return the process that owns a run as text, or "of an unknown process"."""
     import platform
 
     unknown_text = "of an unknown process"

@@ -90,7 +90,7 @@ class ItemRecord:
     scores: tuple[PassScores, ...] = ()  # scores of its passes
 
     def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
-        """Return it as JSON values."""
+        """Return the record as JSON values that refer to files by number."""
         return {
             "item": self.key,
             "how": self.settings_digest,
@@ -124,7 +124,7 @@ class ItemRecord:
 def _number_files(
     numbers: Sequence[object], files: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
-    """Yield files by number."""
+    """Yield the file records that numbers refer to."""
     if not numbers:
         raise RecordError("'inputs' is empty")
     for number in numbers:
@@ -156,7 +156,7 @@ def file_digest(path: Path) -> str:
 
 
 def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
-    """Return a file's record: its state and, if it exists, a digest of its contents."""
+    """Return the record of a file: its state and, if it exists, a content digest."""
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 
@@ -247,7 +247,7 @@ class ManifestWriter(LineWriter):
     """Appends items to a manifest file."""
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
-        """Open a manifest."""
+        """Open a manifest file for appending."""
         self._files, self._next_number = dict(manifest.files), manifest.next_number
         super().__init__(path, MANIFEST_HEADER, manifest.length)
 
@@ -268,7 +268,7 @@ class ManifestWriter(LineWriter):
     def _number_files(
         self, records: Iterable[FileRecord]
     ) -> Iterator[dict[str, object]]:
-        """Number files, and yield lines for new ones."""
+        """Assign numbers to new files, and yield a line for each of them."""
         for record in records:
             if record not in self._files:
                 number = self._files[record] = self._next_number
@@ -290,7 +290,7 @@ def rewrite_manifest(
 
 
 def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
-    """Return the scores of a record; none without the key."""
+    """Return the pass scores of a record; empty if the key is missing."""
     if key not in record:
         return ()
     return tuple(_pass_scores(object_of(entry)) for entry in list_in(record, key))

@@ -1,4 +1,4 @@
-"""Variables that a batch overrides for some inputs, by patterns."""
+"""Variables that a batch sets for the inputs that match patterns."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class Override:
-    """Variables of the inputs that match some patterns.
+    """Values of variables for the inputs that match any of the patterns.
 
     Attributes:
         inputs: Files, folders and globs, relative to the folder of the batch.
@@ -25,7 +25,7 @@ class Override:
     variables: Mapping[str, str] = field(default_factory=dict)
 
     def without(self, names: Collection[str]) -> Override:
-        """Return a copy without values of some names."""
+        """Return a copy without the values of the given names."""
         remaining = {
             name: value for name, value in self.variables.items() if name not in names
         }
@@ -34,7 +34,7 @@ class Override:
 
 @dataclass(frozen=True, slots=True)
 class OverriddenVariables:
-    """Overridden variables of the inputs of a batch."""
+    """Values of overridden variables by input of a batch."""
 
     values: Mapping[Path, Mapping[str, str]]  # by file path
     notices: tuple[Fault, ...]  # warnings about overrides that match no input

@@ -1,4 +1,4 @@
-"""The plan of a batch: items to build and why, and outputs that are refused."""
+"""The plan of a batch: the items to build, the reasons, and the refused outputs."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from animtool.motion.scores import PassScores
 
 
 class BuildReason(StrEnum):
-    """Why an item is built or skipped."""
+    """Reason for building or skipping an item."""
 
     NEW = "new"
     INPUT = "input changed"
@@ -43,7 +43,7 @@ class BuildReason(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What to do with an item."""
+    """Whether to build an item, and the reason."""
 
     item: Item  # the item
     reason: BuildReason  # why it is built or skipped
@@ -95,7 +95,7 @@ class Planner:
         return digest_of(package_versions())
 
     def decisions(self, items: Sequence[Item]) -> Iterator[Decision]:
-        """Yield the decision for each item, in order."""
+        """Yield the decision for each item in order."""
         for item in items:
             yield self.decide(item)
 
@@ -175,7 +175,7 @@ MAX_FAULTS = 50
 
 
 def check_output_files(batch: Batch) -> None:
-    """Refuse outputs that are equal (OUT007), are inputs, or cannot be written.
+    """Raise an error for outputs that are equal (OUT007), inputs, or unwritable.
 
     Names that differ only in case or in the encoding of accents are the same file on
     some disks.
@@ -221,7 +221,7 @@ def _output_clashes(
 
 
 def _separating_hint(item: Item, other_item: Item) -> str:
-    """Return a hint at the name that separates the outputs of two items."""
+    """Return a hint with the name that makes the outputs of two items distinct."""
     if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
     if item.file != other_item.file:
@@ -241,7 +241,7 @@ def _separating_hint(item: Item, other_item: Item) -> str:
 
 
 def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
-    """Yield faults of folders that cannot be written to."""
+    """Yield a fault for each folder that is not writable."""
     checked_folders: set[Path] = set()
     for folder in folders:
         existing_folder = next(
@@ -270,7 +270,7 @@ def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
 def check_overwrites(
     batch: Batch, items: Iterable[Item], is_known: Callable[[Path], bool]
 ) -> None:
-    """Refuse to overwrite files that no run of the batch wrote."""
+    """Raise an error for existing outputs that no run of the batch wrote."""
     faults = [
         Fault(
             "OUT001",

@@ -73,7 +73,7 @@ _HINTS = {
 
 @dataclass(slots=True, eq=False)
 class _Worker:
-    """A process, its pipe and its current item."""
+    """A worker process with its pipe and its current item."""
 
     process: BaseProcess
     connection: Connection
@@ -92,7 +92,7 @@ class _Worker:
             self.connection.send(item)
 
     def receive(self) -> object:
-        """Return a message of the worker; None if it ended or the message is invalid.
+        """Return a message of the worker; None if the worker ended or it is invalid.
 
         The file that it reads is stored: if the file crashes the worker, no other
         message arrives.
@@ -124,7 +124,7 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Pool:
-    """The processes of a run."""
+    """The worker processes of a run."""
 
     builder: ItemBuilder  # builds the items
     items: Iterator[Item]  # items to build
@@ -151,7 +151,7 @@ class _Pool:
         self.workers.append(_Worker(process, connection))
 
     def send_next_item(self, worker: _Worker) -> None:
-        """Give an idle process the next item."""
+        """Send the next item to an idle worker."""
         if self.has_more_items and worker.waits_for_item():
             item = next(self.items, None)
             self.has_more_items = item is not None
@@ -159,7 +159,7 @@ class _Pool:
                 worker.send_item(item)
 
     def outcomes(self) -> Iterator[ItemOutcome]:
-        """Wait for events; yield outcomes of items."""
+        """Wait for events and yield the outcomes of items."""
         workers_by_handle = {
             key: worker
             for worker in self.workers
@@ -207,7 +207,7 @@ class _Pool:
             yield self._fail_item(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:
-        """End a process that does not accept an item."""
+        """Remove a worker that accepts no item; raise after too many failures."""
         self.workers.remove(worker)
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
@@ -230,7 +230,7 @@ class _Pool:
             worker.end(kill=False)
 
     def _exceeded_limit(self, worker: _Worker) -> Fault | None:
-        """Return the fault of an item that exceeds its limits."""
+        """Return the fault of a worker's item that exceeds its limits, else None."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
@@ -249,7 +249,7 @@ class _Pool:
         return None
 
     def _fail_item(self, worker: _Worker, fault: Fault) -> ItemOutcome:
-        """End a process, and return the failure of its item."""
+        """End a worker and return the failure of its item."""
         assert worker.item is not None
         item, seconds = worker.item, time.perf_counter() - worker.start_time
         self.kill_worker(worker)
@@ -258,7 +258,7 @@ class _Pool:
         return ItemOutcome.failed(item, located_fault, seconds=seconds)
 
     def kill_worker(self, worker: _Worker) -> None:
-        """Kill a process, and remove its temporary files."""
+        """Kill a worker process and remove its temporary files."""
         self.workers.remove(worker)
         worker.end(kill=True)
         if worker.item is not None:
@@ -266,7 +266,7 @@ class _Pool:
             remove_leftovers(folders, worker.process.pid)
 
     def _leaks_memory(self, worker: _Worker) -> bool:
-        """Return whether leftovers of items use half of the memory limit."""
+        """Return whether a worker uses more than half of the memory limit."""
         limit = self.limits.memory
         return limit is not None and _used_bytes(worker.process) > limit / 2
 
@@ -294,7 +294,7 @@ class _Pool:
 
 
 def preload(item_task: ItemTask) -> None:
-    """Start importing modules for worker processes in the background."""
+    """Start a background import of modules that worker processes need."""
     context = _start_context(item_task)
     if isinstance(context, SpawnContext):
         return
@@ -312,7 +312,7 @@ def run_processes(
     *,
     queue_next: bool = True,
 ) -> Iterator[ItemOutcome]:
-    """Yield outcomes of items built by several processes, as each ends.
+    """Yield the outcomes of items built in several processes, in order of completion.
 
     An item is taken only when a process can build it. Closing the iterator ends the
     processes.
@@ -335,7 +335,7 @@ def run_processes(
 
 
 def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
-    """Return the start method of workers: forked from a preloaded process if safe.
+    """Return the start method of workers: fork from a preloaded process, if safe.
 
     If another batch of this process has already preloaded it, workers import the
     remaining modules themselves.
@@ -349,7 +349,7 @@ def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 @contextlib.contextmanager
 def _worker_environment() -> Iterator[None]:
-    """Set `ENVIRONMENT` for processes that start now."""
+    """In a block, set `ENVIRONMENT` for processes that are started."""
     previous_values = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     os.environ.update(WORKER_ENVIRONMENT)
     try:
@@ -391,7 +391,7 @@ def _exit_text(process: BaseProcess) -> str:
 
 
 def _used_bytes(process: BaseProcess) -> int:
-    """Return the memory of a process [bytes]; 0 if unknown."""
+    """Return the memory that a process uses [bytes]; 0 if unknown."""
     try:
         pages = int(Path(f"/proc/{process.pid}/statm").read_bytes().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE")

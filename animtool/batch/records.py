@@ -55,7 +55,7 @@ _UNIQUE_KEYS_DECODER = json.JSONDecoder(
 
 
 def json_object(data: bytes, *, refuses_duplicates: bool = True) -> dict[str, Any]:
-    """Return the JSON object in some data."""
+    """Return the JSON object in data; raise an error for other values."""
     decoder = _UNIQUE_KEYS_DECODER if refuses_duplicates else _STRICT_DECODER
     try:
         return object_of(decoder.decode(data.decode("utf-8")))
@@ -78,14 +78,14 @@ def json_of_file(path: Path, max_bytes: int) -> dict[str, Any]:
 
 
 def object_of(value: object) -> dict[str, Any]:
-    """Return a value that is an object."""
+    """Return a value if it is a JSON object, else raise an error."""
     if not isinstance(value, dict):
         raise RecordError("is not an object")
     return value
 
 
 def text_in(record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT) -> str:
-    """Return the text of a key."""
+    """Return the text value of a key."""
     return _text(record.get(key), key, max_length)
 
 
@@ -100,14 +100,14 @@ def _text(value: object, key: str, max_length: int = MAX_TEXT) -> str:
 
 
 def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
-    """Return the texts of a key, checked as in `text_in`."""
+    """Return the list of texts of a key, each checked as in `text_in`."""
     return [_text(value, key) for value in list_in(record, key)]
 
 
 def integer_in(
     record: Mapping[str, Any], key: str, minimum: int = 0, maximum: int = MAX_INTEGER
 ) -> int:
-    """Return the whole number of a key."""
+    """Return the integer value of a key, checked for its range."""
     value = record.get(key)
     # A boolean is an int in Python.
     if type(value) is not int or not minimum <= value <= maximum:
@@ -116,7 +116,7 @@ def integer_in(
 
 
 def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> float:
-    """Return the finite number of a key."""
+    """Return the finite number of a key, checked for its minimum."""
     value = record.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RecordError(f"{key!r} is not a number")
@@ -130,7 +130,7 @@ def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> floa
 
 
 def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
-    """Return the list of a key."""
+    """Return the list value of a key."""
     value = record.get(key)
     if not isinstance(value, list):
         raise RecordError(f"{key!r} is not a list")
@@ -162,7 +162,7 @@ class LineReader:
         self._summed = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
-        """Yield every line but the first; an incomplete last one is skipped.
+        """Yield all lines after the first; skip an incomplete last line.
 
         Lines that are not JSON, or fail the checksum, are `damaged`; the caller adds
         lines with invalid content.
@@ -199,7 +199,7 @@ class LineReader:
                 yield record
 
     def _read_header(self, file: IO[bytes]) -> None:
-        """Read the first line, if the file has one."""
+        """Read and check the first line, if the file is not empty."""
         expected = _line_text(self.header).encode()
         line = file.readline(MAX_LINE_BYTES)
         # The first line may be incomplete after a kill; other files are not
@@ -215,7 +215,7 @@ class LineReader:
         self.length, self.number = len(line), 1
 
     def _parse_line(self, line: bytes, length: int) -> dict[str, Any]:
-        """Return a parsed line of a length, without its checksum."""
+        """Parse a line, without its checksum."""
         if length > MAX_LINE_BYTES:
             raise RecordError(f"is longer than {MAX_LINE_BYTES} bytes")
         content, checksum_text = line[:-_CHECKSUM_LENGTH], line[-_CHECKSUM_LENGTH:]
@@ -265,7 +265,7 @@ def _summed(line: JsonLine) -> bytes:
 
 
 class LineWriter:
-    """Appends lines to a file, those of one call atomically.
+    """Appends lines to a file; the lines of one call are written atomically.
 
     Attributes:
         path: The file.
@@ -300,7 +300,7 @@ class LineWriter:
         os.close(self._handle)
 
     def write(self, lines: Iterable[JsonLine]) -> None:
-        """Add lines."""
+        """Append lines in one call."""
         self._write(b"".join(map(_summed, lines)))
 
     def _write(self, data: bytes) -> None:

@@ -49,7 +49,7 @@ class ItemReport:
     def of(
         cls, item: Item, reason: BuildReason, detail: str, outcome: ItemOutcome
     ) -> ItemReport:
-        """Return the report of an item that was built or failed."""
+        """Return the report of an item that was built or that failed."""
         return cls(
             item,
             outcome.status,
@@ -63,7 +63,7 @@ class ItemReport:
         )
 
     def worded(self, namer: ArgumentNamer) -> ItemReport:
-        """Return a copy whose texts name arguments for an interface."""
+        """Return a copy whose texts name arguments as an interface does."""
         faults, notices = (
             tuple(fault.worded(namer) for fault in fault_list)
             for fault_list in (self.faults, self.notices)
@@ -130,24 +130,24 @@ class BatchReport:
 
     @property
     def failed(self) -> list[ItemReport]:
-        """The items that failed, in order."""
+        """Reports of the failed items in order."""
         return [report for report in self.items if report.failed]
 
     @property
     def slowest(self) -> list[ItemReport]:
-        """The slowest items, slowest first."""
+        """Reports of the slowest items, slowest first."""
         built = [report for report in self.items if report.status is ItemStatus.DONE]
         return sorted(built, key=lambda report: -report.seconds)[:LISTED_ITEMS]
 
     @property
     def worst(self) -> list[ItemReport]:
-        """The items with the largest errors, largest first."""
+        """Reports of the items with the largest errors, largest first."""
         with_error = [report for report in self.items if _error(report) > 0]
         return sorted(with_error, key=lambda report: -_error(report))[:LISTED_ITEMS]
 
     @property
     def scored(self) -> list[ItemReport]:
-        """The items whose passes have scores, worst first."""
+        """Reports of the items whose passes have scores, worst first."""
         with_scores = [report for report in self.items if report.scores]
         return sorted(
             with_scores,
@@ -156,7 +156,7 @@ class BatchReport:
         )
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
-        """Return distinct notices, each with its items."""
+        """Return each distinct notice with the items that have it."""
         reports: dict[Fault, list[ItemReport]] = {}
         for report in self.items:
             for notice in report.notices:
@@ -165,7 +165,7 @@ class BatchReport:
 
     @property
     def warned(self) -> list[ItemReport]:
-        """Return the items with warnings."""
+        """Return the reports of items with warnings."""
         return [
             report
             for report in self.items
@@ -174,7 +174,7 @@ class BatchReport:
 
     @property
     def exit_code(self) -> ExitCode:
-        """Exit code of a process that ran the batch."""
+        """Exit code of a process that runs the batch."""
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
 
 
@@ -183,7 +183,7 @@ def _error(report: ItemReport) -> float:
 
 
 def junit_report(reports: Sequence[ItemReport]) -> str:
-    """Return a suite with a test case for each item."""
+    """Return a JUnit test suite with one test case per item."""
     return junit_xml("animtool batch", map(_case, reports))
 
 

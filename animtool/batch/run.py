@@ -1,4 +1,4 @@
-"""A run of a batch: plan, build and record."""
+"""A run of a batch: plans, builds and records its items."""
 
 from __future__ import annotations
 
@@ -56,10 +56,10 @@ class RunOptions:
 
 
 class Listener:
-    """Receives the events of a run; this one ignores them.
+    """Receives the events of a run; this base class ignores them.
 
     Attributes:
-        shown: Warnings that were already displayed.
+        shown_warnings: Warnings that were already displayed.
     """
 
     shown_warnings: tuple[Fault, ...] = ()
@@ -82,7 +82,7 @@ def run_batch(
     options: RunOptions | None = None,
     listener: Listener | None = None,
 ) -> BatchReport:
-    """Build the items of a batch that are missing or out of date.
+    """Build the missing and outdated items of a batch.
 
     Args:
         spec: The batch.
@@ -140,7 +140,7 @@ def _selected_items(batch: Batch, options: RunOptions) -> Sequence[Item]:
 def _items_to_consider(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
 ) -> Sequence[Item]:
-    """Return the considered items: all, or those that failed last time."""
+    """Return the items to consider: all, or those that failed in the last run."""
     if not options.retry_failed:
         return items
     return [item for item in items if planner.key(item) in history.failed]
@@ -158,7 +158,7 @@ def _planned_report(decision: Decision) -> ItemReport:
 
 
 class _BatchRun:
-    """A run of a batch whose records are locked."""
+    """A run of a batch whose records are locked by this process."""
 
     def __init__(
         self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
@@ -205,7 +205,7 @@ class _BatchRun:
         )
 
     def _executor(self) -> tuple[Executor, str]:
-        """Return the executor and its argument."""
+        """Return the executor of the run and the argument for it."""
         name, _, argument = self.options.executor.partition("=")
         return find_executor(name), argument
 
@@ -217,7 +217,7 @@ class _BatchRun:
         remove_leftovers(folder.resolve() for folder in folders)
 
     def build_due_items(self) -> None:
-        """Build the items that are due."""
+        """Build the items that the plan requires."""
         due_items = [
             decision.item for decision in self.decisions.values() if decision.is_due
         ]
@@ -266,7 +266,7 @@ class _BatchRun:
         self._remove_temporary_files()
 
     def _start_items(self, due_items: Sequence[Item]) -> Iterator[Item]:
-        """Yield items as they are started, until too many have failed."""
+        """Yield items as they are started; stop after too many failures."""
         max_failures = self.options.max_failures
         for item in due_items:
             if max_failures is not None and self.failures >= max_failures:
@@ -314,7 +314,7 @@ class _BatchRun:
         self.listener.on_end(report)
 
     def should_keep(self, record: ItemRecord) -> bool:
-        """Return whether to keep a record: an output exists or is planned."""
+        """Return whether any output of a recorded item exists."""
         return any(
             path_of_name(file.path, self.batch.root).exists() for file in record.outputs
         )

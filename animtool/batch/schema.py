@@ -27,7 +27,7 @@ Value = str | Real | bool
 
 
 class OverrideModel(FileModel):
-    """Variables of some inputs."""
+    """Values of variables for the inputs that match patterns."""
 
     inputs: list[Name] = key(
         "The inputs it applies to: files, folders and globs.", ["takes/mixamo/**"]
@@ -39,7 +39,7 @@ class OverrideModel(FileModel):
 
 
 class LimitsModel(FileModel):
-    """Limits of an item."""
+    """Time and memory limits of an item."""
 
     seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
         "Time limit of an item. Default: none.", 60, default=None

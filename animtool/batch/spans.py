@@ -1,4 +1,4 @@
-"""Media of each clip of a timeline: nesting, trims, speeds, disabled items."""
+"""The media range of each clip of a timeline: nesting, trims and speeds."""
 
 from __future__ import annotations
 
@@ -27,18 +27,18 @@ Window: TypeAlias = tuple[Fraction, Fraction] | None
 
 
 class UnsupportedTimeError(ValueError):
-    """An item's time effect cannot be represented in a shot."""
+    """The time effect of an item cannot be represented in a shot."""
 
 
 @dataclass(frozen=True, slots=True)
 class ShownClip:
-    """A clip on a track, and its visible part.
+    """A clip on a track and the part of it that is visible.
 
     Attributes:
         clip: The clip.
         track: Path of its track.
-        named: Name of the clip in messages.
-        part: Visible range since the clip's first frame [s]; None for all.
+        clip_text: Name of the clip in messages.
+        visible_range: Visible range since the clip's first frame [s]; None for all.
         speed: Playback speed of the surrounding tracks and stacks.
         name: Name of its shot.
     """
@@ -60,8 +60,8 @@ class Span:
         seconds: Duration in the timeline [s].
         speed: Playback speed of the media; negative for backwards.
         rate: Frame rate of the clip.
-        head: Whether the clip's begin is visible.
-        tail: Whether its end is visible.
+        shows_begin: Whether the clip's begin is visible.
+        shows_end: Whether its end is visible.
     """
 
     begin: Fraction
@@ -133,7 +133,7 @@ def _effect_name(effect: Any) -> str:
 
 
 def transition_sides(shown_clip: ShownClip) -> tuple[Any, Any]:
-    """Return the offsets by which transitions extend a clip; None without any."""
+    """Return by how much transitions extend a clip at either end; None without any."""
     import opentimelineio as otio
 
     kind = otio.schema.Transition
@@ -152,7 +152,7 @@ NoticeCallback: TypeAlias = Callable[[str, str, bool], None]
 
 @dataclass(slots=True)
 class ClipVisitor:
-    """Visits the clips on video tracks and their visible parts."""
+    """Visits the clips on video tracks with the part of each that is visible."""
 
     notify: NoticeCallback  # called with a code, a message, and whether it is a warning
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
@@ -186,7 +186,7 @@ class ClipVisitor:
     def skip_item(
         self, item: Any, code: str, reason: str, *, is_warning: bool = True
     ) -> None:
-        """Report why an item and its content are not shots."""
+        """Report why an item and its contents are not shots."""
         for name in _clip_names(item):
             self.skip_reasons.setdefault(name, reason)
         self.notify(code, f"{reason}; it is skipped", is_warning)
@@ -200,7 +200,7 @@ class ClipVisitor:
         begin: Fraction,
         speed: Fraction,
     ) -> None:
-        """Visit an item at a time of its parent, of which a part is visible.
+        """Visit an item at a time in its parent, of which a window is visible.
 
         window: visible window of the parent; begin: start of the item in it [s]; speed:
         of the parent.
@@ -269,7 +269,7 @@ class ClipVisitor:
 
 
 def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]:
-    """Return the content time that a track or stack shows, and its speed.
+    """Return the content range that a track or stack shows, and its speed.
 
     visible_range: visible range since its begin; None for all.
     """
@@ -320,7 +320,7 @@ def duration_of(item: Any) -> Fraction:
 
 
 def _clip_names(item: Any) -> list[str]:
-    """Return the names of an item and of the clips in it."""
+    """Return the name of an item and the names of the clips in it."""
     if not hasattr(item, "find_children"):
         return [item.name or ""]
     names = []

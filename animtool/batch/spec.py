@@ -79,7 +79,7 @@ PARENT_FOLDER = ".."
 
 
 def relative_name(path: Path, root: Path) -> str:
-    """Return a file's path relative to a folder; absolute without a common root.
+    """Return the path of a file relative to a folder; absolute without a common root.
 
     >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
@@ -100,7 +100,7 @@ def relative_name(path: Path, root: Path) -> str:
 
 
 def path_of_name(name: str, root: Path) -> Path:
-    """Return the file of a relative name; the inverse of `relative_name`.
+    """Return the file of a relative name, as the inverse of `relative_name`.
 
     >>> path_of_name("../takes/a.bvh", Path("/job/out")).as_posix()
     '/job/takes/a.bvh'
@@ -199,5 +199,5 @@ class BatchSpec:
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:
-        """The variants; a single one without values if there are none."""
+        """The variants; one row without values if there are no variants."""
         return ({},) if self.variants is None else self.variants.rows

@@ -35,7 +35,7 @@ _NO_BRACKETS = bytes(set(range(256)) - set(_BRACKET_BYTES))
 
 
 def check_text(path: Path) -> None:
-    """Refuse a timeline that is too large, too deeply nested, or not a file."""
+    """Raise an error for a timeline that is too large or deeply nested, or no file."""
     try:
         problem = _text_problem(path)
     except FormatError as error:
@@ -77,7 +77,7 @@ def _text_problem(path: Path) -> str | None:
 
 
 def nesting(text: bytes) -> int:
-    """Return the nesting depth of JSON.
+    """Return the nesting depth of JSON text.
 
     >>> nesting(b'[{"a": "[[[", "b": [1]}, 2]')
     3
@@ -140,7 +140,7 @@ def read_timeline(path: Path) -> Any:
 
 
 def media_path(url: str, folder: Path) -> Path:
-    """Return the file of a URL, or of a path relative to a folder.
+    """Return the file of a URL or of a path relative to a folder.
 
     An address of another machine becomes a missing path of that name.
     """
@@ -169,20 +169,20 @@ def _escape_null(path: str) -> str:
 
 
 def is_remote(clip: Any) -> bool:
-    """Return whether the media of a clip has an address that is not a path."""
+    """Return whether the media of a clip has a URL that is not a file path."""
     url = clip.media_reference.target_url
     return "://" in url.removeprefix("file:///")
 
 
 def exact_rate(rate: float) -> Fraction:
-    """Return the exact rate of a timeline's float."""
+    """Return the exact frame rate of a float in a timeline."""
     if not LOWEST_RATE <= rate <= HIGHEST_RATE:
         raise ValueError(f"{rate!r} is not a frame rate")
     return rate_from_float(rate)
 
 
 def seconds_of(time: Any) -> Fraction:
-    """Return a time of a timeline, exact at its own rate [s]."""
+    """Return the time of a timeline object in seconds, exact at the object's rate."""
     rate = exact_rate(time.rate)
     if not abs(time.value) <= MAX_MEDIA_SECONDS * rate:
         raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")

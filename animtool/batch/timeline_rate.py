@@ -1,4 +1,4 @@
-"""Frame rates of timelines: declared, requested, or inferred from clips."""
+"""Frame rates of timelines: stated, requested, or inferred from clips."""
 
 from __future__ import annotations
 
@@ -25,7 +25,8 @@ COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
 def edl_rate(edl: Edl, requested_fps: Fraction | None) -> Fraction:
     """Return the frame rate of an EDL's time codes.
 
-    It is that of a comment (``* FPS: 25``), else the requested one, else the project's.
+    The rate is that of a comment (``* FPS: 25``), else the requested rate, else the
+    project's rate.
     """
     path = str(edl.path)
     if edl.fps is not None:
@@ -54,8 +55,9 @@ def timeline_rate(
 ) -> tuple[Fraction, list[Fault]]:
     """Return the rate of a timeline's shots, and a warning for mixed rates.
 
-    It is the stated one, else that of the global start time, else the requested one,
-    else the project's, else the rate of all, or more than half, of its clips and gaps.
+    The rate is the stated one, else that of the global start time, else the requested
+    one, else the project's, else the rate of all, or more than half, of the clips and
+    gaps.
 
     Args:
         timeline: The OpenTimelineIO timeline.
@@ -99,7 +101,7 @@ def timeline_rate(
 def _checked_rate(
     stated_rate: Fraction, requested_rate: Fraction | None, path: str
 ) -> Fraction:
-    """Return a stated rate (BAT051 if another one is requested)."""
+    """Return the stated rate; raise BAT051 if another rate is requested."""
     if requested_rate is not None and requested_rate != stated_rate:
         message = (
             f"has {rate_label(stated_rate)}, "

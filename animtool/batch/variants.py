@@ -43,7 +43,7 @@ _UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 @dataclass(frozen=True, slots=True)
 class Variants:
-    """A table of values."""
+    """A table of values with one variant per row."""
 
     # Values of every name for each variant, as text.
     rows: tuple[Mapping[str, str], ...]
@@ -51,12 +51,12 @@ class Variants:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its columns."""
+        """Names of the columns."""
         return tuple(self.rows[0])
 
 
 def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
-    """Return every combination of the values of columns, the last changing fastest.
+    """Return all combinations of column values; the last column changes fastest.
 
     >>> [row["k"] + row["s"] for row in columns_variants({"k": "12", "s": "ab"}).rows]
     ['1a', '1b', '2a', '2b']
@@ -71,7 +71,7 @@ def columns_variants(columns: Mapping[str, Sequence[str]]) -> Variants:
 
 
 def variants_of_texts(texts: Sequence[str]) -> Variants:
-    """Return every combination of the values of texts such as ``k=1,2,5``.
+    """Return all combinations of the values in texts such as ``k=1,2,5``.
 
     >>> variants_of_texts(["k=1..2", "s=a"]).rows
     ({'k': '1', 's': 'a'}, {'k': '2', 's': 'a'})
@@ -123,7 +123,7 @@ def _assignment_hint(text: str) -> str:
 
 
 def _translate_range(text: str) -> str | None:
-    """Return a range in another notation in animtool's; None if it is not a range.
+    """Convert a range from another notation to animtool's; None if it is no range.
 
     >>> texts = ("50:200:50", "50:50:200", "01:00:00")
     >>> tuple(map(_translate_range, texts))
@@ -193,7 +193,7 @@ def _decimal_text(value: Decimal) -> str:
 
 
 def value_problem(text: str) -> str | None:
-    """Return the fault of a value; None if it is valid.
+    """Return why a value is invalid; None if it is valid.
 
     >>> value_problem("1e-3"), value_problem("nan")
     (None, "'nan' is not a finite number")
@@ -210,7 +210,7 @@ def value_problem(text: str) -> str | None:
 def name_problems(
     names: Sequence[str], reserved_names: Collection[str] = ()
 ) -> Iterator[tuple[int, str]]:
-    """Yield the index and fault of each invalid column name."""
+    """Yield the index of each invalid column name with the reason."""
     previous_names: set[str] = set()
     for i, name in enumerate(names):
         is_duplicate = name in previous_names
@@ -228,7 +228,7 @@ def name_problems(
 
 
 def variant_pattern(table: Variants | None) -> str:
-    """Return the pattern suffix that separates variants.
+    """Return the suffix of an output pattern that makes variants distinct.
 
     >>> variant_pattern(Variants(({"k": "1", "s": "2"},)))
     '_{k}_{s}'
@@ -237,7 +237,7 @@ def variant_pattern(table: Variants | None) -> str:
 
 
 def file_name(value: str) -> str:
-    """Return a value as part of a file name.
+    """Return a value converted to a part of a file name.
 
     >>> file_name("a/b c"), file_name("../x"), file_name("-0.5")
     ('a_b_c', '_x', '-0.5')
@@ -302,7 +302,7 @@ def read_variants(path: Path) -> Variants:
 def _parse_lines(
     text: str, separator: str, path: Path
 ) -> Iterator[tuple[int, list[str], list[int]]]:
-    """Yield the lines of a table that are not blank: number, values, and columns."""
+    """Yield the nonblank lines of a table: line number, values, and value columns."""
     for number, raw_line in enumerate(io.StringIO(text), 1):
         line = raw_line.removesuffix("\n").removesuffix("\r")
         if not line.strip(f" {separator}"):
@@ -322,7 +322,7 @@ def _parse_lines(
 
 
 def _parse_line(line: str, separator: str) -> list[str]:
-    """Return the values of a line."""
+    """Split a line into its values."""
     if len(line) > MAX_LINE:
         raise ValueError(f"a line can have up to {MAX_LINE} characters")
     (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)

@@ -1,4 +1,4 @@
-"""Building items, in this process or in a worker process."""
+"""Builds items in this process or in a worker process."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class ItemStatus(StrEnum):
-    """Status of an item."""
+    """Status of an item after a run."""
 
     DONE = "done"
     SKIPPED = "skipped"
@@ -42,7 +42,7 @@ class ItemStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class BakeMeasurements:
-    """Measurements of a bake."""
+    """Number of samples of a bake, and its largest error."""
 
     samples: int  # number of written samples
     error: float  # largest distance between a joint and its written position [m]
@@ -67,7 +67,7 @@ class ItemOutcome:
 
     @classmethod
     def failed(cls, item: Item, *faults: Fault, seconds: float = 0.0) -> ItemOutcome:
-        """Return the outcome of an item that failed after some time [s]."""
+        """Return the outcome of an item that failed after a time in seconds."""
         return cls(item.number, ItemStatus.FAILED, seconds, faults)
 
 
@@ -80,7 +80,7 @@ class ItemBuilder:
     _digests: dict[FileState, FileRecord] = field(default_factory=dict)
 
     def build(self, item: Item) -> ItemOutcome:
-        """Return the outcome of an item; raise only to end the process."""
+        """Build an item and return its outcome; raise only to end the process."""
         start_time = time.perf_counter()
         is_retired = False
         try:
@@ -161,7 +161,7 @@ class ItemBuilder:
 
 
 def _measurements(reports: Sequence[OutputReport]) -> BakeMeasurements:
-    """Return the measurements of all outputs: total samples, largest error."""
+    """Return the total number of samples and the largest error of all outputs."""
     measurements = [_output_measurements(report) for report in reports]
     largest = max(measurements, key=lambda measurement: measurement.error)
     return BakeMeasurements(
@@ -190,7 +190,7 @@ def _item_path(item: Item) -> str:
 
 
 def _forget_layers() -> None:
-    """Release USD layers that are still open, which may be stale."""
+    """Release USD layers that are still in memory and may be outdated."""
     if "animtool.usd.layers.sdf" in sys.modules:
         from animtool.usd.layers.sdf import forget_layers
 
@@ -255,13 +255,13 @@ READY = "ready"
 
 @dataclass(frozen=True, slots=True)
 class FileBeingRead:
-    """Message: the file that USD reads in a worker; empty after reading."""
+    """Message of a worker: the file that USD reads, or "" after reading."""
 
     path: str
 
 
 def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> None:
-    """Receive items, build them and send their outcomes, until None is received.
+    """Receive items, build them and send their outcomes until None is received.
 
     ``memory`` is the memory limit [bytes].
     """
@@ -286,7 +286,7 @@ def serve(connection: Connection, builder: ItemBuilder, memory: int | None) -> N
 
 
 def _limit_memory(memory: int) -> None:
-    """Make allocations beyond a limit fail, where systems support that.
+    """Make memory allocations beyond a limit fail, if the system supports that.
 
     Mapped memory is partly counted twice, so the limit tends to be too large; the run
     also checks the used memory.

@@ -25,7 +25,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class WorkerTask:
-    """How a worker process builds items."""
+    """Settings by which a worker process builds items."""
 
     builder: ItemBuilder  # builds the items
     limits: Limits  # limits of each item
@@ -40,7 +40,7 @@ class WorkerProcess:
     _process: Popen[bytes] | None = field(default=None, repr=False)
 
     def build_item(self, item: Item) -> ItemOutcome:
-        """Return the outcome of an item."""
+        """Let the subprocess build an item; return its outcome."""
         try:
             if self._process is None:
                 self._process = self._start_process()
@@ -53,7 +53,7 @@ class WorkerProcess:
             raise ConnectionError("the worker process ended") from error
 
     def end(self) -> None:
-        """Stop the program and its work."""
+        """Stop the subprocess and its work."""
         if self._process is not None:
             self._process.kill()
             self._process.communicate()
@@ -78,7 +78,7 @@ class WorkerProcess:
 
 
 def main() -> None:
-    """Build the items on stdin until it ends."""
+    """Build the items received on stdin until it is closed."""
     # Printed output must not come between outcomes.
     with os.fdopen(os.dup(1), "wb") as results:
         os.dup2(2, 1)

@@ -53,7 +53,7 @@ SIMULATING = {"simulate", "ragdoll"}
 
 
 def _refuse_patterns(sources: Sequence[Path]) -> None:
-    """Refuse an unexpanded glob pattern."""
+    """Refuse a glob pattern that the shell did not expand."""
     for path in sources:
         if set("*?[") & {*str(path)} and not path.exists():
             text = f"{path} is a pattern: animtool batch '{path}' -o out/ bakes the "
@@ -170,7 +170,7 @@ def bake(
 
 
 def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
-    """Refuse a missing source if -o exists or if it was meant as the output."""
+    """Refuse a missing source that was likely meant as the output."""
     last_source = sources[-1]
     is_usd = last_source.suffix in USD_SUFFIXES
     if len(sources) == 1 and output is not None:
@@ -182,7 +182,7 @@ def _refuse_swapped(sources: Sequence[Path], output: Path | None) -> None:
 
 
 def _refuse_capture(source: Path, output: Path) -> None:
-    """Refuse to overwrite a capture with its bake; the hint names both options."""
+    """Refuse to overwrite a capture with its bake; the hint shows both commands."""
     is_existing_stage = source.suffix in USD_SUFFIXES and source.exists()
     if is_existing_stage and output.suffix == ".bvh" and output.is_file():
         text = f"{output} already exists: to bake it, write animtool bake {output} -o "
@@ -213,7 +213,7 @@ def _check_library(scene: Scene, params: dict[str, Any]) -> None:
 
 
 def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
-    """Print what a bake would do."""
+    """Print the steps of a bake."""
     from animtool.cli.summary import PLAN
     from animtool.scene.bake.steps import PlanSteps, bake_steps
 
@@ -248,7 +248,7 @@ def _bake_outputs(
 
 @dataclass(frozen=True, slots=True)
 class BakeResult:
-    """Reports of all outputs; for a single output, its report alone."""
+    """Reports of all outputs; a single output is reported without a list."""
 
     reports: Sequence[BakeReport | ConvertReport]
     several: bool
@@ -257,17 +257,17 @@ class BakeResult:
 
     @property
     def head(self) -> dict[str, str]:
-        """Command and version; empty for a single report, which contains them."""
+        """Command and version; empty for a single report, which states them itself."""
         return {"bake": VERSION} if self.several else {}
 
     @property
     def written(self) -> Sequence[BakeReport | ConvertReport]:
-        """Reports of several outputs."""
+        """Reports of the outputs, if there are several."""
         return self.reports if self.several else ()
 
     @property
     def only(self) -> BakeReport | ConvertReport | None:
-        """Report of a single output."""
+        """Report of the output, if there is exactly one."""
         return None if self.several else self.reports[0]
 
 
@@ -279,9 +279,9 @@ def _print_reports(
     *,
     several: bool,
 ) -> None:
-    """Print the reports of all outputs, as JSON or as text; stages need a scene.
+    """Print the reports of all outputs, as JSON or as text.
 
-    No scene has no stages.
+    Without a scene, the costs of stages are left out.
     """
     from animtool.cli.summary import STATS, template_of
     from animtool.scene.bake.prims import raise_stopped
@@ -313,7 +313,7 @@ def _measure(
     output: Path | None,
     params: Mapping[str, Any],
 ) -> None:
-    """Measure time against error, print the table, and plot it if requested."""
+    """Measure time against error; print the table and, if requested, plot it."""
     if output is not None:
         raise click.UsageError("--table writes no file: remove -o.")
     if len(sources) > 1:

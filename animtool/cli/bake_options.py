@@ -1,4 +1,4 @@
-"""Options of ``animtool bake``: sources, timeline shots, output."""
+"""Options of ``animtool bake``: sources, timeline shots, and outputs."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 def load_sources(
     sources: Sequence[Path], variables: dict[str, str]
 ) -> list[Path | Scene]:
-    """Return the sources; scene files are loaded."""
+    """Return the sources of a bake, with scene files loaded."""
     loaded_sources: list[Path | Scene] = []
     used_variables: set[str] = set()
     for source in sources:
@@ -71,14 +71,14 @@ def until_pass(
 
 
 def only_scene(sources: Sequence[Path | Scene]) -> Scene | None:
-    """Return the scene if it is the only source."""
+    """Return the scene if it is the only source, else None."""
     if len(sources) > 1 or isinstance(sources[0], Path):
         return None
     return sources[0]
 
 
 def default_bake_output(source: Path | Scene) -> Path:
-    """Return the scene's output, else the source's name with suffix ``.usdc``."""
+    """Return the output that the scene names, else the source with suffix ``.usdc``."""
     from animtool.scene.bake.reading import default_output
 
     if isinstance(source, Path):
@@ -142,7 +142,7 @@ bake_options = stack_options(
 
 
 def bake_options_record(params: Mapping[str, Any]) -> BakeOptions:
-    """Return `BakeOptions` from the parameters of a command."""
+    """Return the `BakeOptions` that the parameters of a command state."""
     source = source_options_record(params, *_SOURCE_OPTIONS)
     # --take names the source's take, not the written one.
     values = read_values(
@@ -159,7 +159,7 @@ def timeline_shot(
     start: Fraction | None,
     fps: Fraction | None = None,
 ) -> Cut | None:
-    """Return a timeline's shot and its media; None for any other file."""
+    """Return the shot of a timeline with its media; None for any other file."""
     from animtool.core.readers import is_timeline
 
     if path is None or not is_timeline(path):
@@ -201,7 +201,7 @@ def bake_shot(
     output: Path | None,
     params: dict[str, Any],
 ) -> tuple[Sequence[Path], Path | None]:
-    """Return sources and output; a timeline is replaced by its shot's media.
+    """Return the sources and the output, with a timeline replaced by its shot's media.
 
     The option ``shot`` becomes the shot's record, which includes ``start``.
     """

@@ -43,14 +43,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class _ItemRange:
-    """A range of item numbers."""
+    """A range of item numbers on the command line."""
 
     first: int
     last: int
     open: bool = False
 
     def clamp(self, count: int) -> tuple[int, int]:
-        """Return the first and last number, clamped to the number of items."""
+        """Return the first and last item number, clamped to the number of items."""
         open_end = self.open and self.first <= count
         return self.first, min(self.last, count) if open_end else self.last
 
@@ -298,7 +298,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
 
 
 def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
-    """Refuse a last input that was meant as the output: a pattern or a new folder."""
+    """Refuse a last input that was likely meant as the output."""
     if len(inputs) < 2 or output is not None:
         return
     from animtool.batch.inputs import INPUT_SUFFIXES, SCENE_SUFFIXES
@@ -325,7 +325,7 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
 
 
 def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
-    """Return the batch spec: values of the batch file, overridden by options."""
+    """Return the spec of a batch file, with values overridden by options."""
     from animtool.batch.spec import BatchSpec
 
     jobs = [text for text in inputs if has_kind_suffix(Path(text), "batch")]
@@ -387,7 +387,7 @@ class _RepeatCommand:
         self._inputs, self._params = inputs, params
 
     def with_command(self, report: ItemReport) -> ItemReport:
-        """Return an item's report, with the command to repeat it if it failed."""
+        """Return the report of an item; if it failed, with the command to repeat it."""
         return replace(report, again=self.command(report)) if report.failed else report
 
     def command(self, report: ItemReport) -> str:
@@ -446,7 +446,7 @@ def _print_results(
 
 
 def _print_notices(console: Console, report: BatchReport) -> None:
-    """Print the warnings of items, each once with the items that have it."""
+    """Print each distinct warning once, with the items that have it."""
     for notice, entries in report.notices_of_items().items():
         paths = {entry.item.file.path.absolute() for entry in entries}
         # A notice located in the only input needs no item line.

@@ -1,4 +1,4 @@
-"""Cut lists and variants on the command line of ``animtool batch`` and ``job``."""
+"""Timelines and variants on the command line of ``animtool batch`` and ``job``."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ variant_options = stack_options(
 
 
 def with_cuts(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
-    """Return a batch with the cut list of the command line, if any."""
+    """Return a batch with the timeline of the command line, if there is one."""
     if params["cuts"] is not None:
         spec = replace(spec, cuts=params["cuts"])
     cut_options = {
@@ -89,7 +89,7 @@ def variant_words(params: Mapping[str, Any]) -> list[str]:
 
 
 def with_variants(spec: BatchSpec, params: Mapping[str, Any]) -> BatchSpec:
-    """Return a batch with the variants of the command line, if any."""
+    """Return a batch with the variants of the command line, if there are any."""
     if params["table"] is not None and params["columns"]:
         raise click.UsageError(
             "--variants and --vary both set values: use one of them."

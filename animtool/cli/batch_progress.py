@@ -1,4 +1,4 @@
-"""Progress and results of a batch: live table, lines or JSON."""
+"""Progress and results of a batch as a live table, as lines or as JSON."""
 
 from __future__ import annotations
 
@@ -57,23 +57,23 @@ def finished_text(entry: ItemReport, number: int, total: int) -> str:
 
 
 def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
-    """Return a listener that writes OpenJD lines to stdout and forwards to another."""
+    """Return a listener that prints OpenJD lines and forwards events to another one."""
 
     class OpenJdLines(Listener):
-        """Writes progress, status and failures."""
+        """Prints the progress, status and failures of a batch for OpenJD."""
 
         def __init__(self) -> None:
             self.total = self.ended_count = self.failed = 0
 
         def on_plan(self, due_count: int, total_count: int) -> None:
-            """Receive the number of items to build."""
+            """Print the start of the progress, and forward the event."""
             self.total = due_count
             _write_openjd_line("progress", f"{0 if due_count else 100:.1f}")
             _write_openjd_line("status", f"{due_count} of {total_count} to build")
             inner_listener.on_plan(due_count, total_count)
 
         def on_start(self, item: Item) -> None:
-            """Forward to the other listener."""
+            """Forward the event to the other listener."""
             inner_listener.on_start(item)
 
         def on_end(self, report: ItemReport) -> None:
@@ -99,7 +99,7 @@ def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
 
 @contextmanager
 def openjd_failure(namer: ArgumentNamer, *, is_requested: bool) -> Iterator[None]:
-    """Report a fatal error as an OpenJD line too, if requested."""
+    """In a block, print a fatal error as an OpenJD line too, if requested."""
     try:
         yield
     except AnimtoolError as error:
@@ -118,7 +118,7 @@ BAR_WIDTH = 40
 
 @contextmanager
 def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
-    """Provide a listener that shows the progress of a run."""
+    """Return a context with a listener that shows the progress of a run."""
     if not console.is_live():
         yield _line_listener(console, lines=lines)
         return
@@ -135,12 +135,12 @@ def show_progress(console: Console, *, lines: bool) -> Iterator[Listener]:
 
 def _line_listener(console: Console, *, lines: bool) -> Listener:
     class TextLines(Listener):
-        """Prints one line per item."""
+        """Prints one line for each finished item."""
 
         due = ended_count = 0
 
         def on_plan(self, due_count: int, total_count: int) -> None:
-            """Receive the number of items to build."""
+            """Store the number of items to build."""
             self.due = due_count
             skipped_count = total_count - due_count
             if skipped_count > 0:
@@ -199,7 +199,7 @@ def _table_listener(
                 console.result_json(report, line=True)
 
         def on_warning(self, notice: Fault) -> None:
-            """Record a warning; it is shown until an item ends, and at the end."""
+            """Record a warning, shown until an item ends and again at the end."""
             self.warning = str(notice.worded(console.namer))
 
     tracker = ProgressListener()
@@ -238,7 +238,7 @@ def scores_table(items: Sequence[ItemReport]) -> list[str]:
 def _pass_table(
     items: Sequence[ItemReport], pass_key: tuple[str, str]
 ) -> Iterator[str]:
-    """Yield the table of one pass."""
+    """Yield the lines of the score table of one pass."""
     table_rows = [
         (entry, pass_score)
         for entry in items

@@ -1,4 +1,4 @@
-"""Output of a command: results on stdout, everything else on stderr."""
+"""Output of a command: results go to stdout, everything else to stderr."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ class FlagNamer:
 
 
 def _option_names(argument: Argument) -> tuple[str, ...]:
-    """Return the option names of an argument, most common first."""
+    """Return the possible option names of an argument, the most common one first."""
     field = argument.field
     source_name = (
         SOURCE_NAMES.get(field) if argument.name.startswith("source.") else None
@@ -92,7 +92,7 @@ def _option_names(argument: Argument) -> tuple[str, ...]:
 
 
 def _find_option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
-    """Return the option of the first matching name; None if the command has none."""
+    """Return the option of a command with the first known name; None without any."""
     options = [
         command_option
         for command_option in command.params
@@ -110,7 +110,7 @@ _COLORS = {Severity.ERROR: "31", Severity.WARNING: "33", Severity.NOTE: "36"}
 
 @dataclass(slots=True)
 class Console:
-    """Output streams of a command."""
+    """Output of a command to stdout and stderr."""
 
     verbosity: int = 0  # -1 for errors only, 0 by default, 1 with notes and timings
     json_log: bool = False  # write each line on stderr as a JSON object
@@ -127,14 +127,14 @@ class Console:
         note_output()
 
     def result_json(self, value: object, *, line: bool = False) -> None:
-        """Write a record or plain values as JSON to stdout, or as one ASCII line."""
+        """Write a record or plain values to stdout as JSON, or as one line of ASCII."""
         indent = None if line else 2
         value = self._with_flags(plain_value(value))
         self.document(printable_json(value, indent=indent, ascii_only=line))
         sys.stdout.flush()
 
     def document(self, text: str) -> None:
-        """Write a document to stdout unescaped."""
+        """Write a document to stdout without escapes."""
         sys.stdout.write(text if text.endswith("\n") else text + "\n")
         note_output()
 
@@ -149,14 +149,14 @@ class Console:
             self._write_line("debug", text)
 
     def warn_early(self, faults: Iterable[Fault]) -> None:
-        """Write known warnings before long work, and skip them later."""
+        """Write warnings before long work, so that they are not written again later."""
         warnings = [one for one in faults if one.severity is Severity.WARNING]
         if self.verbosity >= 0:
             self.faults(warnings)
             self.early_faults.update(warnings)
 
     def faults(self, faults: Iterable[Fault], *, fatal: bool = False) -> None:
-        """Write faults to stderr; errors even if quiet.
+        """Write faults to stderr; when quiet, only errors.
 
         An error or warning at a column is followed by its source line and a caret.
         """
@@ -227,14 +227,14 @@ class Console:
         self._write({"level": "error", "message": full_message}, "\n".join(lines))
 
     def is_live(self) -> bool:
-        """Return whether stderr is a terminal for live updates."""
+        """Return whether stderr is a terminal that can show live updates."""
         return self.verbosity >= 0 and not self.json_log and sys.stderr.isatty()
 
     @contextmanager
     def progress(
         self, label: str, *, stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Provide a function that shows the fraction done; None without a terminal."""
+        """Return a context with a progress callback; None without a terminal."""
         if not self.is_live() or (stdout and sys.stdout.isatty()):
             yield None
             return
@@ -263,7 +263,7 @@ class Console:
             bar.stop()
 
     def _with_flags(self, value: object) -> object:
-        """Return plain values, with arguments in texts named by their flags."""
+        """Return plain values whose texts name arguments by flags."""
         if isinstance(value, str):
             return worded(value, self.namer)
         if isinstance(value, Mapping):
@@ -277,7 +277,7 @@ class Console:
         self._write({"level": level, "message": text}, escaped(text))
 
     def _write(self, entry: dict[str, object], text: str) -> None:
-        """Write escaped text with animtool's colors, or an entry as JSON."""
+        """Write text to stderr, or an entry as JSON if the log is JSON."""
         sys.stderr.write((printable_json(entry) if self.json_log else text) + "\n")
         note_output()
 
@@ -286,7 +286,7 @@ class Console:
 
 
 def _wants_color(stream: TextIO) -> bool:
-    """Return whether to use colors: by NO_COLOR or FORCE_COLOR, else on a terminal."""
+    """Return whether to use colors, by NO_COLOR, FORCE_COLOR and the kind of stream."""
     if os.environ.get("NO_COLOR"):
         return False
     return bool(os.environ.get("FORCE_COLOR")) or stream.isatty()

@@ -150,7 +150,7 @@ def convert(
 def _resolve_output(
     source: Path, output: Path | None, output_option: Path | None
 ) -> Path:
-    """Return OUTPUT from the argument or -o; refuse swapped arguments."""
+    """Return OUTPUT from the argument or from -o; refuse swapped arguments."""
     if output is not None and output_option is not None:
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
     argument_or_option = output or output_option
@@ -163,7 +163,7 @@ def _resolve_output(
 def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bool:
     """Convert each take of a file to a USD file in a folder.
 
-    Returns whether the file has any takes.
+    Returns whether the file contains any takes.
     """
     from animtool.core.readers import reader_of
     from animtool.usd.layers.names import distinct_names
@@ -187,7 +187,7 @@ def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bo
 
 @dataclass(frozen=True, slots=True)
 class _ConvertedFile:
-    """Result of a marker conversion."""
+    """Report of a converted marker file."""
 
     frames: int
     markers: int

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 def _largest_difference(kind: str, size: str, where: str) -> str:
-    """Return the text template of the largest difference of a kind."""
+    """Return the text template of the largest difference of one quantity."""
     label_width = 14 if "prim" in where else 12
     location = where.replace("@", kind)
     return (
@@ -88,7 +88,7 @@ class Comparison:
 
 
 def _source_choices(command: Command) -> Command:
-    """Add source options for both files, and for either one."""
+    """Add the source options that apply to both files or to one of them."""
     for name, field, metavar, description in (
         ("take", "take", "NAME", "The take to read from clip libraries in USD"),
         ("source-prim", "prim_path", "PATH", "The character, where a file has several"),
@@ -188,7 +188,7 @@ def diff(console: Console, /, first: Path, second: Path, **params: Any) -> None:
 
 
 def _source_options(first: Path, second: Path, params: dict[str, Any]) -> list[Any]:
-    """Return the source options of both files, shared and specific ones merged."""
+    """Return the source options of either file; specific ones override shared ones."""
     from animtool.scene.sources.open import fitting_options
 
     shared_options = source_options_record(

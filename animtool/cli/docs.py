@@ -29,7 +29,7 @@ SITE_FOLDER = Path(__file__).parents[2] / "build/site"
 
 @dataclass(frozen=True, slots=True)
 class DocsPage:
-    """A page, with its text if it was requested by name."""
+    """A page; it includes its text if the page was requested by name."""
 
     entry: PageEntry
     page: str | None = None
@@ -38,7 +38,7 @@ class DocsPage:
 
 @dataclass(frozen=True, slots=True)
 class DocsReport:
-    """All pages, or the requested one."""
+    """Report of all pages, or of the requested page."""
 
     pages: list[DocsPage]
     json_keys: ClassVar[str] = "'docs' pages"
@@ -99,7 +99,7 @@ def docs(
 
 
 def _page_of(topic: str) -> PageEntry:
-    """Return the page of a topic, code or command."""
+    """Return the page of a topic, of a code, or of a command."""
     from animtool.cli.main import COMMANDS
     from animtool.core.rules import find_rule
 
@@ -134,7 +134,7 @@ def _page_text(page: PageEntry) -> str:
 
 
 def _open_in_browser(console: Console, name: str) -> bool:
-    """Open a page of the local site in the browser; return whether that worked."""
+    """Open a page of the local site in the browser; return whether it opened."""
     from animtool.preview.show import has_browser, open_browser
 
     file, _, anchor = name.partition("#")

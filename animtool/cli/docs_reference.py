@@ -1,4 +1,4 @@
-"""Generated reference pages: all commands, all codes."""
+"""Generated reference pages of all commands and all codes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from animtool.core.rules import builtin_rules
 
 
 def commands_markdown(name: str | None = None) -> str:
-    """Return the reference of all commands, or of one, as Markdown."""
+    """Return the reference of all commands, or of one command, as Markdown."""
     from animtool.cli.main import COMMANDS, cli
 
     context = click.Context(cli, info_name="animtool")
@@ -100,17 +100,17 @@ def codes_markdown() -> str:
 
 
 def _escape_cell(text: str) -> str:
-    """Return text as code for a table cell."""
+    """Return text formatted as code for a cell of a Markdown table."""
     return text.replace("|", "\\|")
 
 
 def _escape_prose(text: str) -> str:
-    """Escape Markdown in a help text."""
+    """Escape the Markdown syntax in a help text."""
     single_line = " ".join(text.replace("\b", "").split())
     return re.sub(r"([<>*_|\[\]])", r"\\\1", single_line)
 
 
 def _table(header: tuple[str, ...], rows: list[tuple[str, ...]]) -> list[str]:
-    """Return a table, as one paragraph."""
+    """Return a Markdown table as one paragraph."""
     table_rows = [header, ("---",) * len(header), *rows]
     return ["\n".join(f"| {' | '.join(line)} |" for line in table_rows)]

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RulePage:
-    """A code and its rule page."""
+    """A code and the page that explains it."""
 
     rule: Rule
     json_keys: ClassVar[str] = (
@@ -31,7 +31,7 @@ class RulePage:
 
     @property
     def page(self) -> str | None:
-        """Markdown of the rule page; None if it has none."""
+        """Markdown of the page; None if the code has no page."""
         from animtool.core.rules import page_text
 
         text = page_text(self.rule.code)
@@ -50,7 +50,7 @@ class RulePage:
 
 @dataclass(frozen=True, slots=True)
 class CodesReport:
-    """The requested codes, or all."""
+    """Report of the requested codes, or of all codes."""
 
     rules: list[RulePage]
     json_keys: ClassVar[str] = "'explain' rules"
@@ -89,7 +89,7 @@ _CHECK_PREFIXES = (
 
 
 def ignore_section(rule: Rule) -> str:
-    """Return the section of a page about accepting a warning; empty for others."""
+    """Return the page section on how to ignore a warning; "" for other codes."""
     family, heading = rule.code.rstrip("0123456789"), "\n## How to ignore it\n\n"
     if rule.severity != "warning" or family not in _NOTICE_PREFIXES + _CHECK_PREFIXES:
         return ""
@@ -107,7 +107,7 @@ _FAMILY = re.compile(r"[A-Za-z][A-Za-z0-9]{0,6}[A-Za-z]")
 
 
 def parse_codes(arguments: Sequence[str]) -> list[str]:
-    """Return the codes in arguments, also in pasted messages or with a space.
+    """Return the codes in arguments, which may be complete messages.
 
     >>> parse_codes(["RIG2", "CLIP", "107"]), parse_codes(["warning: CLIP110 hips"])
     (['RIG2', 'CLIP107'], ['CLIP110'])
@@ -189,7 +189,7 @@ def explain(console: Console, /, codes: tuple[str, ...], report_format: str) -> 
 
 
 def _default_page(rule: Rule) -> str:
-    """Return a generated page for a code without one."""
+    """Return a generated page for a code that has no page."""
     origin = "Readers and commands report it."
     if rule.kinds:
         uppercase_kinds = {"bvh", "usd"}

@@ -1,4 +1,4 @@
-"""Help: ``-h`` lists the common options, ``--help`` all of them, by group."""
+"""Help: ``-h`` shows the common options, ``--help`` all of them in groups."""
 
 from __future__ import annotations
 
@@ -103,10 +103,10 @@ ARGUMENTS_KEY = "animtool.arguments"
 
 
 class Command(click.Command):
-    """A command with short and full help, options grouped."""
+    """A command with a short and a full help, and options in groups."""
 
     def get_params(self, ctx: click.Context) -> list[click.Parameter]:
-        """Return the parameters, with ``-h`` and ``--help`` last."""
+        """Return the parameters of the command, with ``-h`` and ``--help`` last."""
         del ctx
         return [*self.params, *_help_options()]
 
@@ -125,14 +125,14 @@ class Command(click.Command):
         return remaining
 
     def collect_usage_pieces(self, ctx: click.Context) -> list[str]:
-        """Return the usage, arguments before options."""
+        """Return the parts of the usage line, with arguments before options."""
         options, *arguments = super().collect_usage_pieces(ctx)
         return [*arguments, options]
 
     def format_options(
         self, ctx: click.Context, formatter: click.HelpFormatter
     ) -> None:
-        """Write all options, by group."""
+        """Write the help of all options in groups."""
         groups: dict[str, list[tuple[str, str]]] = {name: [] for name in _GROUPS}
         for option, record in self._help_records(ctx):
             groups[group_of(self.name or "", option)].append(record)
@@ -141,7 +141,7 @@ class Command(click.Command):
                 _write_section(formatter, name, records)
 
     def short_help_of(self, ctx: click.Context) -> str:
-        """Return the help of ``-h``: usage, common options, examples."""
+        """Return the text of ``-h``: usage, common options and examples."""
         formatter = ctx.make_formatter()
         self.format_usage(ctx, formatter)
         first_paragraph = (self.help or "").strip().split("\n\n")[0]
@@ -182,7 +182,7 @@ class Command(click.Command):
     def _help_records(
         self, ctx: click.Context
     ) -> Iterable[tuple[click.Option, tuple[str, str]]]:
-        """Yield the options with name and help text."""
+        """Yield each option that has a help text, with its name and that text."""
         for option in self.get_params(ctx):
             record = option.get_help_record(ctx)
             if isinstance(option, click.Option) and record is not None:
@@ -192,7 +192,7 @@ class Command(click.Command):
 def _with_new_names(
     args: list[str], names: dict[str, str]
 ) -> tuple[list[str], dict[str, str]]:
-    """Return arguments with renamed options replaced, and the replaced options.
+    """Return arguments with old option names replaced, and the replaced names.
 
     >>> _with_new_names(["--tol=1", "--", "--tol"], {"--tol": "--missed"})
     (['--missed=1', '--', '--tol'], {'--tol': '--missed'})
@@ -208,14 +208,14 @@ def _with_new_names(
 
 
 def command(*args: Any, **options: Any) -> Callable[[Callable[..., Any]], Command]:
-    """Return a decorator that makes a command with grouped help."""
+    """Return a decorator that makes a function a command with grouped help."""
     return click.command(*args, cls=Command, **options)
 
 
 def write_sections(
     formatter: click.HelpFormatter, sections: Mapping[str, list[tuple[str, str]]]
 ) -> None:
-    """Write commands by group, texts aligned."""
+    """Write commands in groups, with aligned texts."""
     name_width = max(
         len(name) for section_rows in sections.values() for name, _ in section_rows
     )
@@ -228,7 +228,7 @@ def write_sections(
 
 
 def group_of(command: str, option: click.Option) -> str:
-    """Return the heading of an option."""
+    """Return the heading of the group that an option belongs to."""
     word = _option_word(option)
     group = _GROUPS_BY_COMMAND.get(command, {}).get(word)
     return group or _GROUP_BY_OPTION.get(word, _OTHER_GROUP)
@@ -244,7 +244,7 @@ def _option_word(option: click.Option) -> str:
 
 
 def _first_sentence(text: str) -> str:
-    """Return the first sentence of a text, without its default."""
+    """Return the first sentence of a text, without the default value."""
     text = text.partition("  [")[0].partition(". ")[0]
     return f"{text.rstrip('.')}."
 
@@ -323,12 +323,12 @@ class LazyGroup(click.Group):
         self.takes_files = takes_files
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """Return the names of the commands."""
+        """Return the names of all commands."""
         del ctx
         return sorted(self.table)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """Import and return a command."""
+        """Import the module of a command and return the command."""
         del ctx
         if cmd_name not in self.table:
             return None
@@ -339,7 +339,7 @@ class LazyGroup(click.Group):
     def format_commands(
         self, ctx: click.Context, formatter: click.HelpFormatter
     ) -> None:
-        """List the commands from the table without importing them."""
+        """Write the list of commands without importing them."""
         del ctx
         write_sections(
             formatter,
@@ -352,7 +352,7 @@ class LazyGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """Resolve ``help COMMAND``; suggest a command for an unknown name."""
+        """Return a command, also for ``help COMMAND``; suggest one if it is unknown."""
         if args[:1] == ["help"] and "help" not in self.table:
             args = [*args[1:2], "--help"]
             if len(args) == 1:

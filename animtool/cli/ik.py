@@ -230,7 +230,7 @@ def ik(console: Console, /, **params: Any) -> None:
 
 
 def _run_match_command(console: Console, params: dict[str, Any], source: Any) -> None:
-    """Write the targets file of a take and print a summary."""
+    """Write the targets that match the limbs of a take, and print a summary."""
     _check_match(params)
     output = params["output"]
     if skip_existing_outputs(console, "ik", params, output, lambda: [output]):
@@ -259,7 +259,7 @@ def _run_match_command(console: Console, params: dict[str, Any], source: Any) ->
 
 
 def _check_match(params: dict[str, Any]) -> None:
-    """Refuse missing and ignored options of `--match`."""
+    """Refuse options that `--match` requires but lacks, or that it would ignore."""
     for name, missing_option in (("start", "--clip"), ("output", "-o")):
         if params[name] is None:
             raise click.UsageError(f"--match needs {missing_option}.")
@@ -283,7 +283,7 @@ def _check(params: dict[str, Any]) -> None:
 
 
 def _start_options(params: dict[str, Any]) -> Any:
-    """Return the options of the start take."""
+    """Return the options for reading the start take."""
     source_keys = ("prim_path", "take", "positions")
     extra = {"shot": params["shot"], "placement": params["placement"]}
     return source_options_record(params, *source_keys, **extra)
@@ -320,7 +320,7 @@ def _job(params: dict[str, Any]) -> Any:
 
 
 def _bake_options(params: dict[str, Any]) -> Any:
-    """Return the output options."""
+    """Return the options for writing the output."""
     output = params["output"]
     flags = {
         "--split": params["split"],

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _miss_text(miss: Misses, figure: str) -> str:
-    """Format the size of a miss."""
+    """Format a figure of missed goals as a length or an angle."""
     value = getattr(miss, figure)
     if miss.metric and not math.isfinite(value):
         return f"over {OVERFLOW_DISTANCE:g} m"

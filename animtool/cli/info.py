@@ -190,7 +190,7 @@ def _content_text(prim: PointPrim) -> str:
 
 
 def _extreme_text(extreme: Extreme, unit: str) -> str:
-    """Return a value with its character and frame."""
+    """Return an extreme value with its character and frame as text."""
     path_parts = extreme.character.strip("/").split("/")
     name = next(
         (part for part in path_parts if part.startswith("agent")), path_parts[0]
@@ -199,7 +199,7 @@ def _extreme_text(extreme: Extreme, unit: str) -> str:
 
 
 def _system_counts(counts: dict[str, int]) -> str:
-    """Format the element counts of a system."""
+    """Format the counts of a system's elements."""
     return ", ".join(
         f"at most {count} at once"
         if name == "max_particles"
@@ -254,7 +254,7 @@ TEMPLATES = {
 
 @dataclass(frozen=True, slots=True)
 class InfoReport:
-    """Descriptions of files, in order."""
+    """Descriptions of the requested files, in order."""
 
     files: list[Any]
     json_keys: ClassVar[str] = "'info' files"
@@ -312,7 +312,7 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
 
 
 def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> Any:
-    """Describe a file."""
+    """Return the description of a file of any kind."""
     from animtool.core.readers import is_rig_only
     from animtool.formats.marker_files import is_marker_file
     from animtool.scene.sources.open import is_usd
@@ -336,7 +336,7 @@ def _describe(path: Path, params: dict[str, Any], used_variables: set[str]) -> A
 
 
 def _describe_take(path: Path, params: dict[str, Any]) -> Any:
-    """Describe the take of a file; for a glTF without nodes, its other content."""
+    """Return the description of a take, or of a glTF file without nodes."""
     from animtool.core.readers import GLTF, reader_of
     from animtool.report.describe import describe
 
@@ -353,7 +353,7 @@ def _describe_take(path: Path, params: dict[str, Any]) -> Any:
 
 
 def _describe_stage(path: Path, params: dict[str, Any]) -> Any:
-    """Describe a USD file."""
+    """Return the description of a USD file."""
     from animtool.report.describe import describe
     from animtool.scene.sources.open import SourceOptions
 

@@ -1,4 +1,4 @@
-"""The command group, loaded lazily, and the top-level error handler."""
+"""The command group with lazily loaded commands, and the handler of errors."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ KILLED_HINT = (
 
 
 def is_out_of_memory(error: BaseException | None) -> bool:
-    """Return whether an error or its cause is an out-of-memory error."""
+    """Return whether an error, or its cause, reports that memory ran out."""
     visited: set[int] = set()
     while error is not None and id(error) not in visited:
         visited.add(id(error))
@@ -74,7 +74,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def memory_fault(error: BaseException) -> Fault:
-    """Return the fault of an out-of-memory error: its size and the failed step."""
+    """Return the fault of an out-of-memory error, with the size and the failed step."""
     description = str(error).strip().rstrip(".")
     message = f"out of memory: {description}" if description else "out of memory"
     function_name = _innermost_function(error)
@@ -84,7 +84,7 @@ def memory_fault(error: BaseException) -> Fault:
 
 
 def _innermost_function(error: BaseException) -> str:
-    """Return module and name of the innermost animtool function."""
+    """Return the module and name of the innermost function of animtool on the stack."""
     innermost, trace = "", error.__traceback__
     while trace is not None:
         code = trace.tb_frame.f_code
@@ -114,9 +114,9 @@ def memory_limit_bytes() -> int | None:
 
 
 def crash_reason(name: str, path: str = "") -> Fault | None:
-    """Return the fault of a process that was killed from outside.
+    """Return the fault of a process that was killed from outside, else None.
 
-    None for any other crash. ``path`` is the file that USD read; may be empty.
+    ``path`` is the file that USD was reading, or "".
     """
     location = path or None
     if name == "SIGKILL":
@@ -284,7 +284,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _CrashError(Exception):
-    """The child process crashed while reading an unknown file."""
+    """The child process crashed while it read a file that is not known."""
 
 
 def _remove_leftovers(folders: Sequence[str], process: int) -> None:
@@ -311,7 +311,7 @@ def run(arguments: Sequence[str]) -> int:
 
 
 def _run(arguments: Sequence[str], console: Console) -> int:
-    """Run the command line; raise interrupts, and errors under `--debug`."""
+    """Run the command line and return its exit code; with `--debug`, raise errors."""
     streams = sys.stdout, sys.stderr
     try:
         receive_signals()
@@ -384,7 +384,7 @@ def _report_error(console: Console, error: BaseException) -> int:
 
 
 def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
-    """Return faults located at the options that name their files."""
+    """Return faults located at the command-line options that name their files."""
     from animtool.cli.usage import with_option
 
     context = console.context
@@ -396,7 +396,7 @@ def _with_options(console: Console, faults: Sequence[Fault]) -> Sequence[Fault]:
 def _logs_json(arguments: Sequence[str]) -> bool:
     """Return whether stderr is JSON.
 
-    Determined here and not by the commands, so that usage errors are JSON too.
+    This is determined before a command runs, so that usage errors are JSON too.
     """
     command_line = " ".join(arguments).replace("=", " ")
     is_default = os.environ.get("ANIMTOOL_LOG_FORMAT") == "json"

@@ -1,4 +1,4 @@
-"""Shared options and messages of marker commands."""
+"""Options and messages that the marker commands share."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ MARKERS_TEMPLATE = Template(
 
 
 def read_marker_file(path: Path, params: Mapping[str, Any]) -> Any:
-    """Read a marker file with a command's options."""
+    """Read a marker file with the source options of a command."""
     from animtool.formats.marker_files import open_markers
 
     options = source_options_record(params)
@@ -92,7 +92,7 @@ def run_on_markers(
     process: Callable[..., tuple[Any, Any]],
     template: Template | None = None,
 ) -> None:
-    """Read marker files, process them, write the result and report.
+    """Read marker files, process them, write the result and print a report.
 
     process: Maps the markers of the sources to markers and a report with notices.
     """

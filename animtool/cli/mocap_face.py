@@ -109,7 +109,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
 
 
 def _unsolved_counts(status: Sequence[object]) -> list[str]:
-    """Return frame counts by status; empty if all are solved."""
+    """Return the number of frames with each status; empty if all are solved."""
     counts = Counter(map(str, status))
     status_texts = [f"{count} {name}" for name, count in sorted(counts.items())]
     return [] if set(counts) == {"solved"} else status_texts

@@ -103,7 +103,7 @@ _METHODS = {
 
 
 def _method_counts(gaps: Any) -> str:
-    """Format the counts of filled gaps by method."""
+    """Format the number of filled gaps for each method."""
     counts = Counter(gap.method for gap in gaps)
     return ", ".join(
         f"{counts[method]} {word}"

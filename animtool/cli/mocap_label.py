@@ -51,7 +51,7 @@ def label(
 
 
 def _rarely_visible_markers(coverage: dict[str, float]) -> list[str]:
-    """Return the markers visible in less than half of the frames."""
+    """Return the markers that are visible in less than half of the frames."""
     rare_markers = [
         (name, fraction) for name, fraction in coverage.items() if fraction < 0.5
     ]

@@ -128,7 +128,7 @@ def solve(
 
 
 def _bone_scale_range(calibration: Calibration) -> str:
-    """Format the range of bone scales."""
+    """Format the smallest and largest bone scale."""
     scales = calibration.scales[calibration.scales != 1.0]
     return f"{scales.min(initial=1.0):.3g} to {scales.max(initial=1.0):.3g}"
 
@@ -142,7 +142,7 @@ def _worst_markers(markers: Sequence[MarkerScore]) -> list[str]:
 
 
 def _outlier_markers(markers: Sequence[MarkerScore]) -> list[str]:
-    """Return the markers rejected in some frames."""
+    """Return the markers rejected as outliers in over 1 % of the frames."""
     outlier_markers = [marker for marker in markers if marker.outliers > 0.01]
     outlier_markers.sort(key=lambda marker: -marker.outliers)
     return [

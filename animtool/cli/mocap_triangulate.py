@@ -121,7 +121,7 @@ def triangulate(
 
 
 def _camera_remarks(report: CameraReport) -> str:
-    """Return, as text, the frames where a camera moved or disagrees with others."""
+    """Return the frames in which a camera moved or disagrees with others, as text."""
     from animtool.core.shot import frame_spans
 
     remarks = [

@@ -1,4 +1,4 @@
-"""Options and value types that commands share."""
+"""Options and value types that several commands share."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Command = TypeVar("Command", bound=Callable[..., Any])
 
 
 class ParsedType(click.ParamType[Any]):
-    """A click type that uses a parsing function; `ValueError` is a usage error."""
+    """Click type that converts with a function; its `ValueError` is a usage error."""
 
     def __init__(self, name: str, parse: Callable[[str], Any]) -> None:
         self.name = name
@@ -32,7 +32,7 @@ class ParsedType(click.ParamType[Any]):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Parse text; defaults pass through."""
+        """Parse a text; return default values unchanged."""
         if not isinstance(value, str):
             return value
         try:
@@ -81,7 +81,7 @@ def _parse_distance(text: str) -> float:
 
 
 def count_or_auto(text: str) -> int | None:
-    """Parse a positive integer; None for ``auto``."""
+    """Parse a positive integer; return None for ``auto``."""
     if text == "auto":
         return None
     if not text.isdigit() or not int(text):
@@ -95,7 +95,7 @@ def names_of(text: str | None) -> tuple[str, ...]:
 
 
 class PositiveNumber(click.FloatRange):
-    """A click type: a number above 0."""
+    """Click type of numbers above 0."""
 
     def __init__(self) -> None:
         super().__init__(0, min_open=True)
@@ -103,7 +103,7 @@ class PositiveNumber(click.FloatRange):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Return the number."""
+        """Return the parsed number, or fail if it is not positive."""
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter:
@@ -111,12 +111,12 @@ class PositiveNumber(click.FloatRange):
 
 
 class Count(click.IntRange):
-    """A click type: a whole number from a minimum up."""
+    """Click type of integers with a minimum."""
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Return the number."""
+        """Return the parsed integer, or fail if it is too small."""
         try:
             return super().convert(value, param, ctx)
         except click.BadParameter:
@@ -192,7 +192,7 @@ def _console_callback(name: str, value: Any) -> Callable[..., None]:
 
 
 def stack_options(*decorators: Callable[[Any], Any]) -> Callable[[Command], Command]:
-    """Return a decorator that adds several options in order."""
+    """Return a decorator that applies several option decorators in order."""
 
     def add(command: Command) -> Command:
         for option in reversed(decorators):
@@ -281,7 +281,7 @@ _REPEATABLE_TYPES = {"lengths", "codes", "severities", "texts"}
 
 
 class _ChoiceType(click.ParamType[Any]):
-    """A click type: one of several names."""
+    """Click type of one of several names."""
 
     name = "name"
 
@@ -296,7 +296,7 @@ class _ChoiceType(click.ParamType[Any]):
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> Any:
-        """Return the matching choice."""
+        """Return the choice that a text names."""
         if value not in self._names:
             self.fail(f"{value!r} is not one of {', '.join(self._names)}.", param, ctx)
         return self._names[self._names.index(value)]
@@ -309,7 +309,7 @@ def declare_option(
     param_name: str | None = None,
     help_text: str | None = None,
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds the option of a record's field.
+    """Return a decorator that adds the option declared on a field of a record.
 
     Args:
         option: The option.
@@ -391,7 +391,7 @@ def record_option(
 
 
 def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a record's arguments from command parameters."""
+    """Return the arguments of a record from the parameters of a command."""
     return {
         name: read_value(option, params[name])
         for name, option in options_of(record).items()
@@ -400,7 +400,7 @@ def read_values(record: type, params: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def read_value(option: Option, value: Any) -> Any:
-    """Convert a command-line value to a record's value."""
+    """Convert a command-line value to the type of a record's option."""
     if value is None:
         return None
     if option.kind == "switch" and option.choices:
@@ -419,14 +419,14 @@ _CONVERTERS: dict[str, Callable[[Any], Any]] = {
 
 
 def source_option(*names: str) -> Callable[[Command], Command]:
-    """Return a decorator that adds options of `SourceOptions` in order."""
+    """Return a decorator that adds the named options of `SourceOptions` in order."""
     return record_option(SourceOptions, *names, param_names=SOURCE_NAMES)
 
 
 def bake_option(
     *names: str, help_text: str | None = None
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds options of `BakeOptions` in order.
+    """Return a decorator that adds the named options of `BakeOptions` in order.
 
     help_text: Help text of a single option, if it differs from the record's.
     """
@@ -466,7 +466,7 @@ format_option = click.option(
 
 
 def listed_paths(texts: Iterable[str]) -> Iterator[str]:
-    """Yield the paths of a command line; ``-`` reads them from stdin."""
+    """Yield the paths on the command line; for ``-``, yield the lines of stdin."""
     for text in texts:
         if text == "-":
             yield from filter(None, stdin_lines())
@@ -477,7 +477,7 @@ def listed_paths(texts: Iterable[str]) -> Iterator[str]:
 def source_options_record(
     params: Mapping[str, Any], *names: str, **values: Any
 ) -> SourceOptions:
-    """Return `SourceOptions` from command parameters and values."""
+    """Return `SourceOptions` from the parameters of a command and other values."""
     record_values = {
         name: read_value(option, params[SOURCE_NAMES.get(name, name)])
         for name, option in options_of(SourceOptions).items()

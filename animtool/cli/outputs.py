@@ -1,4 +1,4 @@
-"""Output options of commands: existing files, stdout, plots."""
+"""Output options of commands: existing files, stdout and plots."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ written_options = stack_options(
 def written_options_record(
     params: Mapping[str, Any], *more_options: str, **values: Any
 ) -> BakeOptions:
-    """Return `BakeOptions` of a command that writes a take.
+    """Return the `BakeOptions` of a command that writes a take.
 
     more_options: Additional options of this command.
     """
@@ -83,7 +83,7 @@ def written_options_record(
 
 @contextmanager
 def atomic_command() -> Iterator[None]:
-    """Rename a command's outputs into place at its end, with signals deferred.
+    """In a block, write the outputs of a command, which are committed at its end.
 
     The command may only print after that: if it ends with 130 or 143, it has written
     nothing.
@@ -100,7 +100,7 @@ def skip_existing_outputs(
     output: Path | None,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
-    """Return whether ``--skip-existing`` skips the output, and report it."""
+    """Report and return whether ``--skip-existing`` skips the output."""
     if output in {None, STDOUT} or not params["skip_existing"]:
         return False
     if params["overwrite"]:
@@ -117,7 +117,7 @@ def skip_existing_outputs(
 
 
 def goes_to_stdout(output: Path | None, params: Mapping[str, Any]) -> bool:
-    """Return whether the output is ``-``."""
+    """Return whether the output is ``-``, which is stdout."""
     if output != STDOUT:
         return False
     if params["report_format"] == "json":
@@ -135,13 +135,13 @@ plot_option = click.option(
 
 
 def refuse_plot_without_table(params: dict[str, Any]) -> None:
-    """Refuse ``--plot`` without a table."""
+    """Refuse ``--plot`` if no table is requested."""
     if params["plot"] is not None and not params["table"]:
         raise click.UsageError("--plot draws what --table measures: pass both.")
 
 
 def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) -> None:
-    """Raise if the requested plot cannot be drawn."""
+    """Raise an error if the requested plot cannot be drawn or written."""
     if plot is None:
         return
     from animtool.core.files.output import check_outputs
@@ -154,7 +154,7 @@ def check_plot(plot: Path | None, inputs: Sequence[Path], *, overwrite: bool) ->
 def print_tradeoffs(
     console: Console, report: Tradeoffs, report_format: str, plot: Path | None = None
 ) -> None:
-    """Print tables of time against error, and plot them if requested."""
+    """Print tables of time against error and, if requested, plot them."""
     from animtool.report.tradeoffs import TABLES
 
     console.faults(report.notices)
@@ -168,7 +168,7 @@ def print_tradeoffs(
 
 
 def refuse_swapped(source: Path, output: Path, arguments: str) -> None:
-    """Refuse a missing source if the output exists."""
+    """Refuse a missing source if the output exists: they were likely swapped."""
     # The name of an array may follow the file name: take.npz#markers.
     file = Path(str(source).partition("#")[0])
     if output.is_file() and not source.exists() and not file.exists():

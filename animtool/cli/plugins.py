@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Plugins:
-    """The entries of each plug-in table."""
+    """The entries of every plug-in table."""
 
     passes: list[ListedEntry]
     readers: list[ListedEntry]
@@ -35,7 +35,7 @@ class Plugins:
 
 
 def _table_lines(table: str, kind: str) -> Each:
-    """Return the lines of a plug-in table; kind: label of loaded entries."""
+    """Return the report lines of a plug-in table."""
     first_column = f"{{name:<14}} [{kind}|broken     ]"
     return Each(table, (first_column + " {about} ({source})",))
 

@@ -1,4 +1,4 @@
-"""Preview pages: write, serve or describe them."""
+"""Writes, serves or describes preview pages."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def print_plan(
     *,
     as_json: bool,
 ) -> None:
-    """Print the plan of a page."""
+    """Print the steps by which a page would be built."""
     if output is not None:
         picture_kind(output)
         check_outputs([output], files, overwrite=True)
@@ -65,7 +65,7 @@ def write_preview(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a page, and open it if a browser is available."""
+    """Write a page and open it in a browser, if one is available."""
     opens_browser = show_options.opened
     if opens_browser is None:
         opens_browser = output is None and has_browser()

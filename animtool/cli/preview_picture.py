@@ -1,4 +1,4 @@
-"""Preview pictures: write them and print a summary."""
+"""Writes preview pictures and prints a summary."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_picture(
     overwrite: bool,
     as_json: bool,
 ) -> None:
-    """Write a still, a contact sheet or a film."""
+    """Write a still picture, a contact sheet or a film."""
     with console.progress(f"preview {files[0].name}") as progress:
         report = write_pictures(
             files, output, options, pictures, overwrite=overwrite, progress=progress

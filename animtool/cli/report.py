@@ -110,7 +110,7 @@ def _measure_tradeoffs(
     params: dict[str, Any],
     folder: Path,
 ) -> Tradeoffs:
-    """Measure tradeoffs; write stages to a folder if a page is requested."""
+    """Measure tradeoffs; for a page, also write stages to a folder."""
     from animtool.core.files.output import check_outputs
     from animtool.scene.tables.tradeoffs import measure_tradeoffs, suite_tradeoffs
 

@@ -45,7 +45,7 @@ NEGLIGIBLE_ERROR = 1e-9
 
 
 def _verdict_text(verdict: Verdict) -> str:
-    """Format a verdict: what to check, in which frames."""
+    """Format a verdict: what to check and in which frames."""
     reasons = []
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
@@ -78,7 +78,7 @@ def _stopped_joints(clamped_joints: Mapping[str, float]) -> list[str]:
 
 
 def _score_text(value: float, printer: str) -> str:
-    """Format a score; empty for a missing one."""
+    """Format a score; return "" for a missing one."""
     if math.isnan(value):
         return ""
     printers = {"angle": _angle_text, "percent": percent_text, "times": "{:.3g}".format}

@@ -28,13 +28,13 @@ SHOT_SUFFIX = "[  {shot.label}]"
 
 
 def _scores(indent: str) -> Each:
-    """Return the score lines of a take's passes."""
+    """Return the template of the score lines of a take's passes."""
     names = Each("names", (indent + "  {key}: [{value:list 8}]",))
     return Each("scores", (indent + "{pass_name}: [{scores:scores}]", names))
 
 
 def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
-    """Return lines on a clip's channels and the largest error by unit."""
+    """Return a line on the number of channels, and on the largest error by unit."""
     if not errors:
         return []
     groups = Counter(error.target.partition("/")[0] for error in errors)
@@ -90,7 +90,7 @@ CONVERT_TEMPLATE = Template(
 
 
 def _reduction_lines(indent: str) -> tuple[Line, ...]:
-    """Return the lines of optional bake steps."""
+    """Return the templates of the lines on scores, reduction and kept curves."""
     return (
         _scores(indent),
         f"[{indent}{{thinned.samples:n sample}} reduced to {{thinned.count}}: "
@@ -102,7 +102,7 @@ def _reduction_lines(indent: str) -> tuple[Line, ...]:
 
 
 def _frames_text(take: str) -> str:
-    """Format the frames of samples, unless it is one sample per frame."""
+    """Return the template that states the source frames if the take was resampled."""
     return (
         f"[{{?{take}resampled}}, from {{{take}source_frames:n frame}} at "
         f"{{{take}source_fps:rate}}][{{?{take}between}}, {{{take}between}} of which "
@@ -142,7 +142,7 @@ def _speed_text(report: BakeReport) -> str:
 
 
 def _file_names_text(files: Sequence[Path]) -> str:
-    """Format the files of an output: all, or the main one and a count."""
+    """Format the files of an output: all, or the main file and a count."""
     if len(files) <= MAX_FILES:
         return ", ".join(map(str, files)) or "stdout"
     return f"{files[-1]} and {len(files) - 1} more files"
@@ -154,7 +154,7 @@ def _beyond_limits_text(notices: Sequence[Fault]) -> str:
 
 
 def _curve_error_text(curves: Sequence[CurveReport]) -> str:
-    """Format the largest curve error and its curve."""
+    """Format the largest error of the curves, with the name of the curve."""
     largest = max(curves, key=lambda curve: curve.difference)
     curve_text = f" (control {largest.name!r})" if largest.difference else ""
     return f"{plain_number(largest.difference, 2)}{curve_text}"
@@ -169,7 +169,7 @@ def _precision_text(take: TakeReport) -> str:
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
-    """Group meshes into deformed and simulated ones, with titles."""
+    """Return the deformed and the simulated meshes as groups with titles."""
     groups = []
     for is_simulated, print_title in ((False, _deformed_text), (True, _simulated_text)):
         group_meshes = [mesh for mesh in meshes if mesh.simulated is is_simulated]
@@ -293,7 +293,7 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
 
 
 def _other_prims_text(step: PlanStep, name: str) -> str:
-    """Return the other prims that a step reads or writes."""
+    """Return the prims that a step reads or writes, unless only its own, as text."""
     entries = getattr(step, name)
     return "" if entries == (step.name,) else ", ".join(entries)
 

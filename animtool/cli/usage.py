@@ -1,4 +1,4 @@
-"""Usage errors that suggest the intended command line."""
+"""Usage errors that suggest the command line that was likely meant."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ _EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
 
 
 def with_suggestion(error: click.ClickException) -> click.ClickException:
-    """Return a usage error with a suggestion."""
+    """Return a usage error with a suggestion added."""
     context = getattr(error, "ctx", None)
     if context is None:
         return error
@@ -122,7 +122,7 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
 def _misplaced_argument(
     error: click.MissingParameter, context: click.Context
 ) -> str | None:
-    """Return a text about an argument that was meant for a missing option."""
+    """Return a hint if an argument was likely meant for a missing option, else None."""
     param = error.param
     arguments = context.meta.get(ARGUMENTS_KEY, ())
     if not isinstance(param, click.Option) or not arguments:
@@ -136,7 +136,7 @@ def _misplaced_argument(
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
-    """Return a fault located at the option that sets its field or names its file."""
+    """Return a fault located at the option of its field or file."""
     if fault.where and not fault.lines:
         for option in _options(context.command):
             if option.name == fault.where or f"--{fault.where}" in option.opts:
@@ -154,7 +154,7 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
 
 
 def _number_hint(context: click.Context) -> str | None:
-    """Return a hint for a number that was parsed as a file: it belongs to an option."""
+    """Return a hint if numbers after an option were split at a space, else None."""
     for option in _options(context.command):
         name = str(option.name)
         example = _SEVERAL_NUMBERS.get(str(option.metavar))
@@ -165,7 +165,7 @@ def _number_hint(context: click.Context) -> str | None:
 
 
 def _option_hints(name: str, context: click.Context) -> Iterator[str]:
-    """Yield hints for an unknown option of a command, the best one first."""
+    """Yield hints for an unknown option, the best hint first."""
     command, path = context.command, context.command_path
     bare_name = name.lstrip("-")
     if isinstance(command, LazyGroup) and bare_name in command.table:
@@ -195,7 +195,7 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
 
 
 def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
-    """Yield the commands that have an option, common ones first."""
+    """Yield the commands that have an option, the common commands first."""
     root = context.find_root()
     group = root.command
     if not isinstance(group, LazyGroup):
@@ -213,7 +213,7 @@ def _options(command: click.Command) -> list[click.Option]:
 
 
 def _argument_named(name: str, command: click.Command) -> str | None:
-    """Return the placeholder of a command's argument with the name of an option."""
+    """Return the placeholder of the argument with the name of an option, else None."""
     arguments = [
         parameter
         for parameter in command.params

@@ -100,7 +100,7 @@ def _fix_files(
     options: ValidateOptions,
     report_options: ReportOptions,
 ) -> Report:
-    """Fix files and return the remaining findings."""
+    """Fix files, and return a report of the remaining findings."""
     from animtool.validation.fixes.run import fix_copy, fix_files
 
     overwrite = report_options.overwrite
@@ -128,7 +128,8 @@ def _show_difference(
 ) -> None:
     """Print the diff of `--fix` and the remaining findings.
 
-    Exits with 1 if something would change, else by the findings.
+    The process exits with 1 if a file would change, else with the exit code of the
+    findings.
     """
     from animtool.core.errors import ExitCode
     from animtool.validation.fixes.run import plan_files
@@ -166,7 +167,7 @@ def _show_difference(
 
 
 def _identity(fault: Fault) -> tuple[str | None, str, str | None]:
-    """Return a finding's identity, stable across fixes."""
+    """Return a key of a finding that fixes of other findings do not change."""
     return fault.path, fault.code, fault.where
 
 
@@ -176,7 +177,7 @@ def _print_report(
     report_options: ReportOptions,
     path_warnings: Sequence[Fault],
 ) -> None:
-    """Write the report and exit with its code."""
+    """Print the report, and exit with its exit code."""
     from animtool.validation.formats import written
     from animtool.validation.formats.plain import summary
 
@@ -199,7 +200,7 @@ def _print_report(
 def _exit_code(
     report: Report, report_options: ReportOptions, path_warnings: Sequence[Fault]
 ) -> ExitCode:
-    """Return the exit code of a report and of warnings about paths."""
+    """Return the exit code of a report and of the warnings about paths."""
     complete = replace(report, findings=(*report.findings, *path_warnings))
     return complete.exit_code(
         strict=report_options.strict, exit_zero=report_options.exit_zero

@@ -1,4 +1,4 @@
-"""Argument names in texts, replaced by those of Python, the command line or files.
+"""Argument names in texts, replaced by the names of Python, command line or files.
 
 Texts of the library name arguments with `argument`; the interface that prints a text
 replaces them by its own names: ``fps`` in Python, ``--fps`` on the command line,
@@ -35,25 +35,25 @@ _CLAUSE = re.compile(f"{_CLAUSE_BEGIN}([^{_CLAUSE_BEGIN}{_CLAUSE_END}]*){_CLAUSE
 
 @dataclass(frozen=True, slots=True)
 class Argument:
-    """An argument that is named in a text."""
+    """An argument that a text names."""
 
     name: str  # dotted name of the field, such as `source.fps`
     value: str | None = None  # value as files write it, if the text states one
 
     @property
     def field(self) -> str:
-        """Name of the field, without prefix."""
+        """Name of the field without a prefix."""
         return self.name.rpartition(".")[2]
 
     @property
     def boolean_value(self) -> bool | None:
-        """The stated value as a boolean; None if it states none."""
+        """The stated value as a boolean; None if no boolean is stated."""
         return {"true": True, "false": False}.get(self.value or "")
 
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """Part of a text that is omitted if its arguments have no names."""
+    """Part of a text that is left out if its arguments have no names."""
 
     parts: tuple[TextPart, ...]
 
@@ -124,11 +124,11 @@ class TextWithArguments(str):
         return TextWithArguments, (self.parts,)
 
     def __add__(self, other: str) -> TextWithArguments:
-        """Return both texts joined, with their arguments."""
+        """Return the concatenation of both texts, with their arguments."""
         return TextWithArguments((*self.parts, *_split_clauses(other)))
 
     def __radd__(self, other: str) -> TextWithArguments:
-        """Return both texts joined, with their arguments."""
+        """Return the concatenation of both texts, with their arguments."""
         return TextWithArguments((*_split_clauses(other), *self.parts))
 
 
@@ -146,7 +146,7 @@ def argument(name: str, value: object = None) -> str:
 
 
 def clause(text: str) -> str:
-    """Return a part of a text that is omitted if an argument in it has no name.
+    """Mark a part of a text to be left out if an argument in it has no name.
 
     >>> as_text("at night" + clause(f", not {argument('command.quiet')}"))
     'at night'
@@ -164,7 +164,7 @@ def flag(name: str, value: str = "") -> str:
 
 
 def as_text(text: str) -> str:
-    """Return a text with `argument` markers as a `Text`.
+    """Return a text with `argument` markers as a `TextWithArguments`.
 
     >>> as_text(f"{argument('keep_samples', True)} keeps them")
     'keep_samples=True keeps them'
@@ -177,7 +177,7 @@ def as_text(text: str) -> str:
 
 
 def worded(text: str, namer: ArgumentNamer) -> str:
-    """Return a text with its arguments named for an interface.
+    """Return a text with its arguments named as an interface names them.
 
     >>> worded(as_text(f"{argument('up', 'Z')} says it"), file_key)
     'up: Z says it'
@@ -220,7 +220,7 @@ def _split_clauses(text: str) -> tuple[TextPart, ...]:
 
 
 def _split_arguments(text: str) -> tuple[TextPart, ...]:
-    """Return the parts of a text without clauses."""
+    """Split a text without clauses into plain texts and arguments."""
     parts: list[TextPart] = []
     position = 0
     for match in _MARK.finditer(text):

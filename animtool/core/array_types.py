@@ -1,4 +1,4 @@
-"""Array types, and the check of arrays at public functions."""
+"""Array types, and checks of the arrays passed to public functions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ArrayLike: TypeAlias = npt.ArrayLike
 
 
 def as_floats(values: ArrayLike, shape: tuple[int | str, ...], name: str) -> FloatArray:
-    """Return values as C-contiguous float64 of the given shape.
+    """Return values as a C-contiguous float64 array after checking its shape.
 
     Args:
         values: Anything that numpy converts to floats.
@@ -50,7 +50,7 @@ def _fits(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bool:
 
 
 def output_array(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
-    """Return the caller's output array, or a new one of zeros.
+    """Return the caller's output array, or a new array of zeros.
 
     For many frames, allocating memory takes about as long as the arithmetic.
 

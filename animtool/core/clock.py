@@ -75,7 +75,7 @@ class Clock:
     count: int
 
     def __post_init__(self) -> None:
-        """Check that times are exact; convert integers to fractions."""
+        """Check that the times are exact, and convert integers to fractions."""
         faults = []
         for name in ("fps", "start", "step"):
             value = getattr(self, name)
@@ -136,7 +136,7 @@ class FrameSpan:
 
 
 def span_label(first: Fraction | float, last: Fraction | float) -> str:
-    """Return the first and last of a range of time codes as text.
+    """Return the first and last time code of a range as text.
 
     >>> span_label(1001.0, 1024.0)
     '1001 to 1024'

@@ -1,4 +1,4 @@
-"""Project settings: the nearest ``animtool.toml`` or ``[tool.animtool]``."""
+"""Project settings from the nearest ``animtool.toml`` or ``[tool.animtool]``."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def _depth_error(position: str = "") -> ValueError:
 
 
 def _nested_values(value: Any) -> Iterable[Any]:
-    """Return the values of a table or a list."""
+    """Return the direct values of a table or a list; empty for other values."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
@@ -70,7 +70,7 @@ MAX_ARRAY_MB = 1_000_000_000
 
 @dataclass(frozen=True, slots=True)
 class TimelineConfig:
-    """Project settings for timelines that do not state them."""
+    """Project settings for values that timelines do not state."""
 
     fps: Fraction | None = None  # rate of the shots, and of the time codes of an EDL
     cut_start: int | None = None  # first frame of each cut; None begins shots at start
@@ -79,7 +79,7 @@ class TimelineConfig:
 
 @dataclass(frozen=True, slots=True)
 class Config:
-    """Project settings for every command."""
+    """Project settings that apply to every command."""
 
     # Time code of the first frame, often 1001; None leaves it at 1.
     start: Fraction | None = None
@@ -95,7 +95,7 @@ class Config:
 
 
 def find_config(path: Path) -> Config:
-    """Return the settings of the nearest enclosing folder that has any.
+    """Return the settings of the nearest enclosing folder that has settings.
 
     ``animtool.toml`` is read in full, ``pyproject.toml`` at ``[tool.animtool]``.
     """
@@ -124,7 +124,7 @@ def _project_table(path: Path) -> dict[str, Any]:
 
 
 def _toml_fault(problem: str, path: str) -> Fault:
-    """Return the fault of malformed TOML, from the parser's message."""
+    """Return the fault of malformed TOML, made from the parser's message."""
     match = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", problem)
     if match is None:
         problem = problem.removesuffix(" (at end of document)")
@@ -141,7 +141,7 @@ def _lower_first(text: str) -> str:
 
 @lru_cache(maxsize=8)
 def _parse_toml(text: str) -> dict[str, Any]:
-    """Return parsed TOML, cached for files of one project."""
+    """Return parsed TOML; cached, since the files of a project share it."""
     return parse_toml(text)
 
 
@@ -219,10 +219,10 @@ def _timeline(path: Path, table: Any) -> TimelineConfig:
 
 
 def project_roots(path: Path) -> tuple[Path, ...]:
-    """Return the folders that a file may refer to.
+    """Return the folders whose files a file may refer to.
 
-    They are those of its project's settings; without settings, the nearest parent
-    folder under version control; else the file's folder.
+    The folders are those of the project's settings; without settings, the nearest
+    parent folder under version control, else the folder of the file.
     """
     folder = path.resolve().parent
     return find_config(path).roots or (_version_control_root(folder) or folder,)

@@ -18,7 +18,7 @@ MAX_BRIEF_NAMES = 12
 
 
 class ExitCode(IntEnum):
-    """Exit codes of every command."""
+    """Exit codes of all commands."""
 
     OK = 0
     FINDINGS = 1
@@ -32,7 +32,7 @@ class ExitCode(IntEnum):
 
 
 class Severity(StrEnum):
-    """Severity of a fault: an error stops the work, a warning only under strict."""
+    """Severity of a fault: an error stops the work, a warning only if strict."""
 
     ERROR = "error"
     WARNING = "warning"
@@ -73,20 +73,20 @@ class Fault:
     )
 
     def __post_init__(self) -> None:
-        """Keep the named arguments of the texts."""
+        """Convert texts with argument markers to `TextWithArguments`."""
         for name in ("message", "hint", "brief"):
             text = getattr(self, name)
             if text:
                 object.__setattr__(self, name, as_text(text))
 
     def worded(self, namer: ArgumentNamer) -> Fault:
-        """Return a copy whose texts name arguments for an interface."""
+        """Return a copy whose texts name arguments as an interface does."""
         message, brief = (worded(text, namer) for text in (self.message, self.brief))
         hint = self.hint and worded(self.hint, namer)
         return replace(self, message=message, hint=hint, brief=brief)
 
     def in_file(self, path: object) -> Fault:
-        """Return a copy at a file, unless it names one."""
+        """Return a copy located in a file, unless the fault names a file."""
         return self if self.path else replace(self, path=str(path))
 
     def __str__(self) -> str:
@@ -120,7 +120,7 @@ def warning(
 
 
 class AnimtoolError(Exception):
-    """Base of every animtool error.
+    """Base class of all animtool errors.
 
     Attributes:
         faults: At least one fault, in the order found.
@@ -145,7 +145,7 @@ class AnimtoolError(Exception):
         return self.faults[0].code
 
     def add(self, faults: Sequence[Fault]) -> None:
-        """Append faults."""
+        """Append faults to the error."""
         self.faults += tuple(faults)
         self.args = ("\n".join(map(str, self.faults)), *self.args[1:])
 
@@ -176,7 +176,7 @@ class OptionError(AnimtoolError):
 
 @contextmanager
 def faults_in(path: object) -> Iterator[None]:
-    """Add a file to faults that name none."""
+    """In a block, add a file to the faults that name no file."""
     try:
         yield
     except (FormatError, OptionError) as error:
@@ -185,7 +185,7 @@ def faults_in(path: object) -> Iterator[None]:
 
 @contextmanager
 def with_notices(notices: Sequence[Fault]) -> Iterator[None]:
-    """Add known warnings to errors of the block: they may be the cause."""
+    """In a block, add known warnings to errors, since they may be the cause."""
     try:
         yield
     except (FormatError, OptionError, ToleranceError) as error:
@@ -201,7 +201,7 @@ def with_notices(notices: Sequence[Fault]) -> Iterator[None]:
 def refuse(
     code: str, message: str, where: str | None = None, hint: str | None = None
 ) -> NoReturn:
-    """Raise the fault of an invalid option."""
+    """Raise `OptionError` for an invalid option."""
     raise OptionError(Fault(code, message, where=where, hint=hint))
 
 
@@ -210,7 +210,7 @@ Problem: TypeAlias = tuple[str, str | None, str | None]
 
 
 class Refusals:
-    """Collects the refusals of independent checks and raises them together.
+    """Collects the refusals of independent checks to raise them together.
 
     Attributes:
         faults: Faults of the checks so far, in order.
@@ -221,7 +221,7 @@ class Refusals:
 
     @contextmanager
     def collect(self) -> Iterator[None]:
-        """Record the refusal of a check; the rest of its block is skipped."""
+        """In a block, record the refusal of a check and skip the rest of the block."""
         try:
             yield
         except OptionError as error:
@@ -234,7 +234,7 @@ class Refusals:
 
 
 def refuse_all(code: str, problems: Iterable[Problem]) -> None:
-    """Raise `OptionError` with a fault for every problem, if any."""
+    """Raise `OptionError` with one fault for each problem, if there are any."""
     faults = [
         Fault(code, message, where=where, hint=hint)
         for message, where, hint in problems
@@ -244,19 +244,19 @@ def refuse_all(code: str, problems: Iterable[Problem]) -> None:
 
 
 class NoMatchError(AnimtoolError):
-    """No file matches the given names."""
+    """No file matches the given names or patterns."""
 
     exit_code = ExitCode.NOTHING_MATCHED
 
 
 class StrictError(AnimtoolError):
-    """There are warnings, and the caller does not allow any."""
+    """There are warnings, and ``strict`` allows none."""
 
     exit_code = ExitCode.FINDINGS
 
 
 class ToleranceError(AnimtoolError):
-    """A solve missed its tolerance, and the caller does not allow that."""
+    """A solve missed its tolerance, and the caller requires that it is met."""
 
     exit_code = ExitCode.TOLERANCE
 
@@ -267,7 +267,7 @@ def first_faults(
     path: str | None = None,
     extra_text: str = "",
 ) -> list[Fault]:
-    """Return the first faults, and one with the number of the others, if any.
+    """Return the first faults, with one more that states the number of the others.
 
     extra_text: Text to append to the summary.
     """
@@ -278,7 +278,7 @@ def first_faults(
 
 
 def listed(items: Sequence[object], max_items: int = 5) -> str:
-    """Return the first items, separated by commas, with an ellipsis for more.
+    """Return the first items separated by commas, with an ellipsis if there are more.
 
     >>> listed(["a", "b"]), listed(range(9), max_items=2)
     ('a, b', '0, 1 …')
@@ -307,7 +307,7 @@ def names_fault(
 
 
 def counted(count: int, noun: str, plural: str = "") -> str:
-    """Return a number with its noun; most plurals take an s.
+    """Return a number with its noun in the singular or plural.
 
     >>> counted(1, "joint"), counted(3, "joint"), counted(2, "mesh", "meshes")
     ('1 joint', '3 joints', '2 meshes')
@@ -342,14 +342,14 @@ def percent_text(fraction: float) -> str:
 
 
 def refuse_warnings(notices: Sequence[Fault], *, strict: bool) -> None:
-    """Raise `StrictError` for warnings under strict."""
+    """Raise `StrictError` if there are warnings and ``strict`` is on."""
     warnings = [notice for notice in notices if notice.severity is Severity.WARNING]
     if strict and warnings:
         raise StrictError(warnings)
 
 
 def excerpt(text: str, limit: int = 40) -> str:
-    """Return quoted text for a message, shortened to fit a line.
+    """Return quoted text for use in a message, shortened to fit on a line.
 
     >>> excerpt("12x")
     "'12x'"

@@ -1,4 +1,4 @@
-"""Reports as JUnit XML by Jenkins's ``junit-10.xsd``."""
+"""Reports as JUnit XML, following Jenkins's schema ``junit-10.xsd``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class JunitCase:
-    """A test case: a file."""
+    """A test case, which stands for a file."""
 
     name: str  # the file
     # Result of the test case.
@@ -28,7 +28,7 @@ class JunitCase:
 
 
 def junit_xml(name: str, cases: Iterable[JunitCase]) -> str:
-    """Return a suite of cases; the classname of each is the file's folder."""
+    """Return a test suite as XML; the classname of a case is the folder of its file."""
     from xml.etree import ElementTree  # other reports do not load it
 
     suite = ElementTree.Element("testsuite", name=name)

@@ -1,4 +1,4 @@
-"""Names, numbers and texts in files."""
+"""Names, numbers and texts as they are written in files."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def is_variable_name(text: str) -> bool:
 
 
 def check_known(name: str, names: Iterable[str], noun: str, code: str) -> None:
-    """Raise for an unknown name, with the nearest known one.
+    """Raise an error for an unknown name, with the nearest known name as a hint.
 
     >>> check_known("rk5", ["rk4", "heun"], "integrator", "SIM001")
     Traceback (most recent call last):
@@ -80,7 +80,7 @@ mean 'rk4'?
 
 
 def nearest(name: str, names: Iterable[str]) -> str:
-    """Return a hint with the nearest valid name, or with all of them.
+    """Return a hint with the nearest valid name, or with all valid names.
 
     >>> nearest("ebow", ["elbow", "hand"])
     "did you mean 'elbow'?"
@@ -108,7 +108,7 @@ def check_unused(
     in_batch: bool = False,
     has_scene: bool = True,
 ) -> None:
-    """Refuse unused variables.
+    """Raise an error for variables that are not used.
 
     Args:
         defined_names: Names of the variables.
@@ -144,7 +144,7 @@ _UNREADABLE_CHARACTERS = re.compile(f"(?![\n\t])[{CONTROL}]")
 
 
 def decimal_text(value: float) -> str:
-    """Return the shortest decimal of a float; zero has no sign.
+    """Return the shortest decimal that represents a float; zero has no sign.
 
     >>> decimal_text(0.1), decimal_text(2.0), decimal_text(1e-20), decimal_text(-0.0)
     ('0.1', '2', '1e-20', '0')
@@ -154,9 +154,10 @@ def decimal_text(value: float) -> str:
 
 
 def scaled_decimal(value: float, unit: float) -> str:
-    """Return the shortest decimal that, times a unit, gives a float.
+    """Return the shortest decimal whose product with a unit is a given float.
 
-    If there is none, since products skip some floats, the nearest is used.
+    If no product equals the float exactly, the decimal with the nearest product is
+    returned.
 
     >>> scaled_decimal(0.0254, 0.0254), scaled_decimal(math.pi / 6, math.pi / 180)
     ('1', '30')
@@ -177,7 +178,7 @@ def scaled_decimal(value: float, unit: float) -> str:
 
 
 def yaml_scalar(value: str) -> str:
-    """Return text quoted for YAML.
+    """Return text as a quoted YAML scalar.
 
     >>> yaml_scalar("hips"), yaml_scalar("no: 1"), yaml_scalar("12")
     ('hips', '"no: 1"', '"12"')
@@ -200,7 +201,7 @@ def yaml_scalar(value: str) -> str:
 
 
 def unreadable_character(value: str) -> str:
-    r"""Return the first control character that files must not contain, if any.
+    r"""Return the first control character that is illegal in files, or "".
 
     >>> unreadable_character("a\x1bb"), unreadable_character("a\n")
     ('\x1b', '')
@@ -210,7 +211,7 @@ def unreadable_character(value: str) -> str:
 
 
 def flow_list(items: list[str]) -> str:
-    """Return a list on one line.
+    """Return items as a list on one line of YAML.
 
     >>> flow_list(["1", "2"])
     '[1, 2]'
@@ -221,7 +222,7 @@ def flow_list(items: list[str]) -> str:
 def most_similar(
     name: str, names: Iterable[str], cutoff: float = MIN_SIMILARITY
 ) -> str | None:
-    """Return the name most similar to another, above a cutoff 0 to 1, or None.
+    """Return the name most similar to another, or None below a cutoff from 0 to 1.
 
     Of many names the first 2000 are considered, and of these the 40 that share most
     letter pairs. A name of more than 120 letters is similar to none.
@@ -252,7 +253,7 @@ def most_similar(
 
 
 def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
-    """Return names sorted by the letter pairs they share with another.
+    """Return names sorted by the number of letter pairs shared with another name.
 
     >>> sort_by_similarity("arms", ["hip", "arm", "forearm"])
     ['arm', 'forearm', 'hip']
@@ -267,7 +268,7 @@ def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
 
 
 def numbered_names(names: Iterable[str]) -> list[str]:
-    """Return distinct names: later duplicates get a numeric suffix.
+    """Return distinct names by appending numbers to later duplicates.
 
     >>> numbered_names(["a", "b", "a", "a_2", "a"])
     ['a', 'b', 'a_2', 'a_2_2', 'a_3']

@@ -1,4 +1,4 @@
-"""Old names of modules, attributes and arguments, which still work with a warning."""
+"""Old names of modules, attributes and arguments, which still work but warn."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ OLD_NAMES = {
 
 
 def new_name(name: str) -> str | None:
-    """Return the new name of a moved module or of a submodule; None for others."""
+    """Return the current name of a renamed module or its submodule; None for others."""
     parent_name, _, child_name = name.rpartition(".")
     if name in OLD_NAMES or not parent_name:
         return OLD_NAMES.get(name)
@@ -45,19 +45,19 @@ def new_name(name: str) -> str | None:
 
 
 class _OldNameFinder:
-    """Finds moved modules by their old names.
+    """Import finder of renamed modules by their old names.
 
-    It has the methods that `importlib.abc` requires of a finder and a loader; importing
-    that would load 40 modules.
+    The class has the methods that ``importlib.abc`` requires of a finder and a loader;
+    importing that module would load 40 others.
     """
 
     def create_module(self, _: ModuleSpec) -> None:
-        """Leave the creation of modules to Python."""
+        """Return None: Python creates the module as usual."""
 
     def find_spec(
         self, name: str, _path: Sequence[str] | None, _: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the spec of an old name; None for others."""
+        """Return the module spec of an old name; None for other names."""
         if not new_name(name):
             return None
         # From now on first, since later finders would find modules below the new name.
@@ -66,7 +66,7 @@ class _OldNameFinder:
         return ModuleSpec(name, cast(Any, self))
 
     def exec_module(self, module: ModuleType) -> None:
-        """Replace the module of the old name by that of the new name."""
+        """Replace a module under an old name by the module of the new name."""
         new_module = new_name(module.__name__)
         assert new_module is not None
         text = f"{module.__name__} is now called {new_module}"
@@ -79,19 +79,19 @@ Result = TypeVar("Result")
 
 
 class _OldAttribute:
-    """Descriptor of an old name: returns the attribute of the new name."""
+    """Descriptor of an old attribute name that returns the renamed attribute."""
 
     def __init__(self, old_name: str, new_name: str) -> None:
         self.old_name, self.new_name = old_name, new_name
 
     def __get__(self, instance: Any, owner: type) -> Any:
-        """Return the attribute of the new name, with a warning."""
+        """Return the attribute of the new name and warn."""
         _warn(f"{owner.__name__}.{self.old_name}", self.new_name)
         return getattr(owner if instance is None else instance, self.new_name)
 
 
 def rename_attributes(owner: type, **new_names: str) -> None:
-    """Give a class the old names of some of its attributes.
+    """Make attributes of a class accessible by their old names.
 
     >>> class Box:
     ...     size = 3
@@ -107,7 +107,7 @@ def rename_attributes(owner: type, **new_names: str) -> None:
 def renamed_arguments(
     **new_names: str,
 ) -> Callable[[Callable[Parameters, Result]], Callable[Parameters, Result]]:
-    """Return a decorator for a function that accepts old names of its arguments.
+    """Return a decorator that lets a function accept old names of its arguments.
 
     >>> @renamed_arguments(extent="size")
     ... def half(size: float) -> float:

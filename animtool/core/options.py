@@ -39,7 +39,7 @@ OptionKind: TypeAlias = Literal[
 
 @dataclass(frozen=True, slots=True)
 class Key:
-    """Documentation of an option's key in a kind of file."""
+    """Documentation of an option as a key in one kind of file."""
 
     description: str
     example: Any
@@ -49,7 +49,7 @@ class Key:
 
 
 def key(text: str, example: Any, default: Any = MISSING, **settings: Any) -> Any:
-    """Return the dataclass field of a key.
+    """Return a dataclass field that is documented as a key of a file.
 
     Args:
         text: Description.
@@ -61,7 +61,7 @@ def key(text: str, example: Any, default: Any = MISSING, **settings: Any) -> Any
 
 
 class _KeyDocstring:
-    """A docstring with the keyed fields, built on access."""
+    """Descriptor of a class docstring that lists the keyed fields when accessed."""
 
     def __init__(self, docstring: str) -> None:
         self.docstring = docstring
@@ -107,7 +107,7 @@ def inherits_docs(record: type[DocumentedT]) -> type[DocumentedT]:
 
 @dataclass(frozen=True, slots=True)
 class Option:
-    """Declaration of an option and its scope."""
+    """Declaration of an option: its scope, type and texts."""
 
     kind: OptionKind
     flag: str = ""  # command-line name, if it differs from the field's
@@ -158,7 +158,7 @@ def option(
     common_key: Key | None = None,
     **settings: Any,
 ) -> Any:
-    """Return the dataclass field of an option.
+    """Return a dataclass field that is an option.
 
     Args:
         default: Default, as in `dataclasses.field`, or ``MISSING``.
@@ -188,7 +188,7 @@ FileKind: TypeAlias = Literal["scene", "batch"]
 
 
 def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]:
-    """Return the keys of a record in a kind of file, by field.
+    """Return the keys of a record in one kind of file, by field name.
 
     Without a kind, the keys of `key`, which any file may have.
     """
@@ -212,7 +212,7 @@ _TEXT_VALUE_TYPES: dict[OptionKind, type] = {"length": str, "angle": float}
 def with_text_values(
     record: type[Any], *first_names: str
 ) -> Callable[[type[Record]], type[Record]]:
-    """Give a frozen dataclass the options of a record with text values.
+    """Return a decorator that adds a record's options, as text, to a frozen dataclass.
 
     first_names: Names of options that precede the others.
     """
@@ -242,7 +242,7 @@ def with_text_values(
 
 
 def changed_options(record: Any) -> dict[str, Option]:
-    """Return the options of a record that differ from their defaults."""
+    """Return the options of a record whose values differ from their defaults."""
     defaults = {entry.name: entry.default for entry in fields(record)}
     return {
         name: option
@@ -253,12 +253,12 @@ def changed_options(record: Any) -> dict[str, Option]:
 
 
 def option_marker(name: str, declaration: Option) -> str:
-    """Return the marker of an option in a text."""
+    """Return the marker by which a text names an option."""
     return argument(name, {"switch": True, "answer": False}.get(declaration.kind))
 
 
 def refused_options(record: Any, use: str) -> dict[str, Option]:
-    """Return the changed options that a use refuses.
+    """Return the changed options of a record that cannot be used in a given way.
 
     The result maps the marker of each to its reason.
     """
@@ -271,7 +271,7 @@ def refused_options(record: Any, use: str) -> dict[str, Option]:
 
 
 def clash_messages(record: Any) -> list[str]:
-    """Return messages about changed options that exclude or require others."""
+    """Return messages about changed options that exclude or require other options."""
     options, changes = options_of(record), changed_options(record)
     names = {name: option_marker(name, option) for name, option in options.items()}
     messages = []
@@ -298,7 +298,7 @@ ARGUMENT_RANGE_MESSAGE = "{name} must be {bound}, not {value:g}"
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """Allowed values of a number or a vector's components; NaN is never allowed."""
+    """Allowed values of a number or of a vector's components; NaN is never allowed."""
 
     bound: str  # description, as in "must be above 0"
     code: str
@@ -325,7 +325,7 @@ class Range:
 
 
 def above(minimum: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range above an excluded minimum.
+    """Return a range whose minimum is excluded.
 
     >>> above(0, "SIM004", finite=True).bound
     'finite and above 0'
@@ -335,14 +335,14 @@ def above(minimum: float, code: str, *, finite: bool = False) -> Range:
 
 
 def or_more(minimum: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range with a lower bound, worded "0 or more"."""
+    """Return a range with an included minimum, described as "0 or more"."""
     return Range(
         _bound_text(f"{minimum:g} or more", finite=finite), code, minimum, finite=finite
     )
 
 
 def at_least(minimum: float, code: str, *, finite: bool = False) -> Range:
-    """Return a range with a lower bound, worded "at least 1e-06"."""
+    """Return a range with an included minimum, described as "at least 1e-06"."""
     bound = _bound_text(f"at least {minimum:g}", finite=finite)
     return Range(bound, code, minimum, finite=finite)
 
@@ -414,16 +414,16 @@ must be above 1, not 1']
 
 
 class Checked:
-    """A record of a file entry that reports its invalid values."""
+    """Base of records that report their own invalid values."""
 
     __slots__ = ()
     code: ClassVar[str]
 
     def problems(self) -> list[tuple[str, str]]:
-        """Return the invalid options, each with the reason."""
+        """Return the name of each invalid option with the reason."""
         faults = range_faults(self, ENTRY_RANGE_MESSAGE)
         return [(str(fault.where), fault.message) for fault in faults]
 
     def faults(self, where: str) -> list[Fault]:
-        """Return the invalid options as faults of one code."""
+        """Return a fault for each invalid option, all with the record's code."""
         return [Fault(self.code, reason, where=where) for _, reason in self.problems()]

@@ -1,4 +1,4 @@
-"""The documentation pages, shipped as Markdown."""
+"""The documentation pages, which are installed as Markdown."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class PageEntry:
 
 @cache
 def all_pages() -> tuple[PageEntry, ...]:
-    """Return every page except rule pages, by kind and name."""
+    """Return all pages except those of rules, sorted by kind and name."""
     docs = cast(Path, _DOCS)
     order = list(PAGE_KINDS.values())
     entries = [
@@ -77,12 +77,12 @@ def all_pages() -> tuple[PageEntry, ...]:
 
 
 def page_markdown(page: PageEntry) -> str:
-    """Return the text of a page."""
+    """Return the Markdown text of a page."""
     return (_DOCS / f"{page.name}.md").read_text("utf-8")
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page of a topic: its name, the last part or a word of it.
+    """Return the page whose name, or a part of it, is the topic.
 
     Args:
         topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -107,7 +107,7 @@ def find_page(topic: str) -> PageEntry:
 
 
 def _topic_hint(topic: str) -> str:
-    """Return a hint at pages about a subject, or at the page with the nearest name."""
+    """Return a hint with the pages about a topic, or with the most similar name."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     counts = {page.name: _count_mentions(page, topic) for page in pages}
     mentioning_pages = [
@@ -127,7 +127,7 @@ def _topic_hint(topic: str) -> str:
 
 
 def _count_mentions(page: PageEntry, word: str) -> int:
-    """Return the number of times a page contains a word."""
+    """Return how many times a page contains a word."""
     if not word:
         return 0
     return len(re.findall(rf"\b{re.escape(word)}\b", page_markdown(page).lower()))

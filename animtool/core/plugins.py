@@ -1,4 +1,4 @@
-"""Lazy imports by name, entry points, and tables of formats that they extend."""
+"""Lazy imports, entry points of plug-ins, and the tables of formats they extend."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def lazy_names(
     modules: Mapping[str, str],
     old_names: Mapping[str, str] = MappingProxyType({}),
 ) -> tuple[Callable[[str], object], Callable[[], list[str]]]:
-    """Return a package's ``__getattr__`` and ``__dir__``, by modules of its names.
+    """Return the ``__getattr__`` and ``__dir__`` of a package with lazy imports.
 
     An imported module becomes an attribute of its package, so that no public name may
     equal a module name. Names of modules are looked up as modules. An old name returns
@@ -36,7 +36,7 @@ def lazy_names(
     names = vars(sys.modules[package])
 
     def import_name(name: str) -> object:
-        """Import a public name when it is first used."""
+        """Import the module of a public name when the name is first used."""
         if name in old_names:
             text = f"{name} is now called {old_names[name]}"
             warnings.warn(text, DeprecationWarning, stacklevel=2)
@@ -58,7 +58,7 @@ Kind = TypeVar("Kind")
 
 
 def load_object(path: str) -> object:
-    """Return the object named ``module:object``, importing its module.
+    """Import a module and return the object in it, named ``module:object``.
 
     >>> load_object("fractions:Fraction")
     <class 'fractions.Fraction'>
@@ -82,7 +82,7 @@ def plugin_points(group: str) -> dict[str, EntryPoint]:
 
 
 def may_have_plugins(group: str) -> bool:
-    """Return whether a package has entry points of a group, without loading it.
+    """Return whether any package has entry points of a group, without loading them.
 
     If packages are not all in folders, it returns True.
     """
@@ -102,7 +102,7 @@ def may_have_plugins(group: str) -> bool:
 
 
 def load_plugin(point: EntryPoint, kind: type[Kind]) -> Kind:
-    """Return the object of an entry point, checked by type (else IO003)."""
+    """Load the object of an entry point and check its type (else IO003)."""
     try:
         plugin: object = point.load()
     except Exception as error:
@@ -141,7 +141,7 @@ def listed_entries(
     describe: Callable[[Entry], tuple[Any, str]],
     unusable: Any,
 ) -> list[ListedEntry]:
-    """Return every entry of a table, built-in ones first, plug-ins loaded.
+    """Return all entries of a table, built-in ones first, with plug-ins loaded.
 
     Args:
         builtin: Names of the built-in entries.
@@ -165,14 +165,14 @@ def listed_entries(
 
 @dataclass(frozen=True)
 class FormatTable(Generic[Entry]):
-    """A table whose built-in entries precede those of plug-ins."""
+    """A table of formats by suffix; built-in entries precede those of plug-ins."""
 
     builtin: Mapping[str, Entry]  # by suffix, including the dot
     group: str  # group of the entry points
     kind: type[Entry]
 
     def find(self, path: Path) -> Entry | None:
-        """Return the entry of a file's suffix; None if there is none."""
+        """Return the entry for the suffix of a file; None if there is none."""
         suffix = path.suffix.lower()
         if suffix in self.builtin:
             return self.builtin[suffix]
@@ -180,14 +180,14 @@ class FormatTable(Generic[Entry]):
         return None if point is None else load_plugin(point, self.kind)
 
     def _points_by_suffix(self) -> dict[str, EntryPoint]:
-        """Return the entry points by suffix, with its dot."""
+        """Return the entry points by suffix, including its dot."""
         return {
             f".{name}": point
             for name, point in sorted(plugin_points(self.group).items())
         }
 
     def plugin_suffixes(self) -> list[str]:
-        """Return the suffixes that only plug-ins have."""
+        """Return the suffixes that only plug-ins support."""
         return [
             suffix for suffix in self._points_by_suffix() if suffix not in self.builtin
         ]
@@ -195,7 +195,7 @@ class FormatTable(Generic[Entry]):
     def listed(
         self, uses: Callable[[Entry], tuple[str, ...]], about: Callable[[Entry], str]
     ) -> list[ListedEntry]:
-        """Return every entry, built-in ones first, plug-ins loaded."""
+        """Return all entries, built-in ones first, with plug-ins loaded."""
         points = self._points_by_suffix()
 
         def find(suffix: str) -> Entry:
@@ -209,7 +209,7 @@ class FormatTable(Generic[Entry]):
 
 
 def suffix_text(path: Path) -> str:
-    """Return a file's suffix for messages.
+    """Return the suffix of a file as text for a message.
 
     >>> suffix_text(Path("walk.txt")), suffix_text(Path("walk"))
     ("suffix '.txt'", 'a name without suffix')

@@ -1,4 +1,4 @@
-"""Numbers, lengths, durations and texts formatted for reports.
+"""Formats numbers, lengths, durations and texts for reports.
 
 Names, paths and messages may contain anything. Control characters move the cursor or
 set a title, bidirectional marks show a name backwards, and a line that begins with
@@ -34,7 +34,7 @@ _SHORT_ESCAPES = {"\n": r"\n", "\r": r"\r", "\t": r"\t"}
 
 
 def escaped(text: str) -> str:
-    r"""Return text with escapes for characters that must not be printed.
+    r"""Return text with characters escaped that are unsafe to print.
 
     Text without such characters is returned unchanged, and so is escaped text.
 
@@ -101,7 +101,7 @@ _SIZE_UNITS = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, 
 
 
 def floor_to_two_digits(value: float) -> float:
-    """Return the largest number of two digits that is not above a positive one.
+    """Return a positive number rounded down to two significant digits.
 
     >>> floor_to_two_digits(0.00128), floor_to_two_digits(0.0349)
     (0.0012, 0.034)
@@ -111,9 +111,9 @@ def floor_to_two_digits(value: float) -> float:
 
 
 def plain_number(value: float, digits: int = 3) -> str:
-    """Return a number with some significant digits and no exponent.
+    """Return a number rounded to significant digits, without an exponent.
 
-    Beyond some fifteen zeros it has an exponent.
+    Numbers with more than about fifteen zeros have an exponent.
 
     >>> [plain_number(value) for value in (1614.2, 0.000267, 26.2, 0.0, 5e-324)]
     ['1610', '0.000267', '26.2', '0', '4.94e-324']
@@ -132,7 +132,7 @@ def plain_number(value: float, digits: int = 3) -> str:
 
 
 def length_text(meters: float, digits: int = 3) -> str:
-    """Return a length in metres, or in smaller units if it is short.
+    """Return a length in metres, or in a smaller unit if it is short.
 
     >>> length_text(26.2), length_text(0.00012), length_text(4.1e-8), length_text(0)
     ('26.2 m', '0.12 mm', '0.041 µm', '0 mm')
@@ -163,7 +163,7 @@ def duration_text(seconds: float, digits: int = 3) -> str:
 
 
 def frames_hint(seconds: float, rate: float) -> str | None:
-    """Return a hint if a duration in seconds may be meant in frames, else None.
+    """Return a hint if a duration in seconds looks like a number of frames.
 
     >>> frames_hint(30, 120), frames_hint(0.5, 120)
     ('30 frames at 120 frames per second are 0.25 s', None)

@@ -1,4 +1,4 @@
-"""Frame rates as exact fractions, parsed from files and options."""
+"""Frame rates as exact fractions, read from files and options."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ FractionLike: TypeAlias = int | float | str | Fraction
 
 
 class OptionalFraction:
-    """Field type: accepts a number or text and stores a fraction.
+    """Type of a field that accepts a number or text and stores a fraction.
 
     Only type checkers see a descriptor; the record's `__post_init__` converts the
     value.
@@ -61,7 +61,7 @@ class RateError(ValueError):
 
 
 class RateKind(StrEnum):
-    """How a rate was determined."""
+    """How a frame rate was determined from a printed frame time."""
 
     REPRINTED = "reprinted"
     NEAREST = "nearest"
@@ -70,7 +70,7 @@ class RateKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """A frame rate chosen for a printed frame time."""
+    """The frame rate chosen for a printed frame time."""
 
     fps: Fraction  # exact frames per second
     # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest
@@ -139,7 +139,7 @@ def _adjacent_integers(rate: Fraction) -> list[int]:
 
 
 def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
-    """Return integers 1 to 1000 whose reciprocal rounds to the printed time."""
+    """Return the integers from 1 to 1000 whose reciprocals round to a printed time."""
     half_digit = Fraction(1, 2 * 10**digits) if digits < 400 else Fraction(0)
     lower, upper = printed_time - half_digit, printed_time + half_digit
     smallest = int(1 / upper)
@@ -152,7 +152,7 @@ def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
 
 
 def rate_from_float(fps: float) -> Fraction:
-    """Return the exact rate of a float in file metadata.
+    """Return the exact rate that a float in file metadata approximates.
 
     An integer or N·1000/1001 if the float equals one of them to 5e-6, or is the usual
     decimal for one; else the float's exact value rounded to a denominator below 1e6.
@@ -233,7 +233,7 @@ def parse_rate(text: FractionLike) -> Fraction:
 
 
 def _number_text(number: object) -> str:
-    """Return a number as text for `Fraction`; other values unchanged."""
+    """Return a number as text for `Fraction`; return other values unchanged."""
     if isinstance(number, float):
         return f"{number:.12g}"
     is_rate = isinstance(number, Rational) and not isinstance(number, bool)
@@ -266,7 +266,7 @@ def rate_label(fps: Fraction) -> str:
 
 
 def is_common_rate(fps: Fraction) -> bool:
-    """Return whether a rate is one of film, broadcast, displays or captures.
+    """Return whether a rate is common in film, broadcast, displays or capture.
 
     >>> is_common_rate(Fraction(24000, 1001)), is_common_rate(Fraction(31))
     (True, False)
@@ -275,7 +275,7 @@ def is_common_rate(fps: Fraction) -> bool:
 
 
 def rate_of_milliseconds(text: str) -> Fraction | None:
-    """Return the common rate of a printed frame time in milliseconds, if it is one.
+    """Return the common rate of a printed frame time in milliseconds, else None.
 
     A number that is a common rate itself is not taken for milliseconds.
 
@@ -292,7 +292,7 @@ def rate_of_milliseconds(text: str) -> Fraction | None:
 
 
 def rate_warning(fps: Fraction, name: str | None = "fps") -> list[Fault]:
-    """Return a warning about an implausible number of frames a second (TAKE009).
+    """Return a warning if a number of frames a second is implausible (TAKE009).
 
     name: Name of the argument that sets the rate; None if only the file sets it.
     """

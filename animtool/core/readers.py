@@ -1,4 +1,4 @@
-"""The table of readers by suffix: of rigs and of motion.
+"""The table of readers of rigs and motion, by file suffix.
 
 The table contains names of readers; the functions are imported when used.
 """
@@ -72,7 +72,7 @@ class Reader:
         return _load_opener(self.prim, "prim", path)
 
     def take_names(self, path: Path) -> list[str]:
-        """Return the names of a file's takes, if it may have several."""
+        """Return the names of a file's takes; empty if the format has one take."""
         if not self.takes:
             return []
         return list(_load_opener(self.takes, "takes", path)(path))
@@ -260,7 +260,7 @@ _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
 
 
 def xml_root(path: Path) -> str:
-    """Return the root element of an XML file; empty if it has none."""
+    """Return the name of the root element of an XML file; "" if there is none."""
     try:
         with open_input(path, None, recorded=False) as file:
             head = file.read(HEAD_BYTES)
@@ -271,7 +271,7 @@ def xml_root(path: Path) -> str:
 
 
 def is_timeline(path: Path) -> bool:
-    """Return whether a path is a timeline; ``.xml`` by its root element.
+    """Return whether a path is a timeline; ``.xml`` is detected by its root element.
 
     >>> is_timeline(Path("edit.otio")), is_timeline(Path("walk.bvh"))
     (True, False)
@@ -294,7 +294,7 @@ def reader_of(path: Path) -> Reader | None:
 
 
 def is_rig_only(path: Path) -> bool:
-    """Return whether files with a path's suffix contain a rig without motion.
+    """Return whether files with this suffix contain a rig but no motion.
 
     >>> is_rig_only(Path("arm.urdf")), is_rig_only(Path("walk.bvh"))
     (True, False)
@@ -304,12 +304,12 @@ def is_rig_only(path: Path) -> bool:
 
 
 def readable_suffixes() -> list[str]:
-    """Return the readable suffixes, those of plug-ins last."""
+    """Return all readable suffixes, with those of plug-ins at the end."""
     return [*READERS, *_TABLE.plugin_suffixes()]
 
 
 def find_reader(path: Path) -> Reader:
-    """Return the reader of a file by its suffix, plug-ins included.
+    """Return the reader of a file by its suffix, including readers of plug-ins.
 
     >>> find_reader(Path("walk.BVH")).about
     'Biovision Hierarchy'
@@ -335,7 +335,7 @@ def find_reader(path: Path) -> Reader:
 
 
 def export_fault(path: Path) -> Fault:
-    """Return the fault for a file that must first be exported (IO002)."""
+    """Return the fault of a file that must be exported before it is read (IO002)."""
     about, hint = EXPORT_HINTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)
@@ -365,7 +365,7 @@ def _load_opener(target: str, content: str, path: Path) -> Callable[..., Any]:
 
 
 def listed_readers() -> list[ListedEntry]:
-    """Return every reader, built-in ones first, with plug-ins loaded.
+    """Return all readers, built-in ones first, with plug-ins loaded.
 
     >>> listed_readers()[0].name
     '.bvh'

@@ -23,7 +23,7 @@ else:
     def dataclass(
         cls=None, /, *, frozen=False, slots=False, eq=True, repr=True, kw_only=False
     ):
-        """Return a class as a record of its annotated fields, or the decorator.
+        """Return a class as a record of its annotated fields, or a decorator for that.
 
         Args:
             cls: The class, when used without arguments.
@@ -52,7 +52,7 @@ else:
 
 
 def _record(cls: type[Any], flags: Any) -> type[Any]:
-    """Return a class with the methods of a record."""
+    """Return a class with the methods of a record added."""
     declared_fields: dict[str, Field[Any]] = {}
     for base in cls.__mro__[-1:0:-1]:
         declared_fields.update(getattr(base, "__dataclass_fields__", {}))
@@ -134,7 +134,7 @@ def _methods(
     has_post_init: bool,
     in_dict: bool,
 ) -> dict[str, Any]:
-    """Return the methods of a record.
+    """Return the methods of a record by name.
 
     has_post_init: Whether it has a ``__post_init__``.
     in_dict: Whether all fields are in the ``__dict__``.
@@ -190,7 +190,7 @@ def _initializer(
     has_post_init: bool,
     in_dict: bool,
 ) -> Callable[..., None]:
-    """Return the ``__init__`` of fields; some may be passed by position."""
+    """Return the ``__init__`` method of a record's fields."""
     field_list = list(field_list)
     defaults = {e.name: e.default for e in field_list if e.default is not MISSING}
     factories = [
@@ -262,14 +262,14 @@ def _initializer(
 def _is_repeated_or_unknown(
     keyword_arguments: Mapping[str, Any], *known_names: Iterable[str]
 ) -> bool:
-    """Return whether an argument is repeated or unknown."""
+    """Return whether any of the given names is among the keyword arguments."""
     return any(name in keyword_arguments for names in known_names for name in names)
 
 
 def _raise_argument_error(
     record: Any, positional: tuple[Any, ...], keyword_arguments: Mapping[str, Any]
 ) -> None:
-    """Raise Python's error for arguments that do not fit."""
+    """Raise the error that Python raises for arguments that do not fit."""
     kind = type(record)
     try:
         _signature(kind).bind(*positional, **keyword_arguments)
@@ -300,14 +300,14 @@ def _signature(kind: type[Any]) -> inspect.Signature:
 
 
 class _FactoryDefault:
-    """Displayed default of a field with a factory."""
+    """Displayed default of a field that has a default factory."""
 
     def __repr__(self) -> str:
         return "<factory>"
 
 
 class _Signature:
-    """The signature of a record, built on access."""
+    """Descriptor of the signature of a record, which is built when accessed."""
 
     def __get__(self, instance: object, owner: type[Any]) -> inspect.Signature:
         if instance is not None:
@@ -316,7 +316,7 @@ class _Signature:
 
 
 def _value_getter(names: list[str]) -> Callable[[Any], Any]:
-    """Return a function that returns field values as a comparable value."""
+    """Return a function that gets field values of a record as a comparable value."""
     if names:
         return attrgetter(*names)
     return lambda _: ()
@@ -365,7 +365,7 @@ _REPR_ACTIVE: set[int] = set()
 def _frozen_methods(
     names: frozenset[str],
 ) -> tuple[Callable[[Any, str, Any], None], Callable[[Any, str], None]]:
-    """Return methods that refuse to set or delete fields; subclasses may add some."""
+    """Return the ``__setattr__`` and ``__delattr__`` of a frozen record."""
 
     def __setattr__(self: Any, name: str, value: Any) -> None:  # noqa: N807
         if name in names or not hasattr(self, "__dict__"):
@@ -383,7 +383,7 @@ def _frozen_methods(
 def _pickle_methods(
     names: tuple[str, ...],
 ) -> tuple[Callable[[Any], list[Any]], Callable[[Any, list[Any]], None]]:
-    """Return the pickle methods of a frozen record with slots."""
+    """Return the pickling methods of a frozen record with slots."""
 
     def __getstate__(self: Any) -> list[Any]:  # noqa: N807
         return [getattr(self, name) for name in names]
@@ -396,7 +396,7 @@ def _pickle_methods(
 
 
 def _inherited_slots(cls: type[Any]) -> set[str]:
-    """Return the slots of a class's bases."""
+    """Return the names of the slots that a class inherits."""
     return {
         name for base in cls.__mro__[1:-1] for name in vars(base).get("__slots__", ())
     }
@@ -405,7 +405,7 @@ def _inherited_slots(cls: type[Any]) -> set[str]:
 def _class_with_slots(
     cls: type[Any], declared_fields: Iterable[str], methods_to_add: Mapping[str, Any]
 ) -> type[Any]:
-    """Return a class with slots for fields that its bases have no slots for."""
+    """Return a copy of a class with slots for its fields that no base has slots for."""
     inherited_names = _inherited_slots(cls)
     namespace = {**vars(cls), **methods_to_add}
     for name in (*declared_fields, "__dict__", "__weakref__"):

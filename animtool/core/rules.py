@@ -1,4 +1,4 @@
-"""The codes of faults; each is declared in the front matter of its page.
+"""The codes of faults, each declared in the front matter of its page.
 
 ``docs/rules/CODE.md``; rules of plug-ins declare themselves.
 """
@@ -29,7 +29,7 @@ _CODE = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
 class Kind(StrEnum):
-    """Kind of a file."""
+    """Kind of a file that rules validate."""
 
     BATCH = "batch"
     RIG = "rig"
@@ -55,7 +55,7 @@ class Kind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """A code and its check.
+    """A code, its documentation and, if it has one, its check.
 
     Attributes:
         code: Family and three digits, such as ``RIG201``.
@@ -88,7 +88,7 @@ class Rule:
         return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind
 
     def load(self) -> Check:
-        """Return the check function of a rule that has one."""
+        """Return the check function of a rule that has a check."""
         return cast(Check, load_object(self.check))
 
 
@@ -106,7 +106,7 @@ def page_text(code: str) -> str | None:
 
 @cache
 def builtin_rules() -> Mapping[str, Rule]:
-    """Return animtool's own rules by code, in order."""
+    """Return animtool's own rules in order, by code."""
     rules = []
     for file in _PAGES.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.
@@ -117,7 +117,7 @@ def builtin_rules() -> Mapping[str, Rule]:
 
 @cache
 def replaced_codes() -> Mapping[str, tuple[str, ...]]:
-    """Return the codes of earlier versions and those that replace them."""
+    """Return the codes of earlier versions with the codes that replace them."""
     new_codes: dict[str, tuple[str, ...]] = {}
     for rule in builtin_rules().values():
         for old_code in rule.replaces:
@@ -128,7 +128,7 @@ def replaced_codes() -> Mapping[str, tuple[str, ...]]:
 def finding(
     code: str, where: object, message: str, severity: Severity | None = None
 ) -> Fault:
-    """Return a fault at a prim or property, with the severity of its page.
+    """Return a fault at a prim or property, with the severity that its page declares.
 
     An explicit severity overrides that of the page.
     """
@@ -177,7 +177,7 @@ def _parse_list(value: str) -> tuple[str, ...]:
 
 @cache
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
-    """Return every rule by code, plug-ins included, and the broken plug-ins.
+    """Return all rules by code, including plug-ins, and the faults of broken plug-ins.
 
     The name of an entry point is the code of its rule.
     """
@@ -193,7 +193,7 @@ def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
 
 
 def listed_rules() -> list[ListedEntry]:
-    """Return the rules of plug-ins, loaded, and the kinds of files that they check."""
+    """Return the rules of plug-ins, loaded, with the kinds of files that they check."""
     entries = []
     for point in _rule_points():
         rule_or_fault = _load_rule(point)
@@ -206,7 +206,7 @@ def listed_rules() -> list[ListedEntry]:
 
 
 def current_codes(code: str) -> tuple[str, ...]:
-    """Return the codes that replace an earlier one, or the code itself.
+    """Return the codes that replace an old code, or the code itself.
 
     >>> current_codes('BVH203'), current_codes('RIG')
     (('MOT202', 'MOT203'), ('RIG',))
@@ -219,7 +219,7 @@ _DIGITS = str.maketrans("OILSB", "01158")
 
 
 def corrected_code(code: str, codes: Iterable[str]) -> str | None:
-    """Return a code with letters typed for digits corrected; None if unclear.
+    """Return a code with letters corrected to digits; None if that is ambiguous.
 
     >>> corrected_code("MOT2O8", ["MOT208"])
     'MOT208'
@@ -269,7 +269,7 @@ def _rule_points() -> list[EntryPoint]:
 
 
 def _load_rule(point: EntryPoint) -> Rule | Fault:
-    """Return the rule of a plug-in, or its fault."""
+    """Return the rule of a plug-in, or the fault of loading it."""
     description = f"the plug-in rule {point.name!r} ({point.value})"
     try:
         rule = load_plugin(point, Rule)
@@ -286,7 +286,7 @@ def _load_rule(point: EntryPoint) -> Rule | Fault:
 
 
 def _rule_fault(name: str, rule: Rule) -> str:
-    """Return the fault of a plug-in's rule as text; empty if it is valid."""
+    """Return what is wrong with a plug-in's rule; "" if it is valid."""
     if not _CODE.fullmatch(name) or rule.code != name:
         return f"has the code {rule.code!r}, but its name must be of the form ABC123"
     if name in builtin_rules() or name in replaced_codes():

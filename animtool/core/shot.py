@@ -25,7 +25,7 @@ FRAME_TOLERANCE = Fraction(1, 10_000)
 
 @dataclass(frozen=True, slots=True)
 class MediaTimecode:
-    """Time codes of a shot's media as counted by its timeline.
+    """Time codes of a shot's media, as its timeline counts them.
 
     Attributes:
         rate: Frame rate of the labels.
@@ -38,7 +38,7 @@ class MediaTimecode:
     drop_frame: bool = False
 
     def label(self, seconds: Fraction) -> str:
-        """Return the time code of a media time [s]; without a rate the seconds.
+        """Return the time code at a media time [s], or the seconds without a rate.
 
         >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
         '01:00:00:12'
@@ -105,7 +105,7 @@ class Shot:
 
     @property
     def places_media(self) -> bool:
-        """Whether the shot states the media time of its frames."""
+        """Whether the shot states which media time its frames show."""
         return self.media_in is not None
 
     def seconds_at(self, frame: Fraction | int) -> Fraction:
@@ -131,7 +131,7 @@ class Shot:
         return self.fps, self.media_in
 
     def recut(self, cut_in: int, cut_out: int, head: int, tail: int) -> Shot:
-        """Return the shot with another cut; frames keep their media times.
+        """Return the shot with another cut; each frame keeps its media time.
 
         Args:
             cut_in: First frame of the cut.
@@ -155,7 +155,7 @@ class Shot:
 
     @property
     def label(self) -> str:
-        """The shot as a line of a report.
+        """The shot as one line of a report.
 
         >>> Shot(1009, 1056, 8, 4, "sh010", Fraction(24)).label
         'shot sh010: cut 1009 to 1056, handles 8 and 4, 24 fps'
@@ -196,7 +196,7 @@ class Shot:
     )
 
     def names(self) -> dict[str, str]:
-        """Return the frames and times by the names that scenes use.
+        """Return the frames and times of a shot by the names that scenes can use.
 
         >>> names = Shot(1009, 1056, 8, 8, fps=Fraction(24)).names()
         >>> names["begin"], names["first"], names["last"], names["end"]
@@ -221,7 +221,7 @@ class Shot:
 
 
 def frames_within(seconds: Fraction, fps: Fraction) -> int:
-    """Return the number of frames that begin within a time, at least one.
+    """Return the number of frames that begin within a duration; at least 1.
 
     >>> fps = Fraction(24)
     >>> frames_within(Fraction(3), fps), frames_within(Fraction(0), fps)
@@ -231,7 +231,7 @@ def frames_within(seconds: Fraction, fps: Fraction) -> int:
 
 
 def frame_spans(frames: Iterable[int], step: int = 1) -> str:
-    """Return frames as text, consecutive ones as spans.
+    """Return frame numbers as text, with consecutive frames as spans.
 
     >>> frame_spans([1, 2, 3, 9, 11, 12])
     '1 to 3, 9, 11 to 12'
@@ -248,7 +248,7 @@ def frame_spans(frames: Iterable[int], step: int = 1) -> str:
 
 @dataclass(frozen=True, slots=True)
 class FrameRange:
-    """Frames ``first`` to ``last``, both included, every ``step``-th [time codes]."""
+    """Every ``step``-th frame from ``first`` to ``last`` inclusive [time codes]."""
 
     first: int
     last: int
@@ -275,7 +275,7 @@ class FrameRange:
 
 @dataclass(frozen=True, slots=True)
 class FrameList(FrameRange):
-    """Frames in any order, with the range that contains them."""
+    """A list of frames in any order, and the range that contains them."""
 
     frames: tuple[int, ...] = ()
 
@@ -296,7 +296,7 @@ FrameRangeLike: TypeAlias = FrameRange | tuple[int, int] | tuple[int, int, int] 
 
 
 class OptionalRange:
-    """Field type: accepts a range or its numbers and stores a range.
+    """Type of a field that accepts a range or its numbers and stores a range.
 
     Like `animtool.core.rates.OptionalFraction`, a descriptor only for type checkers.
     """

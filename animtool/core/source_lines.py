@@ -22,13 +22,13 @@ CONTEXT_BEFORE = 32
 
 @dataclass(slots=True)
 class SourceLineCache:
-    """Source lines of files; the last file is cached."""
+    """Source lines of files; the last file read is cached."""
 
     path: str | None = None  # path of the cached file
     lines: list[str] = field(default_factory=list)  # its lines
 
     def line(self, path: str, number: int) -> str | None:
-        """Return a 1-based line of a file; None if it cannot be read."""
+        """Return the line of a file by its 1-based number; None if it is unreadable."""
         if path != self.path:
             self.path, self.lines = path, _lines(Path(path))
         return self.lines[number - 1] if 0 < number <= len(self.lines) else None
@@ -67,7 +67,7 @@ def crop_line(line: str, column: int) -> Iterator[str]:
 
 
 def excerpt_lines(fault: Fault, sources: SourceLineCache) -> tuple[str, ...]:
-    """Return the source line of a fault, and a caret line; empty without a line."""
+    """Return the source line of a fault and a caret line; empty without a line."""
     if fault.path is None or not fault.lines:
         return ()
     number = fault.lines[0]

@@ -1,4 +1,4 @@
-"""SMPTE time codes, drop-frame included."""
+"""SMPTE time codes, including drop-frame time codes."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _LABEL = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
 def is_timecode(text: object) -> bool:
-    """Return whether a text is a time code at some rate.
+    """Return whether a text is a time code at any rate.
 
     >>> is_timecode("01:00:00;02"), is_timecode("1 h")
     (True, False)
@@ -34,7 +34,7 @@ def count_rate(rate: Fraction) -> int:
 
 
 def day_frames(rate: Fraction, *, drop: bool = False) -> int:
-    """Return the number of labels in a day.
+    """Return the number of time code labels in a day.
 
     >>> day_frames(Fraction(30000, 1001), drop=True)
     2589408
@@ -45,7 +45,7 @@ def day_frames(rate: Fraction, *, drop: bool = False) -> int:
 
 
 def parse_timecode(text: str, rate: Fraction) -> Fraction:
-    """Return the frames from midnight to a label, ``HH:MM:SS:FF`` or ``HH:MM:SS;FF``.
+    """Return the number of frames from midnight to a time code label.
 
     A semicolon means drop-frame: all minutes except every tenth begin with label 02, at
     59.94 with 04. ``FF.25`` is a quarter of a frame after FF. An invalid label, or one
@@ -82,7 +82,7 @@ def parse_timecode(text: str, rate: Fraction) -> Fraction:
 
 
 def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
-    """Return the label of a frame counted from midnight; see `parse_timecode`.
+    """Return the time code label of a frame counted from midnight.
 
     Frames of other days have the same label as on this day.
 
@@ -114,7 +114,7 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
 def seconds_between(
     first: str, first_rate: Fraction, second: str, second_rate: Fraction
 ) -> Fraction:
-    """Return the time from one label to another, also across midnight [s].
+    """Return the time between two labels, which may be on both sides of midnight [s].
 
     Each is counted from midnight at its own rate; the shorter way around the clock is
     used.

@@ -1,4 +1,4 @@
-"""Length units and up axes of files, and their conversion to metres."""
+"""Length units and up axes of files, and their conversion."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class LengthUnit(StrEnum):
 
 
 class UpAxis(StrEnum):
-    """Up axis."""
+    """Up axis of a file."""
 
     Y = "Y"
     Z = "Z"
@@ -72,7 +72,7 @@ def parse_length(text: str) -> float:
 def up_from_up(
     target: UpAxis, source: UpAxis
 ) -> tuple[float, float, float, float] | None:
-    """Return the rotation (x, y, z, w) from a source's up axis to a target's.
+    """Return the rotation (x, y, z, w) from one up axis to another.
 
     A rotation of 90 degrees about X; None if both axes are equal.
 

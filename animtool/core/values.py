@@ -30,7 +30,7 @@ VERSION = "animtool/1"
 
 
 def plain_value(value: Any) -> Any:
-    """Return a value as JSON values: records as their fields, NaN as null.
+    """Convert a value to JSON values: records to their fields, NaN to null.
 
     >>> from fractions import Fraction
     >>> plain_value({"fps": Fraction(24), "error": math.inf, "names": ("a",)})
@@ -46,7 +46,7 @@ def plain_value(value: Any) -> Any:
 
 
 def _plain_container(value: Any) -> Any:
-    """Return containers as plain values."""
+    """Convert a container to JSON values."""
     keys = getattr(value, "json_keys", None)
     if isinstance(keys, str):
         return template_values(value, keys)
@@ -66,7 +66,7 @@ def _fields_of(record: Any) -> dict[str, Any]:
 
 
 def template_values(record: Any, keys: str) -> dict[str, Any]:
-    """Return values of a record by a template of keys.
+    """Return the values of a record by the keys of a template.
 
     >>> from fractions import Fraction
     >>> template = "over=denominator numerator one=denominator{real}"
@@ -77,7 +77,7 @@ def template_values(record: Any, keys: str) -> dict[str, Any]:
 
 
 def value_at_path(value: Any, path: str) -> Any:
-    """Return a nested field or mapping value; None below None.
+    """Return the value of a nested field or mapping key; None below None.
 
     >>> value_at_path({"a": 3.5}, "a.real")
     3.5
@@ -91,7 +91,7 @@ def value_at_path(value: Any, path: str) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class JsonKey:
-    """A key of a template."""
+    """One key of a template."""
 
     key: str  # empty to insert the keys of a value
     path: str  # path of the field; empty for the record
@@ -148,7 +148,7 @@ def _values_of(record: Any, keys: tuple[JsonKey, ...]) -> dict[str, Any]:
 
 
 def _inserted_values(record: Any, value: Any, key: JsonKey) -> dict[str, Any]:
-    """Return the keys of a value, or all fields of the record."""
+    """Return the keys of a value to insert in a record, or all fields of the record."""
     if value is None:
         return {}
     if key.keys is not None:
@@ -168,7 +168,7 @@ def _is_omitted(value: Any, sign: str) -> bool:
 
 
 def _value_of_key(value: Any, key: JsonKey) -> Any:
-    """Return the value of a key."""
+    """Return a value converted as the signs of its template key say."""
     if value is None:
         return None
     if "#" in key.sign:

@@ -1,4 +1,4 @@
-"""The table of writers by suffix: of takes, rigs and markers.
+"""The table of writers of takes, rigs and markers, by file suffix.
 
 The table contains names of writers; the functions are imported when used.
 """
@@ -63,7 +63,7 @@ class Writer:
 
     @property
     def holds_motion(self) -> bool:
-        """Whether the format can hold a take."""
+        """Whether the format can store a take."""
         return self.stage or bool(self.take or self.text)
 
     def files(self, path: Path) -> list[Path]:
@@ -79,7 +79,7 @@ class Writer:
 
 
 def output_stem(path: Path) -> str:
-    """Return a file's name without its suffix or that of a clip."""
+    """Return a file name without the suffix of its format."""
     return path.name.removesuffix(path.suffix).removesuffix(".clip")
 
 
@@ -173,7 +173,7 @@ def writer_of(path: Path) -> Writer | None:
 
 
 def take_writer(path: Path, *, folders: bool = False) -> Writer:
-    """Return the writer of a take.
+    """Return the writer of a take for an output path.
 
     folders: whether an output may be a folder, which the hint then mentions.
     """
@@ -221,7 +221,7 @@ _READ_ONLY_FORMATS = {
 
 
 def _read_only_error_parts(path: Path) -> tuple[str, str]:
-    """Return the message and hint of a read-only format."""
+    """Return the message and the hint for a format that cannot be written."""
     name, hint = _READ_ONLY_FORMATS[path.suffix.lower()]
     return f"{name} is read, and not written", hint
 
@@ -269,7 +269,7 @@ def writes_stage(path: Path) -> bool:
 
 
 def file_suffixes() -> list[str]:
-    """Return the suffixes of takes except USD, without plug-ins.
+    """Return the suffixes of take formats other than USD, without plug-ins.
 
     >>> file_suffixes()[:2]
     ['.bvh', '.clip.yaml']
@@ -282,13 +282,13 @@ def file_suffixes() -> list[str]:
 
 
 def _motion_suffixes() -> list[str]:
-    """Return the suffixes of takes, plug-ins included."""
+    """Return the suffixes of all take formats, including plug-ins."""
     stages = [suffix for suffix, writer in WRITERS.items() if writer.stage]
     return [*sorted([*stages, *file_suffixes()]), *_TABLE.plugin_suffixes()]
 
 
 def listed_writers() -> list[ListedEntry]:
-    """Return every writer, built-in ones first, with plug-ins loaded.
+    """Return all writers, built-in ones first, with plug-ins loaded.
 
     >>> listed_writers()[0].name
     '.bvh'

@@ -1,1 +1,1 @@
-"""Hand-written YAML and JSON files: read with line numbers, checked all at once."""
+"""Hand-written YAML and JSON files, read with line numbers and completely checked."""

@@ -1,4 +1,4 @@
-"""npz archives, read without trusting the sizes that they declare.
+"""Reads npz archives without trusting the sizes that they declare.
 
 References:
     numpy, ``numpy.lib.format``, NEP 1: "A Simple File Format for NumPy Arrays".
@@ -59,7 +59,7 @@ class ArrayFile(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class StoredArray:
-    """Header of an array: type, shape, and location of its values."""
+    """Header of an array: the type, the shape, and the location of its values."""
 
     shape: tuple[int, ...]  # lengths of its dimensions
     dtype: np.dtype[Any]
@@ -171,7 +171,7 @@ _DAMAGE_ERRORS = (
 
 @contextmanager
 def archive_errors(path: Path) -> Iterator[None]:
-    """Turn exceptions of reading an archive into `ArrayError`."""
+    """In a block, convert exceptions of reading an archive to `ArrayError`."""
     try:
         yield
     except ArrayError:
@@ -190,7 +190,7 @@ def archive_errors(path: Path) -> Iterator[None]:
 
 
 class Archive:
-    """An open archive and the headers of its arrays."""
+    """An open archive, with the headers of its arrays."""
 
     def __init__(self, path: Path) -> None:
         """Open a file and read its directory; call it within `archive_errors`."""
@@ -219,11 +219,11 @@ class Archive:
         self._file.close()
 
     def has(self, key: str) -> bool:
-        """Return whether an array exists."""
+        """Return whether the archive contains an array."""
         return key in self._members
 
     def header(self, key: str, kinds: str = "fiub") -> StoredArray:
-        """Return an array's header, its length checked."""
+        """Return the header of an array, after checking its length."""
         if key not in self._headers:
             info = self._zip_entry(key)
             array_label = f"{self._path.name}#{key}"
@@ -246,7 +246,7 @@ class Archive:
         return self._headers[key]
 
     def values(self, key: str) -> npt.NDArray[Any]:
-        """Return a read-only array of numbers."""
+        """Return the numbers of an array, read-only."""
         return self._values(key, self.header(key))
 
     @property
@@ -286,7 +286,7 @@ class Archive:
         )
 
     def _read_directory(self) -> tuple[dict[str, ZipInfo], set[str]]:
-        """Return the arrays by name, and duplicate names."""
+        """Return the zip entries of the arrays by name, and the duplicate names."""
         members: dict[str, ZipInfo] = {}
         duplicates = set()
         for info in self._zip.infolist():
@@ -318,7 +318,7 @@ class Archive:
         return info
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
-        """Refuse an array larger than the memory limit."""
+        """Raise an error for an array that is larger than the memory limit."""
         other_size = self._total_size - self._sizes.get(key, 0)
         is_plausible = size <= max(
             SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size
@@ -353,7 +353,7 @@ class Archive:
 
 
 def _open_zip(file: _DirectoryLimitedFile, head: bytes, path: Path) -> ZipFile:
-    """Return an archive; refuse a file that has no directory at its end."""
+    """Open a zip archive; raise an error if its directory at the end is missing."""
     from zipfile import ZipFile, is_zipfile
 
     if is_zipfile(cast(Any, file)):
@@ -381,7 +381,7 @@ def _configured_limit(path: Path) -> int | None:
 
 
 class _DirectoryLimitedFile:
-    """A file whose reads of the archive's directory are limited in size."""
+    """A file that limits the size of reads while the archive directory is read."""
 
     def __init__(self, file: InputFile) -> None:
         self.file = file

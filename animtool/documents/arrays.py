@@ -1,4 +1,4 @@
-"""References from a file to arrays in npz files, resolved and read."""
+"""Resolves references to arrays in npz files and reads the arrays."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Archives:
         return self
 
     def __exit__(self, *error: object) -> None:
-        """Close the files."""
+        """Close all archives."""
         while self._open:
             self._open.popitem()[1].close()
 
@@ -54,7 +54,7 @@ class Archives:
         return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
 
     def load_stored(self, path: Path, key: str) -> npt.NDArray[Any]:
-        """Return an array in its stored type, read-only."""
+        """Return an array with its stored type, read-only."""
         with archive_errors(path):
             return self._archive(path).values(key)
 

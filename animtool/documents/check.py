@@ -1,4 +1,4 @@
-"""Validation of a document against a model: all faults at once, with locations."""
+"""Validates a document against a model and reports all faults with locations."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class _KeyedModels(ModelMetaclass):
 
 
 def model_field(key: Key, default: Any = MISSING) -> Any:
-    """Return the field of a key in a model of a file."""
+    """Return the model field for a key of a file."""
     field_options = {} if default is MISSING else {"default": default}
     return pydantic.Field(
         description=key.description, examples=[key.example], **field_options
@@ -70,7 +70,7 @@ def check_version(document: Document, kind: str) -> None:
 
 
 def validate_document(document: Document, model: type[Model]) -> Model:
-    """Return a document as a model; record faults of keys, types and values.
+    """Return a document as a model; record every fault of keys, types and values.
 
     Each faulty value is replaced by a placeholder that `Document.add` ignores, so that
     all other values are checked before `Document.check` raises all faults at once. A
@@ -101,7 +101,7 @@ def unknown_options(
 def record_of_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, LocatedFaults]:
-    """Return options as a record, with their faults; None if a value is invalid."""
+    """Return options as a record (None if a value is invalid), and their faults."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
     faults = unknown_options(options, names, owner)
     known_options = {key: value for key, value in options.items() if key in names}
@@ -132,7 +132,7 @@ def record_of_options(
 def rename_options(
     document: Document, location: Location, options: Mapping[str, Any], kind: str
 ) -> dict[str, Any]:
-    """Return options with old names replaced by new ones; warn about each.
+    """Return options with old names replaced by new names; warn about each old name.
 
     Args:
         document: The file that contains them.

@@ -1,4 +1,4 @@
-"""A hand-written file with the line and column of each value."""
+"""A hand-written file with the line and column of every value."""
 
 from __future__ import annotations
 
@@ -62,21 +62,21 @@ class Document:
     )
 
     def position(self, location: Location) -> tuple[int, int]:
-        """Return line and column of a value, or of its nearest ancestor."""
+        """Return the line and column of a value, or of its nearest written ancestor."""
         return self._cached_marks().positions[self._index(location)]
 
     def key_position(self, location: Location) -> tuple[int, int]:
-        """Return line and column of a key, which precedes its value."""
+        """Return the line and column of a value's key."""
         index = self._index(location)
         is_key = index > self._index(location[:-1])
         return self._cached_marks().positions[index - is_key]
 
     def source_text(self, location: Location) -> str | None:
-        """Return the source text of an unquoted scalar; None for anything else."""
+        """Return the source text of an unquoted scalar; None for other values."""
         return self._cached_marks().unquoted.get(self._index(location))
 
     def decimal_commas(self, location: Location, width: int = 0) -> str | None:
-        """Return a hint for a list whose numbers have decimal commas; None for others.
+        """Return a hint if the numbers of a list have decimal commas, else None.
 
         Args:
             location: Location of the list.
@@ -111,7 +111,7 @@ class Document:
         return self._computed_marks
 
     def _index(self, location: Location) -> int:
-        """Return the index in `Marks.positions` of a value or its nearest ancestor."""
+        """Return the index in `SourceMarks.positions` of a value or its ancestor."""
         if not self._child_indices:
             self._index_nodes(self.value, 0)
         node: Any = self.value
@@ -123,7 +123,7 @@ class Document:
         return index
 
     def _index_nodes(self, node: Any, index: int) -> int:
-        """Index the values in a node by position; return the next index."""
+        """Index the values below a node in text order; return the next free index."""
         index += 1
         if isinstance(node, dict):
             for key, value in node.items():
@@ -173,7 +173,7 @@ class Document:
     def not_ascending(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield list entries that are out of ascending order.
+        """Yield the index of each entry not above its predecessor, and the latter's.
 
         Args:
             location: Location of the list.
@@ -314,7 +314,7 @@ def document_of(text: str, path: Path) -> Document:
 
 
 def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
-    """Yield a warning about quotes of a word processor around a value (DOC103)."""
+    """Yield a warning for each value in typographic quotes (DOC103)."""
     marks = document.marks()
     for index, text in marks.unquoted.items():
         unquoted_text = text[1:-1]
@@ -337,7 +337,7 @@ def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
 
 
 def kind_of_name(path: Path, default: str = "rig") -> str:
-    """Return the kind in a file's name: ``targets`` of ``hero.targets.yaml``."""
+    """Return the kind in a file name, such as ``targets`` of ``hero.targets.yaml``."""
     kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in FILE_KINDS]
     return kinds[-1] if kinds else default
 
@@ -360,6 +360,6 @@ def read_text(path: Path) -> str:
 
 
 def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults, and one that counts the rest."""
+    """Return the first faults, with one more that states the number of the others."""
     suffix = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
     return first_faults(faults, MAX_FAULTS, faults[0].path, suffix)

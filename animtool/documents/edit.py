@@ -28,12 +28,12 @@ _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 
 
 class EditError(ValueError):
-    """An edit does not apply to the text, or changes more than it should."""
+    """An edit does not apply to the text, or changes more than intended."""
 
 
 @dataclass(frozen=True, slots=True)
 class Replace:
-    """Replace a value by text."""
+    """Edit that replaces a value by text."""
 
     location: Location
     value: str
@@ -41,7 +41,7 @@ class Replace:
 
 @dataclass(frozen=True, slots=True)
 class Rename:
-    """Rename a key and keep its value."""
+    """Edit that renames a key and keeps its value."""
 
     location: Location
     key: str
@@ -49,7 +49,7 @@ class Rename:
 
 @dataclass(frozen=True, slots=True)
 class Add:
-    """Add a key at the end of a mapping."""
+    """Edit that adds a key at the end of a mapping."""
 
     location: Location
     key: str
@@ -58,7 +58,7 @@ class Add:
 
 @dataclass(frozen=True, slots=True)
 class Remove:
-    """Remove a list entry or key; at most one Remove per list or mapping."""
+    """Edit that removes a list entry or a key; at most one for each list or mapping."""
 
     location: Location
 
@@ -93,7 +93,7 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
 
 
 def _parses_to(text: str, path: Path, value: Any) -> bool:
-    """Return whether a text parses to the given values; False if it is malformed."""
+    """Return whether a text parses to the expected values; False if it is malformed."""
     try:
         return bool(document_of(text, path).value == value)
     except FormatError:
@@ -122,7 +122,7 @@ TextSplice = tuple[int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class _SourceText:
-    """A text and its YAML nodes."""
+    """A text with its YAML nodes."""
 
     text: str  # content of the file
     root: Any  # its outermost node
@@ -162,14 +162,14 @@ class _SourceText:
         return node
 
     def _key_and_value(self, parent: Location, key: str) -> tuple[Any, Any]:
-        """Return a key of a mapping and its value."""
+        """Return the nodes of a key of a mapping and of its value."""
         for name, value in self._node_at(parent).value:
             if name.value == key:
                 return name, value
         raise EditError(f"{location_text((*parent, key))} does not exist")
 
     def _replacement_text(self, node: Any, value: str) -> TextSplice:
-        """Write a text in the quote style of the value that it replaces."""
+        """Return the splice that writes a text in the quote style of the old value."""
         style = getattr(node, "style", None)
         new_text = _plain_or_quoted(value)
         if style == '"':
@@ -222,14 +222,14 @@ class _SourceText:
         return line, self._line_after(end), ""
 
     def _line_after(self, end: int) -> int:
-        """Return the start of the next line, after a trailing comment."""
+        """Return the start of the next line, skipping a comment after a value."""
         if end and self.text[end - 1] == "\n":
             return end
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
     def _end_after_comma(self, end: int, start: int) -> int:
-        """Return the end of a range that may contain only a comma."""
+        """Return the end of a range; raise an error if it has more than a comma."""
         if self.text[end:start].strip() != ",":
             raise EditError("a comment separates it from the next")
         return start
@@ -242,7 +242,7 @@ def _entry_bounds(node: Any) -> Iterator[tuple[Any, Any]]:
 
 
 def _value_end(node: Any) -> int:
-    """Return the end of a value; a block collection ends with its last value."""
+    """Return the end of a value; a block collection ends where its last value ends."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last = node.value[-1]
         node = last[1] if isinstance(last, tuple) else last
@@ -250,14 +250,14 @@ def _value_end(node: Any) -> int:
 
 
 def _flow_text(value: Any) -> str:
-    """Return a value as YAML on one line."""
+    """Return a value as one line of YAML."""
     if isinstance(value, list):
         return flow_list([_flow_text(entry) for entry in value])
     return plain_text(value) if isinstance(value, str) else decimal_text(value)
 
 
 def _plain_or_quoted(value: str) -> str:
-    """Return a text unquoted if it parses to itself inside brackets, else quoted."""
+    """Return a text without quotes if it parses to itself in brackets, else quoted."""
     try:
         parsed_value = document_of(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:

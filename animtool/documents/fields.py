@@ -1,4 +1,4 @@
-"""Types of file keys, and models built from the fields of a record."""
+"""Types of keys in files, and models built from the fields of records."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
 def shared_key(text: str, example: Any) -> Any:
-    """Return the key of a type that several models share, for its `Annotated`."""
+    """Return the annotation for a type of key that several models use."""
     return model_field(Key(text, example))
 
 
 def check_numbers(value: Any) -> Any:
-    """Return options unchanged; refuse numbers beyond `MAX_NUMBER`.
+    """Return options unchanged; raise an error for numbers beyond `MAX_NUMBER`.
 
     >>> check_numbers({"drag": [{"linear": 1e39}]})
     Traceback (most recent call last):
@@ -105,7 +105,7 @@ def _digit_count(number: int) -> str:
 def _numbers(
     value: Any, keys: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield the numbers in nested mappings and lists, with their locations."""
+    """Yield every number in nested mappings and lists with its location."""
     if isinstance(value, Mapping):
         for key, item in value.items():
             yield from _numbers(item, (*keys, str(key)))
@@ -172,7 +172,7 @@ def with_fields(
     before_key: str = "",
     ranges: Ranges = "record",
 ) -> Callable[[type[Model]], type[Model]]:
-    """Add the fields of a record to a model as keys.
+    """Return a decorator that adds the fields of a record to a model as keys.
 
     Infinite defaults are None in files. Class variables of the model stay;
     methods belong in a subclass.
@@ -234,7 +234,7 @@ RecordT = TypeVar("RecordT")
 def record_of(
     record: type[RecordT], model: FileModel, **extra_arguments: Any
 ) -> RecordT:
-    """Return a record from the same-named fields of a model, and extra arguments."""
+    """Return a record from the equally named fields of a model and extra arguments."""
     kind, arguments = cast(Any, record), extra_arguments
     keys = keys_of(kind)
     for record_field in fields(kind):
@@ -258,7 +258,7 @@ def _is_infinite(default: Any) -> bool:
 def _field_definition(
     record: Any, name: str, key: Key, ranges: Ranges
 ) -> tuple[Any, Any]:
-    """Return the type and the documentation of a key."""
+    """Return the type of a key and its field, with default and documentation."""
     type_, default = _type_and_default(record, name, key, ranges)
     return type_, model_field(key, default)
 

@@ -30,7 +30,7 @@ _RANGE_LENGTH = 2
 
 @dataclass(frozen=True, slots=True)
 class EntryExamples:
-    """Option examples by name, for mappings with a single entry."""
+    """Examples of options by name, for mappings that have a single entry."""
 
     options: Mapping[str, Any] = field(hash=False)
 
@@ -91,7 +91,7 @@ def form_hint(
 
 
 def _shortened_flow(key: str, entries: Sequence[Any]) -> str:
-    """Return a key with its list on one line, cut after the first entries."""
+    """Return a key with its list on one line, shortened after the first entries."""
     for count in range(len(entries), 0, -1):
         text = flow_text(key, list(entries[:count]))
         if len(text) <= MAX_EXAMPLE or count == 1:
@@ -112,7 +112,7 @@ def missing_key_hint(
 
 
 def vector_components(value: Any) -> list[Any] | None:
-    """Return the numbers of a vector written as a mapping; None for other values.
+    """Return the components of a vector written as a mapping; None for other values.
 
     >>> vector_components({"x": 0, "y": 1, "z": 0}), vector_components({"t": 1, "v": 2})
     ([0, 1, 0], None)
@@ -124,7 +124,7 @@ def vector_components(value: Any) -> list[Any] | None:
 
 
 def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
-    """Return a hint with the example of a key whose value is a scalar."""
+    """Return a hint with the example of a key that has a scalar value."""
     match = field_at(model, value, location)
     if match is None or match[0] != len(location):
         return None
@@ -145,7 +145,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
 def paired_entries(
     models: Sequence[type[BaseModel]], value: Mapping[str, Any]
 ) -> list[dict[str, Any]]:
-    """Return the entries intended by a mapping of name pairs; empty if unclear."""
+    """Return the list entries meant by a mapping of name pairs; empty if unclear."""
     if not value or not all(isinstance(entry, str) for entry in value.values()):
         return []
     for fields in map(fields_of, models):
@@ -159,7 +159,7 @@ def paired_entries(
 
 
 def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Convert a mapping to the intended list of entries; empty if unclear."""
+    """Return the list entries meant by a mapping; empty if unclear."""
     models = models_of(inner_annotation(annotation, None, 0))
     keys = {key for model in models for key in fields_of(model)}
     if not keys:  # entries that are named by their only key, such as passes
@@ -188,7 +188,7 @@ _RANGE_END_NAMES = (
 
 
 def _converted_value(value: Any, example: Any) -> list[Any] | None:
-    """Convert a value to the form of an example, if its meaning is unambiguous."""
+    """Return a value in the form of an example; None if its meaning is unclear."""
     if not isinstance(example, list | tuple) or not example:
         return None
     if isinstance(value, str):
@@ -211,7 +211,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
 
 
 def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
-    """Wrap a list as the entry of a list, or drop the step of a range."""
+    """Return a list nested like an example, or as mappings with its keys; else None."""
     if isinstance(example[0], list):
         return [value] if len(value) == len(example[0]) else None
     keys = list(example[0]) if isinstance(example[0], dict) else []
@@ -230,7 +230,7 @@ def _are_numbers(values: Sequence[Any]) -> bool:
 
 
 def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
-    """Convert a text of numbers, or one name, to a list."""
+    """Return the list meant by a text of numbers or a single name; None if unclear."""
     if all(isinstance(entry, str) for entry in example):
         return [text]
     pair_match = _NUMBER_PAIR.fullmatch(text)
@@ -256,7 +256,7 @@ def _example_contains(example: Any, value: Any) -> bool:
 
 
 def _entry_examples(annotation: Any) -> EntryExamples | None:
-    """Return the `EntryForms` annotation of a type or of a union's member."""
+    """Return the `EntryExamples` of a type or of a union's member."""
     for constraint in getattr(annotation, "__metadata__", ()):
         if isinstance(constraint, EntryExamples):
             return constraint
@@ -265,7 +265,7 @@ def _entry_examples(annotation: Any) -> EntryExamples | None:
 
 
 def _takes_file(annotation: Any) -> bool:
-    """Return whether a type's mapping has a `file` key."""
+    """Return whether the mapping of a type has a `file` key."""
     models = models_of(annotation)
     if models:
         return any("file" in fields_of(model) for model in models)

@@ -1,4 +1,4 @@
-"""Fast JSON parsing for documents, without line numbers."""
+"""Parses JSON documents fast, without line numbers."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _YAML_DIFFERENCES = re.compile(
 
 
 class _NotPlainJsonError(ValueError):
-    """JSON that YAML would parse differently."""
+    """JSON text that the YAML parser would read differently."""
 
 
 def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:

@@ -1,4 +1,4 @@
-"""Migration of files to the newest version of their format."""
+"""Migrates files to the newest version of their format."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ from animtool.documents.yaml_text import comments_in, json_text, yaml_text
 
 @dataclass(frozen=True, slots=True)
 class Migration:
-    """A file and its text in the newest version."""
+    """A file and its text in the newest version of the format."""
 
     path: Path
     kind: str  # ``rig``, ``clip`` or ``scene``
@@ -57,12 +57,12 @@ class Migration:
 
     @property
     def is_renames_only(self) -> bool:
-        """Whether only key names are outdated."""
+        """Whether the migration only renames keys."""
         return self.needed and self.version == self.newest
 
     @property
     def needed(self) -> bool:
-        """Whether the file has an older version or outdated key names."""
+        """Whether the file has an older version or outdated names of keys."""
         return self.before != self.after
 
     @property
@@ -80,7 +80,7 @@ class Migration:
 
 @dataclass(frozen=True, slots=True)
 class Migrations:
-    """Result of a migration, or its plan."""
+    """Result or plan of the migration of several files."""
 
     files: Sequence[Migration]
     json_keys: ClassVar[str] = "'migrate' files"
@@ -89,7 +89,7 @@ class Migrations:
 def plan_migration(
     path: Path | str, table: Mapping[str, MigrationSteps] = MIGRATION_STEPS
 ) -> Migration:
-    """Return a file's text in the newest version, without writing it.
+    """Return the text of a file in the newest version, without writing it.
 
     If only the version changes, one word of the text does; otherwise the file
     is rewritten without its comments.
@@ -145,7 +145,7 @@ def plan_migration(
 
 
 def _rename_keys(plan: Migration) -> Migration:
-    """Return a file with renamed keys and no other change."""
+    """Return a migration that renames keys and changes nothing else."""
     value = document_of(plan.before, plan.path).value
     edits = [
         Rename(location, name) for location, name in renamed_keys(plan.kind, value)
@@ -170,7 +170,7 @@ def migrate(
     strict: bool = False,
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
 ) -> list[Migration]:
-    """Rewrite files of older versions in place: all of them or none.
+    """Rewrite files of older versions in place; if one fails, none is rewritten.
 
     All are read and checked before the first is written.
 
@@ -225,7 +225,7 @@ def _plan_all(
 
 
 def _replace_version(document: Document, text: str, kind: str, version: str) -> str:
-    """Return a text with only its version changed."""
+    """Return a text with only its version number replaced."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
     before_version, after_version = (

@@ -1,4 +1,4 @@
-"""Faults of values that a model refuses: their locations, texts and hints."""
+"""Faults of values that a model refuses: their locations, messages and hints."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a
 
 
 def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
-    """Return the fault of each wrong value outside of a model."""
+    """Return the faults of a value that is checked without a document."""
     faults_by_location = _group_by_location(
         value, error.errors(include_url=False)[:MAX_REPLACED]
     )
@@ -74,7 +74,7 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
 
 
 def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
-    """Return a hint for an unknown key, and the likely intended key."""
+    """Return a hint for an unknown key, and the key that was likely meant."""
     normalized = key.replace("_", "").lower()
     equivalent_key = next(
         (
@@ -102,14 +102,14 @@ def warn_renamed_key(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class ModelFaults:
-    """Records the faults of a value and replaces faulty parts by placeholders."""
+    """Records the faults of a value and replaces its faulty parts by placeholders."""
 
     document: Document  # where faults are recorded
     model: type[BaseModel]  # model of the value
     value: Any  # the document's value, with placeholders
 
     def replace_faulty(self, error: ValidationError) -> None:
-        """Record the faults of a validation attempt and replace the faulty values."""
+        """Record the faults of a failed validation and replace the faulty values."""
         errors = error.errors(include_url=False)
         faults_by_location = _group_by_location(self.value, errors[:MAX_REPLACED])
         ancestors = {
@@ -189,7 +189,7 @@ class ModelFaults:
     def _key_of_sibling(
         self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
-        """Return a hint that names a sibling mapping where an unknown key is valid."""
+        """Return a hint that names a sibling mapping that accepts an unknown key."""
         for sibling, value in node.items():
             first_element = value[0] if isinstance(value, list) and value else value
             index_step = (0,) if first_element is not value else ()
@@ -209,7 +209,7 @@ class ModelFaults:
         return None
 
     def _record_unrecognised_entry(self, mapping: Location) -> bool:
-        """Record once that a list entry has no known key."""
+        """Record a single fault if a list entry has no known key."""
         node = self.value
         for step in mapping:
             node = node[step]
@@ -227,7 +227,7 @@ class ModelFaults:
         return True
 
     def _record_tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
-        """Record a list entry that was parsed as a key."""
+        """Record a list entry that was read as a key, for lack of a space after "-"."""
         *parent_path, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
         self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
@@ -261,7 +261,7 @@ class ModelFaults:
         self._insert_placeholder(location)
 
     def _record_wrong_entry(self, location: Location, faults: list[Any]) -> bool:
-        """Record once that a list's entries have the wrong form."""
+        """Record a single fault if the entries of a list have the wrong form."""
         *parent_path, last_step = location
         if (
             not isinstance(last_step, int)
@@ -294,7 +294,7 @@ class ModelFaults:
         return node
 
     def _record_vector_mapping(self, mapping: Location) -> bool:
-        """Record once that a vector is written as {x: …, y: …, z: …}."""
+        """Record a single fault if a vector is written as {x: …, y: …, z: …}."""
         if mapping in self.document.placeholders:
             return True
         value = self._value_at(mapping)
@@ -329,7 +329,7 @@ class ModelFaults:
         self._insert_placeholder(location)
 
     def _form_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return a hint with the right form of a key's value."""
+        """Return a hint with the correct form of a key's value."""
         value, structures = faults[0]["input"], expected_structures(faults)
         comma_hint = self.document.decimal_commas(location)
         if structures and comma_hint is not None:
@@ -354,7 +354,7 @@ class ModelFaults:
         return None
 
     def _depends_on_kind(self, location: Location) -> bool:
-        """Return whether a key exists in only some kinds, and the kind is faulty."""
+        """Return whether a key exists only in some kinds and the kind is unknown."""
         for depth, key in enumerate(location):
             mapping = location[:depth]
             unknown = self.document.placeholders | self.document.guessed_keys
@@ -366,7 +366,7 @@ class ModelFaults:
         return False
 
     def _insert_placeholder(self, location: Location) -> None:
-        """Replace a value by a placeholder; if that failed before, its parent."""
+        """Replace a value by a placeholder, or its parent if that failed before."""
         while location in self.document.placeholders:
             location = location[:-1]
         if not location:
@@ -383,7 +383,7 @@ def _short_names(names: Sequence[Any]) -> str:
 def _group_by_location(
     value: Any, errors: Sequence[Any]
 ) -> dict[tuple[Location, str], list[Any]]:
-    """Group faults by location and missing key."""
+    """Group validation errors by location and missing key."""
     groups: dict[tuple[Location, str], list[Any]] = {}
     for fault in errors:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
@@ -394,7 +394,7 @@ def _group_by_location(
 
 
 def _fault_location(value: Any, fault: Any) -> Location:
-    """Return the location of a fault, without names of union members."""
+    """Return the location of a validation error, without names of union members."""
     node, steps = value, []
     for step in fault["loc"]:
         try:
@@ -406,7 +406,7 @@ def _fault_location(value: Any, fault: Any) -> Location:
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return a hint on how to write an entry that is only a name, such as a pass."""
+    """Return a hint that shows the form of an entry that is only a name."""
     value = fault["input"]
     if fault["type"] != "dict_type":
         return None

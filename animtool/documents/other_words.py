@@ -1,4 +1,4 @@
-"""Terms of other tools for keys and values, and animtool's names for them."""
+"""Keys and values of other tools, with animtool's names for them."""
 
 from __future__ import annotations
 
@@ -122,7 +122,7 @@ PASS_OPTIONS = {
 
 
 def intended_options(name: str, value: Any) -> dict[str, Any]:
-    """Return the options of a pass intended by a single value; empty if unclear.
+    """Return the options that a single value of a pass means; empty if unclear.
 
     >>> intended_options("trim", [5, 60]), intended_options("mirror", True)
     ({'first': 5, 'last': 60}, {})

@@ -1,4 +1,4 @@
-"""Placeholders for faulty values, so that validation can continue."""
+"""Placeholders for faulty values, which let validation continue."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from animtool.documents.document import Location
 
 
 def annotation_of(field: FieldInfo) -> Any:
-    """Return the type of a field with its constraints."""
+    """Return the type annotation of a field with its constraints."""
     if not field.metadata:
         return field.annotation
     return Annotated[(field.annotation, *field.metadata)]
 
 
 def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
-    """Return the expected type at a location; None if unknown."""
+    """Return the expected type at a location; None if it is unknown."""
     annotation: Any = model
     node = value
     for step in location:
@@ -35,7 +35,7 @@ def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any
 def field_at(
     model: type[BaseModel], value: Any, location: Location
 ) -> tuple[int, FieldInfo] | None:
-    """Return the innermost field around a location, and its depth."""
+    """Return the innermost field that contains a location, and its depth."""
     annotation: Any = model
     node, innermost = value, None
     for depth, step in enumerate(location, 1):
@@ -63,7 +63,7 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
-    """Return the models of a type; for a tagged union, the one the value names."""
+    """Return the models of a type; of a tagged union, only the one a value names."""
     kinds = (
         get_args(member)[0] if get_origin(member) is Annotated else member
         for member in _union_members(annotation)
@@ -117,7 +117,7 @@ def takes_no_text(annotation: Any) -> bool:
 
 
 def set_value_at(value: Any, location: Location, new_value: Any) -> None:
-    """Replace the value at a location in place."""
+    """Replace the value at a location, in place."""
     *parents, last_step = location
     for step in parents:
         value = value[step]
@@ -138,7 +138,7 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 
 def _selects_model(model: type[BaseModel], node: Any) -> bool:
-    """Return whether a mapping's discriminator names a model."""
+    """Return whether the discriminator of a mapping names a model."""
     kinds = model.model_fields.get("type")
     if kinds is None or not isinstance(node, dict):
         return False
@@ -146,7 +146,7 @@ def _selects_model(model: type[BaseModel], node: Any) -> bool:
 
 
 def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
-    """Return the type of a field or element of a type."""
+    """Return the type of a field or of an element of a type."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))
         if field is not None:

@@ -1,4 +1,4 @@
-"""Files that a document refers to, relative to its folder."""
+"""Files that a document refers to, with paths relative to its folder."""
 
 from __future__ import annotations
 
@@ -64,7 +64,7 @@ def resolve_reference(
 
 
 def _outside_hint(path: Path, name: str, is_output: bool) -> str:
-    """Return a hint for a reference that leaves the project."""
+    """Return a hint for a reference to a file outside the project."""
     folder = path.resolve().parent
     try:
         target = (folder / name).resolve()
@@ -97,7 +97,7 @@ def _outside_hint(path: Path, name: str, is_output: bool) -> str:
 
 
 def missing_hint(document: Document, name: str) -> str | None:
-    """Return a hint with a similar file name; None if there is no match."""
+    """Return a hint with the name of a similar file; None if there is none."""
     return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
 
 

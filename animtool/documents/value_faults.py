@@ -1,4 +1,4 @@
-"""Messages and hints for values that do not fit their key."""
+"""Messages and hints for values that are invalid for their key."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def likely_faults(faults: Sequence[Any]) -> list[Any]:
 
 
 def expected_structures(faults: Sequence[Any]) -> set[str]:
-    """Return the containers that faults expect: a list, a mapping, or both."""
+    """Return which containers the faults expect: a list, a mapping, or both."""
     intended_faults = likely_faults(faults)
     kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in intended_faults}
     if any(fault["type"] in _LENGTH_FAULTS for fault in intended_faults):
@@ -75,7 +75,7 @@ def expected_structures(faults: Sequence[Any]) -> set[str]:
 
 
 def is_euler_angles(faults: Sequence[Any]) -> bool:
-    """Return whether a value has three numbers where a quaternion is needed."""
+    """Return whether a value is three numbers where a quaternion is expected."""
     value = faults[0]["input"]
     min_lengths = {
         fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)
@@ -84,19 +84,19 @@ def is_euler_angles(faults: Sequence[Any]) -> bool:
 
 
 def is_type_fault(faults: Iterable[Any]) -> bool:
-    """Return whether a value has the wrong type, and not another fault."""
+    """Return whether any fault of a value is a wrong type."""
     return any(fault["type"] in _EXPECTED_NOUNS for fault in faults)
 
 
 def values_message(faults: Sequence[Any]) -> str:
-    """Return the message of all faults of a value."""
+    """Return one message for all faults of a value."""
     if faults[0]["input"] is None:
         return "the value is missing"
     return _join_messages(dict.fromkeys(map(_value_message, likely_faults(faults))))
 
 
 def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
-    """Return a hint that shows the intended value."""
+    """Return a hint that shows the value that was likely meant."""
     value = faults[0]["input"]
     kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
     classes = {fault.get("ctx", {}).get("class") for fault in faults}
@@ -111,7 +111,7 @@ def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
 
 
 def number_hint(key: str | int, value: Any) -> str | None:
-    """Return a hint with the number intended by a text or list."""
+    """Return a hint with the number that a text or a list likely means."""
     if isinstance(value, list) and len(value) == 1:
         return f"write {flow_value(value[0])}"
     if isinstance(value, list | tuple) and len(value) == 3 and key == "gravity":
@@ -133,7 +133,7 @@ def number_hint(key: str | int, value: Any) -> str | None:
 
 
 def _magnitude_hint(value: Sequence[Any]) -> str | None:
-    """Return a hint for a direction where gravity is a magnitude that points down."""
+    """Return a hint for a vector where gravity is a downward magnitude."""
     axes = [number for number in value if number]
     if len(axes) != 1 or not isinstance(axes[0], int | float):
         return "write its size, such as 9.81; it pulls down along the up axis"
@@ -141,7 +141,7 @@ def _magnitude_hint(value: Sequence[Any]) -> str | None:
 
 
 def _unit_hint(key: str | int, number: float, unit: str) -> str:
-    """Return a hint for a number with a unit."""
+    """Return a hint for a number written with a unit."""
     if unit == "%":
         return f"write {number / 100:g}"
     if key == "t":
@@ -161,7 +161,7 @@ def _missing_message(missing_step: int | str, value: Any) -> str:
 
 
 def _join_messages(texts: Iterable[str]) -> str:
-    """Join the messages of a union's members into one."""
+    """Join the messages for the members of a union to one message."""
     first, *other_texts = texts
     start, negation, _ = first.partition(" is not ")
     if (
@@ -179,7 +179,7 @@ _CHOICE_FAULTS = {"literal_error", "enum", "union_tag_invalid"}
 
 
 def _value_message(fault: Any) -> str:
-    """Return the message of a fault, with the value."""
+    """Return the message of a fault, including the value."""
     value, context, kind = fault["input"], fault.get("ctx", {}), fault["type"]
     value_text = excerpt(value) if isinstance(value, str) else _value_text(value)
     if kind in {"too_short", "too_long", "string_too_long"}:
@@ -258,7 +258,7 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
 
 
 def _is_repeated(value: str, names: Sequence[str]) -> bool:
-    """Return whether a value is an order of axes in which one is repeated."""
+    """Return whether a value is an axis order that repeats an axis."""
     is_order = re.fullmatch("[XYZ]{3}", value.upper()) is not None
     return is_order and "XYZ" in names and len(set(value.upper())) < len(value)
 
@@ -268,7 +268,7 @@ def _count_phrase(count: int) -> str:
 
 
 def _value_text(value: Any) -> str:
-    """Return a value as text for a message."""
+    """Return a value as text for use in a message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

@@ -1,4 +1,4 @@
-"""Variables in the text of a document: ``${name}``, with defaults in the file."""
+"""Variables in the text of a document, ``${name}``, with defaults in the file."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _VARIABLE_USE = re.compile(rf"\$(?P<kept>\$)?\{{(?:(?P<name>{VARIABLE_NAME})\}})
 
 @dataclass(frozen=True, slots=True)
 class SceneValues:
-    """Values of a scene's variables that another file sets."""
+    """Values that another file sets for the variables of a scene."""
 
     # Values by variable name; they override the scene's.
     values: Mapping[str, str] = field(default_factory=dict)
@@ -47,7 +47,7 @@ class SceneValues:
 
 @dataclass(frozen=True, slots=True)
 class Variables:
-    """The variables of a document."""
+    """The names of a document's variables, and which of them have an effect."""
 
     names: frozenset[str] = frozenset()  # variables it uses or defines
     # Variables with a value that no text uses.
@@ -62,7 +62,7 @@ def resolve_variables(
     variables: Mapping[str, str],
     parts: Collection[str] = (),
 ) -> Variables:
-    """Substitute variables in the values of a document; keys are not changed.
+    """Substitute the variables in all values of a document; keys stay unchanged.
 
     Unquoted text is parsed again after substitution, so it may become a number; so may
     a quoted variable where text is not allowed. A default may use variables defined
@@ -98,7 +98,7 @@ _TYPE_KEYWORDS = frozenset(
 
 
 def with_variables(schema: Any) -> Any:
-    """Return a JSON Schema that also allows variables in place of values.
+    """Return a JSON Schema that accepts a variable wherever it accepts a value.
 
     >>> with_variables({"type": "number", "minimum": 0})["anyOf"][0]
     {'type': 'number', 'minimum': 0}
@@ -125,12 +125,12 @@ def _inner_schema(key: str, value: Any) -> Any:
 
 
 def _excludes_text(schema: dict[str, Any]) -> bool:
-    """Return whether a schema excludes text."""
+    """Return whether a schema accepts no text."""
     return "enum" in schema or schema.get("type") in {"number", "integer", "boolean"}
 
 
 def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
-    """Yield the location and text of each value that may use a variable."""
+    """Yield each text of a document that may use a variable, with its location."""
     if isinstance(node, str):
         if "${" in node:
             yield location, node
@@ -160,7 +160,7 @@ class _Resolver:
     component_names: set[str] = field(default_factory=set)
 
     def defaults(self) -> None:
-        """Read the document's default values; each may use earlier ones."""
+        """Read the default values of variables; each may use the ones before it."""
         default_values = self.document.value.get(DEFAULTS_KEY)
         for name, value in (
             default_values if isinstance(default_values, dict) else {}
@@ -186,7 +186,7 @@ class _Resolver:
                     self.component_names.add(name)
 
     def effective(self) -> frozenset[str]:
-        """Return the variables that affect more than the output's name."""
+        """Return the variables that affect more than the name of the output."""
         pending_names = {
             name
             for key, names in self.uses.items()
@@ -224,7 +224,7 @@ class _Resolver:
     def output_name(
         self, location: Location, text: str, resolved_text: str
     ) -> str | None:
-        """Return an output's name; None and a fault if it is unsafe."""
+        """Return the name of an output; None with a fault if it is unsafe."""
         for component in text.split("/"):
             used_names = {
                 match["name"]
@@ -256,7 +256,7 @@ class _Resolver:
         return kind is not None and takes_no_text(kind)
 
     def resolve(self, location: Location, text: str) -> str | None:
-        """Return a text with its variables substituted; None on a fault."""
+        """Return a text with its variables substituted; None with a fault."""
         substituted: list[str] = []
         is_complete, end, length = True, 0, 0
         for use in _VARIABLE_USE.finditer(text):
@@ -272,7 +272,7 @@ class _Resolver:
         return "".join([*substituted, text[end:]]) if is_complete else None
 
     def _value(self, location: Location, match: re.Match[str]) -> str | None:
-        """Return the value of a variable; None and a fault if it is unknown."""
+        """Return the value of a variable; None with a fault if it is unknown."""
         if match["kept"]:
             return match[0][1:]
         name = match["name"]

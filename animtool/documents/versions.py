@@ -1,4 +1,4 @@
-"""Versions of the file formats and the migration steps between them."""
+"""Versions of the file formats, and the migration steps between them."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def newest(steps: MigrationSteps) -> int:
 
 
 def renamed_key(kind: str, location: Location, value: object) -> str | None:
-    """Return the new name of a renamed key; None if it was not renamed.
+    """Return the new name of a renamed key; None if the key was not renamed.
 
     >>> renamed_key("scene", ("systems", 2, "particles", "most"), 100)
     'max_particles'
@@ -75,7 +75,7 @@ def renamed_key(kind: str, location: Location, value: object) -> str | None:
 def renamed_keys(
     kind: str, value: Any, parent: Location = ()
 ) -> Iterator[tuple[Location, str]]:
-    """Yield location and new name of each renamed key."""
+    """Yield the location and the new name of each renamed key."""
     steps = enumerate(value) if isinstance(value, list) else ()
     for step, child in value.items() if isinstance(value, dict) else steps:
         location = (*parent, step)
@@ -90,7 +90,7 @@ def version_of(
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
     kind: str | None = None,
 ) -> tuple[str, int]:
-    """Return kind and version of a document.
+    """Return the kind and the version of a document.
 
     Args:
         document: A file.
@@ -150,7 +150,7 @@ def version_of(
 
 
 def _is_other_kind(document: Document, kind: str, first_kind: str) -> bool:
-    """Return whether a file of another kind refers to a file of this one."""
+    """Return whether a document is of another kind and only refers to this kind."""
     version_text = document.value[kind]
     is_version = isinstance(version_text, str) and version_text.startswith("animtool/")
     return first_kind != kind and not is_version

@@ -1,4 +1,4 @@
-"""Messages for YAML syntax faults."""
+"""Messages for faults of YAML syntax."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
 
 
 def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
-    """Return the fault of a tab before the scanner's position, often a line later."""
+    """Return the fault of a tab at the scanner's line or the line above; else None."""
     for number in (line, line - 1):
         source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]
@@ -74,7 +74,7 @@ def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
 
 
 def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault | None:
-    """Return the fault of a key without a colon above the scanner's position."""
+    """Return the fault of a key without a colon, above the position of the scanner."""
     line_text = lines[min(line, len(lines)) - 1]
     line_before = _line_above(lines, line)
     bare_key = _bare_key(lines[line_before - 1]) if line_before else None
@@ -146,7 +146,7 @@ def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
 
 
 def _bare_key(line: str) -> str | None:
-    """Return the text of a line that may lack a colon after its first word."""
+    """Return the text of a line whose first word may lack a colon; else None."""
     match = re.fullmatch(r"[ -]*([A-Za-z_][^:#]*?)\s*(#.*)?", line)
     return match[1] if match else None
 

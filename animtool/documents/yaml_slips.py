@@ -26,7 +26,7 @@ _RESERVED_CHARACTER = re.compile(r"[@`%]|\*(?![\w-]+\s*(?:[,\]}]|$))")
 
 
 class YamlFault(NamedTuple):
-    """A syntax fault: message, line, column and hint."""
+    """A fault of YAML syntax: message, line, column and hint."""
 
     message: str
     hint: str | None
@@ -50,7 +50,7 @@ def find_typing_mistake(text: str, stop: int) -> YamlFault | None:
 
 
 class _SlipFinder:
-    """Reads lines like the scanner, and tracks open brackets and quotes."""
+    """Reads lines as the YAML scanner does, and tracks open brackets and quotes."""
 
     def __init__(self, lines: list[str], stop: int) -> None:
         self.lines = lines
@@ -93,7 +93,7 @@ class _SlipFinder:
         return YamlFault(message, hint, self.line_number, column + 1)
 
     def _line_start_fault(self, indent: int) -> YamlFault | None:
-        """Return the slip in how a line starts."""
+        """Return the typing mistake at the start of a line, if any."""
         line_text = self.line[indent:]
         if self.open_quote is None and line_text.startswith("//"):
             return self._fault_here(
@@ -114,7 +114,7 @@ class _SlipFinder:
         return None
 
     def _line_in_brackets_fault(self, line_text: str, indent: int) -> YamlFault | None:
-        """Return the slip before a line that starts within brackets."""
+        """Return the mistake before a line that starts inside brackets, if any."""
         if indent <= self.open_brackets[0][3] and _ENTRY_START.match(line_text):
             return self._unclosed_fault(self.line_number - 1)
         line_above = self.line_number - 1
@@ -126,7 +126,7 @@ class _SlipFinder:
         return YamlFault(message, hint, line_above, len(text_above) + 1)
 
     def _is_last(self) -> bool:
-        """Return whether the scanner stopped at this line or the next with text."""
+        """Return whether the scanner stopped at this line or the next nonblank line."""
         lines_between = self.lines[self.line_number : self.stop - 1]
         return not any(line.split("#")[0].strip() for line in lines_between)
 
@@ -137,7 +137,7 @@ class _SlipFinder:
         )
 
     def _unclosed_fault(self, line: int) -> YamlFault:
-        """Return the fault of the innermost bracket that is open at a line's end."""
+        """Return the fault of the innermost bracket that a line leaves open."""
         bracket, start, column, _ = self.open_brackets[-1]
         while line > start and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
@@ -150,7 +150,7 @@ class _SlipFinder:
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
     def _slip_after_indent(self, indent: int) -> YamlFault | None:
-        """Return the first mistake in a line; update the open brackets and quotes."""
+        """Return the first mistake in a line, and track its brackets and quotes."""
         line = self.line
         column = self._quoted_end(0) if self.open_quote else 0
         may_start_value = True  # whether a value may start
@@ -198,7 +198,7 @@ class _SlipFinder:
         return None
 
     def _missing_comma_fault(self, letter: str) -> YamlFault | None:
-        """Return the fault of a value that starts right after another."""
+        """Return the fault of a value that follows another one without a comma."""
         if self.ended_value is None:
             return None
         line, column, last_character = self.ended_value
@@ -212,7 +212,7 @@ class _SlipFinder:
         return YamlFault(message, hint, line, column)
 
     def _quoted_end(self, column: int) -> int:
-        """Return the end of a quoted text; note one that does not end here."""
+        """Return the column after a quoted text; record a quote that stays open."""
         if self.open_quote:
             quote, start = self.open_quote[0], column
         else:
@@ -273,7 +273,7 @@ class _SlipFinder:
         return value_text
 
     def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
-        """Return the fault of text that continues after a quote."""
+        """Return the fault of a text that continues after a closing quote, if any."""
         text_after = self.line[column:]
         if (
             self.open_quote
@@ -296,7 +296,7 @@ class _SlipFinder:
         return self._fault_here(message, hint, column)
 
     def _flow_key_slip(self, column: int) -> YamlFault | None:
-        """Return the slip in a key or a value within brackets."""
+        """Return the mistake in a key or a value inside brackets, if any."""
         text_after = self.line[column:]
         tight_match = re.match(
             rf"({_KEY_PATTERN}):(?![\s/\\])([^,\]}}]+[\]}}]?)", text_after

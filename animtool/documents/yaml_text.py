@@ -1,4 +1,4 @@
-"""Values written as YAML or JSON text, and the comment lines of a text."""
+"""Values as YAML or JSON text, and the comment lines of a text."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ LINE_WIDTH = 88
 
 
 class _Dumper(yaml.SafeDumper):
-    """A YAML dumper that quotes text that would parse as another type."""
+    """A YAML dumper that quotes texts that would be read as another type."""
 
     def ignore_aliases(self, data: Any) -> bool:
         """Disable aliases, which documents cannot have."""
@@ -41,7 +41,7 @@ _Dumper.add_representer(str, _represent_text)
 
 
 def yaml_text(value: dict[str, Any]) -> str:
-    """Return values as YAML that parses to equal values; inner values on one line.
+    """Return values as YAML text that parses to equal values.
 
     >>> print(yaml_text({"rig": "animtool/1", "bind": {"a": [1, 2.5]}}), end="")
     rig: animtool/1
@@ -77,7 +77,7 @@ def flow_text(key: str, value: Any) -> str:
 
 
 def _integral_values(value: Any) -> Any:
-    """Return a value with integral floats as integers."""
+    """Return a value with integer-valued floats converted to integers."""
     if isinstance(value, dict):
         return {key: _integral_values(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -92,7 +92,7 @@ def json_text(value: dict[str, Any]) -> str:
 
 
 def comments_in(text: str) -> list[int]:
-    r"""Return the 1-based lines of a YAML text that have comments.
+    r"""Return the 1-based numbers of the lines of a YAML text that have comments.
 
     >>> comments_in("a: 1  # one\nb: '# none'\n# two\n")
     [1, 3]

@@ -80,7 +80,7 @@ class SourceMarks(NamedTuple):
 
 
 class ParsedValues(NamedTuple):
-    """Values of a parsed text, and their marks on demand."""
+    """Values of a parsed text; their source marks are computed on demand."""
 
     value: Any  # plain values: mappings, lists, texts, numbers
     # Positions in JSON are only computed when a message needs them.
@@ -138,7 +138,7 @@ def _read_yaml(text: str, path: Path) -> ParsedValues:
 
 
 def masked_variables(text: str) -> str:
-    """Mask variables so that YAML parses them as plain text.
+    """Mask the variables of a text so that YAML reads them as plain text.
 
     Every character keeps its line and column.
 
@@ -151,7 +151,7 @@ def masked_variables(text: str) -> str:
 
 
 def compose_yaml(text: str) -> Any:
-    """Return the outermost YAML node of a text, variables read as plain text."""
+    """Return the root YAML node of a text, with variables read as plain text."""
     root = yaml.compose(masked_variables(text), yaml.CSafeLoader)
     nodes = [root]
     while nodes:
@@ -166,7 +166,7 @@ def compose_yaml(text: str) -> Any:
 
 
 def _is_variable(text: str, mark: Any) -> bool:
-    """Return whether the parser stopped at the bracket of a ``${``."""
+    """Return whether the parser stopped at the opening bracket of a ``${``."""
     if mark is None:
         return False
     line = text.splitlines()[mark.line : mark.line + 1]
@@ -174,7 +174,7 @@ def _is_variable(text: str, mark: Any) -> bool:
 
 
 def _yaml_escape(escape: re.Match[str]) -> str:
-    """Convert a JSON escape to YAML: one code point for a surrogate pair."""
+    """Convert a JSON escape to YAML; a surrogate pair becomes one code point."""
     high, low = escape.groups()
     if high is None:
         return escape[0]
@@ -228,7 +228,7 @@ class _YamlReader:
             raise FormatError(self.faults)
 
     def previous_node(self) -> tuple[str, tuple[int, int]]:
-        """Return unquoted text and position of the node before the last one."""
+        """Return the unquoted text and the position of the node before the last."""
         index = max(0, len(self.positions) - 2)
         return self.unquoted.get(index, ""), self.positions[index]
 
@@ -314,7 +314,7 @@ class _YamlReader:
 
 @dataclass(slots=True)
 class _OpenCollection:
-    """A mapping or list that is still open."""
+    """A mapping or list whose end is not reached yet."""
 
     value: Any  # content so far
     key: str | None = None  # of a mapping, the key whose value is next
@@ -385,7 +385,7 @@ class _OpenCollection:
             self.bracket_depth += _open_brackets(unquoted)
 
     def _tight_key(self, reader: _YamlReader) -> None:
-        """Report a key that contains its value because a space is missing."""
+        """Report a key that includes its value because a space is missing."""
         key, position = reader.previous_node()
         match = _TIGHT_KEY.fullmatch(key)
         if match is not None:
@@ -393,13 +393,13 @@ class _OpenCollection:
             reader.fault("DOC001", message, position, f"{hint}{match[2]}'")
 
     def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
-        """Return whether a key is the decimals of the number before it."""
+        """Return whether a key is the fractional part of the number before it."""
         digits, (line, column) = reader.previous_node()
         is_integer = self.is_flow and digits.lstrip("+-").isdigit()
         return is_integer and position == (line, column + len(digits) + 1)
 
     def report_time_keys(self, reader: _YamlReader) -> None:
-        """Report times that are mapping keys, with the correct form as hint."""
+        """Report times used as mapping keys, with the correct form as a hint."""
         if not self.times:
             return
         entries = [
@@ -416,7 +416,7 @@ class _OpenCollection:
     def _rejoin_piece(
         self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
-        """Rejoin a text that commas split into a value and keys."""
+        """Rejoin a text that commas inside it split into a value and keys."""
         if value is not None or unquoted or not self.text_pieces:
             self.bracket_depth = _open_brackets(unquoted)
             self.text_pieces = [unquoted] if self.bracket_depth > 0 else []

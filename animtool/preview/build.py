@@ -1,4 +1,4 @@
-"""Builds pages: reads files, puts them on one timeline, writes one HTML file."""
+"""Builds pages: reads files, aligns them on one timeline and writes one HTML file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ MAX_TITLE = 120
 
 @dataclass(frozen=True, slots=True)
 class PreviewPage:
-    """A page ready to be written.
+    """A page that is ready to be written.
 
     Attributes:
         manifest: Description of the contents, for the viewer.
@@ -176,7 +176,7 @@ def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
 def _build_page(
     draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
-    """Return the page of its contents; refuse one that is too large."""
+    """Return the page of a draft; refuse a page that is too large."""
     title = ", ".join(names)
     source = {
         "files": names,
@@ -202,7 +202,7 @@ def _build_page(
 def _collect_contents(
     files: list[OpenFile], options: PreviewOptions
 ) -> tuple[PageDraft, list[Fault]]:
-    """Return the contents of files on one timeline, and notices."""
+    """Read files into a draft on one timeline; return it with notices."""
     notices = [file.at_scene(notice) for file in files for notice in file.notices]
     fps = next((rate for file in files if (rate := file.fps)), Fraction(24))
     timed_takes = [
@@ -237,7 +237,7 @@ def _collect_contents(
 
 
 def _add_timed_take(draft: PageDraft, timed_take: TimelineTake) -> PageTake:
-    """Add a take with its meshes, visibility and curves; return its entry."""
+    """Add a take with its meshes, visibility and curves; return it as stored."""
     first = draft.timeline.index(timed_take.first_frame)
     page_take = add_take(
         draft, timed_take.take.name, timed_take.stream, timed_take.motion, first
@@ -274,7 +274,7 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:
-    """Add the findings of `validate`, with the takes they concern."""
+    """Add the findings of `validate`, each linked to the takes it concerns."""
     faults = errors_first(find_faults(files))
     takes: dict[str, tuple[int, Sequence[str]]] = {}
     for number, entry in enumerate(draft.takes):

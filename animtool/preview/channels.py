@@ -23,7 +23,7 @@ _AXIS_NAMES = "xyzw"
 
 @dataclass(frozen=True, slots=True)
 class ChannelCurve:
-    """One value over the frames of a take, in the units an animator edits."""
+    """Values of one channel over the frames of a take, in an animator's units."""
 
     name: str
     unit: str  # ``m``, ``deg`` or empty
@@ -36,7 +36,7 @@ class ChannelCurve:
 def add_channels(
     draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: Fraction
 ) -> None:
-    """Add the curves of a take to a page, in one stream.
+    """Add the animation curves of a take to a page, in one stream.
 
     Args:
         draft: The page.
@@ -73,7 +73,7 @@ def add_channels(
 
 
 def _curve_range(curve: ChannelCurve, size: float) -> float:
-    """Return the range of a curve [1].
+    """Return the range of a curve's values in comparable units [1].
 
     Angles are in radians, lengths relative to the size of the rig.
     """
@@ -85,7 +85,7 @@ def _curve_range(curve: ChannelCurve, size: float) -> float:
 def _clip_curves(
     draft: PageDraft, page_take: PageTake, clip: Clip | None, origin: float
 ) -> list[ChannelCurve]:
-    """Return the curves of a clip's channels at the frames of the page."""
+    """Return the channels of a clip, sampled at the frames of the page."""
     if clip is None:
         return []
     timeline = draft.timeline
@@ -118,7 +118,7 @@ def _clip_curves(
 
 
 def _display_unit(target: str, width: int) -> tuple[str, float]:
-    """Return the display unit of a channel, and the factor to it."""
+    """Return the unit in which a channel is shown, and the factor to that unit."""
     if target.startswith(("control/", "shape/")) or width == 4:
         return "", 1.0
     if target.endswith(("translation", ".slide")):
@@ -127,7 +127,7 @@ def _display_unit(target: str, width: int) -> tuple[str, float]:
 
 
 def _control_curves(page_take: PageTake, clip: Clip | None) -> list[ChannelCurve]:
-    """Return curves of controls and shape weights that the clip does not key."""
+    """Return the curves of controls and shape weights that the clip does not key."""
     keyed_targets = (
         set() if clip is None else {channel.target for channel in clip.channels}
     )

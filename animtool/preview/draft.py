@@ -1,4 +1,4 @@
-"""A page under construction: timeline, streams and manifest entries."""
+"""A page under construction: its timeline, streams and manifest entries."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FORMAT_VERSION = 1
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """The frames of a page, in shot frames."""
+    """The frames of a page, counted as shot frames."""
 
     fps: Fraction  # time codes per second
     first: Fraction  # time code of the first sample
@@ -39,7 +39,7 @@ class Timeline:
         return round((code - self.first) / self.step)
 
     def manifest_entry(self) -> dict[str, Any]:
-        """Return the manifest entry."""
+        """Return the timeline's entry in the page manifest."""
         return {
             "first": json_number(self.first),
             "step": json_number(self.step),
@@ -87,7 +87,7 @@ class PageDraft:
     cache: dict[bytes, Any] = field(default_factory=dict)
 
     def add_notice(self, message: str) -> None:
-        """Add a notice unless it is already there."""
+        """Add a notice unless the page already has it."""
         if message not in self.notices:
             self.notices.append(message)
 
@@ -99,7 +99,7 @@ class PageDraft:
     def manifest(
         self, title: str, source: dict[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
-        """Return the manifest and the blocks; closes the streams."""
+        """Close the streams; return the manifest and the data blocks."""
         streams, blocks = self.packer.finish()
         return {
             "format": FORMAT_VERSION,
@@ -125,7 +125,7 @@ class PageDraft:
 
 @contextmanager
 def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
-    """Context that skips unreadable content with a notice."""
+    """Return a context that skips unreadable content and adds a notice."""
     try:
         yield
     except AnimtoolError as error:
@@ -140,7 +140,7 @@ def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
 
 
 def round_up_error(error: float) -> float:
-    """Return an error rounded up to two digits.
+    """Return an error rounded up to two significant digits.
 
     >>> round_up_error(0.0123), round_up_error(0.0)
     (0.013, 0.0)

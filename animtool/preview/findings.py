@@ -17,7 +17,7 @@ MAX_FINDINGS = 500
 
 
 def find_faults(files: Sequence[Path]) -> list[Fault]:
-    """Return the findings of `validate` in files; none for unsupported files."""
+    """Return the findings of `validate` in files, skipping files it cannot check."""
     faults: list[Fault] = []
     for path in files:
         try:
@@ -31,7 +31,7 @@ def find_faults(files: Sequence[Path]) -> list[Fault]:
 def finding_entry(
     fault: Fault, takes: Mapping[str, tuple[int, Sequence[str]]]
 ) -> dict[str, Any]:
-    """Return the manifest entry of a finding.
+    """Return the entry of a finding in the page manifest.
 
     ``takes`` maps the path of a file to the index of its take and the names of its
     joints.
@@ -54,6 +54,6 @@ def finding_entry(
 
 
 def errors_first(faults: Sequence[Fault]) -> list[Fault]:
-    """Return findings, errors first."""
+    """Return findings sorted with errors first."""
     rank = {Severity.ERROR: 0, Severity.WARNING: 1, Severity.NOTE: 2}
     return sorted(dict.fromkeys(faults), key=lambda fault: rank[fault.severity])

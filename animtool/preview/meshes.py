@@ -1,4 +1,4 @@
-"""Meshes and strands of characters: skinned by the viewer, or as point caches."""
+"""Meshes and strands of characters, skinned by the viewer or as point caches."""
 
 from __future__ import annotations
 
@@ -100,7 +100,7 @@ def needs_points(skin: PreparedSkin | None) -> bool:
 
 
 def largest_influences(skin: PreparedSkin) -> tuple[IntArray, FloatArray]:
-    """Return the four largest weights of each vertex and their joints ``(V, 4)``."""
+    """Return the joints and weights of the four largest influences ``(V, 4)``."""
     influences = skin.influences
     counts = np.diff(influences.row_starts)
     rows = np.repeat(np.arange(skin.vertices), counts)
@@ -127,7 +127,7 @@ def mesh_entry(
     double_sided: bool = True,
     colors: FloatArray | None = None,
 ) -> dict[str, Any]:
-    """Return the manifest entry of a mesh: points and triangles.
+    """Return the manifest entry of a mesh with its points and triangles.
 
     ``colors``: linear colors of the points ``(V, 3)``; None to use one ``color``.
     """
@@ -195,7 +195,7 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
 def _shape_entries(
     draft: PageDraft, shapes: PreparedShapes, visible: IntArray, first: int
 ) -> list[dict[str, Any]]:
-    """Return the nonzero shape offsets, sparse."""
+    """Return the manifest entries of shapes, with sparse point offsets."""
     columns = shapes.points
     names = [
         name if at == 1.0 else f"{name} at {at:g}"
@@ -227,7 +227,7 @@ def _shape_entries(
 
 
 def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) -> int:
-    """Return the stream of a mesh's points in every frame."""
+    """Return the index of the stream with a mesh's points in every frame."""
     blocks = []
     weights = mesh.weights(page_take.weights)
     for begin in range(0, page_take.frames, BLOCK_FRAMES):
@@ -247,7 +247,7 @@ def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) ->
 
 
 def _drop_unused_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
-    """Return a mesh without the shapes whose weights are 0 in all frames."""
+    """Return a mesh without shapes whose weights are 0 in every frame."""
     if weights is not None or mesh.shapes is None:
         return mesh
     return DeformedMesh(mesh.points, None, mesh.skin)

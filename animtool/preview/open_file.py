@@ -64,7 +64,7 @@ _UNSUPPORTED_HINTS = {
 
 @dataclass(frozen=True, slots=True)
 class TakeToShow:
-    """A take of a file, Y up, with its meshes."""
+    """A take of a file, rotated to Y up, with its meshes."""
 
     name: str
     stream: TakeStream
@@ -127,7 +127,7 @@ class OpenFile:
 
 
 def _takes_overlays(path: Path) -> bool:
-    """Return whether overlays apply to a file: it is a stage."""
+    """Return whether overlay layers apply to a file: it is a stage or a scene."""
     return is_usd(path) or has_kind_suffix(path, "scene")
 
 
@@ -232,7 +232,7 @@ def _open_targets(path: Path, *, is_only_file: bool) -> OpenFile:
 
 
 def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
-    """Open a file of markers, Y up."""
+    """Open a file of markers and rotate it to Y up."""
     markers = open_markers(path, unit=source.unit, up=source.up, fps=source.fps)
     file = OpenFile(path, "m", markers.up, markers=markers)
     file.notices += markers.notices
@@ -240,7 +240,7 @@ def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
 
 
 def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
-    """Open a USD file: characters and other visible prims."""
+    """Open a USD file with its characters and its other visible prims."""
     from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import read_source_meshes
 
@@ -297,7 +297,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
 def _read_characters(
     file: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
-    """Read all valid characters; report the malformed ones."""
+    """Return the takes of all valid characters; report malformed characters."""
     streams: dict[str, TakeStream] = {}
     errors: list[FormatError] = []
     for prim, read_stream in characters.items():
@@ -313,7 +313,7 @@ def _read_characters(
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
-    """Report the other takes of a clip library."""
+    """Return a notice of the takes in a clip library that are not shown."""
     names = stream.details.get("takes")
     if not isinstance(names, list) or len(names) < 2:
         return []
@@ -324,7 +324,7 @@ def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
 
 
 def scene_to_show(scene: Scene) -> Scene:
-    """Return a scene with the output to show, without its file."""
+    """Return a scene whose single output is baked for the page, not to its file."""
     output = scene.outputs[0]
     bake = replace(output.bake, form=None, chunk=None, overwrite=False, take=None)
     return replace(scene, outputs=(replace(output, path=None, bake=bake),))
@@ -333,7 +333,7 @@ def scene_to_show(scene: Scene) -> Scene:
 def _combined_stage(
     folder: Path, layer_path: Path, options: PreviewOptions, weaker: Sequence[Path] = ()
 ) -> Path:
-    """Write a stage of a layer over weaker ones, under overlays; return its path."""
+    """Write a stage of a layer over weaker layers, under overlays; return its path."""
     from animtool.usd.layers.view import write_view
 
     overlays = [Path(layer) for layer in options.over]

@@ -115,7 +115,7 @@ class PictureOptions:
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class ShowOptions:
-    """Where a page is shown or written, and when it is rebuilt."""
+    """Where to show or write a page, and whether to rebuild it."""
 
     opened: bool | None = option(
         None,

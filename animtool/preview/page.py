@@ -1,4 +1,4 @@
-"""The HTML of a page: manifest, blocks and viewer in one self-contained file."""
+"""The HTML of a page: manifest, data blocks and viewer in one self-contained file."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def viewer_modules() -> dict[str, str]:
     modules: dict[str, str] = {}
 
     def add(name: str, importers: tuple[str, ...] = ()) -> None:
-        """Add a module after those it imports."""
+        """Append a module after all the modules that it imports."""
         if name in modules or name in importers or name not in texts:
             return
         for match in _IMPORT.finditer(texts[name]):
@@ -132,7 +132,7 @@ def viewer_modules() -> dict[str, str]:
 
 
 def compact_code(text: str) -> str:
-    r"""Return code without comment lines and indentation.
+    r"""Return source code without comment lines and indentation.
 
     >>> compact_code("/** Adds. */\nfunction add(a) {\n  // one\n  return a + 1;\n}\n")
     'function add(a) {\nreturn a + 1;\n}\n'
@@ -143,6 +143,6 @@ def compact_code(text: str) -> str:
 
 
 def viewer_text(name: str) -> str:
-    """Return the text of a viewer file."""
+    """Return the text of a source file of the viewer."""
     path = VIEWER_FOLDER / name
     return path.read_text("utf-8")

@@ -1,4 +1,4 @@
-"""Plans a page without building it: files read, contents shown, output path."""
+"""Plans a page without building it: files to read, contents and output path."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def _read_step(file: OpenFile) -> PlanStep:
 
 
 def _content_texts(file: OpenFile) -> Iterator[str]:
-    """Yield the contents of a file."""
+    """Yield descriptions of the contents of a file."""
     for text, count in Counter(map(_describe_take, file.takes)).items():
         yield text if count == 1 else f"{count} times {text}"
     contents = file.contents

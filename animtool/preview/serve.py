@@ -25,7 +25,7 @@ PageBuilder = Callable[[], PreviewPage]
 
 @dataclass(slots=True)
 class WatchedPage:
-    """A page and its input files.
+    """A page and the input files that it is rebuilt from.
 
     Attributes:
         build_page: Builds the page.
@@ -65,7 +65,7 @@ class WatchedPage:
             self._body = b"".join(page.chunks(watch))
 
     def _record_states(self, inputs: Inputs, *, keep: bool) -> None:
-        """Record the state of files as of when they were read."""
+        """Record the state that each input file had when it was read."""
         if not keep:
             self._states.clear()
         else:
@@ -78,26 +78,26 @@ class WatchedPage:
         }
 
     def has_changed(self) -> bool:
-        """Return whether an input file changed."""
+        """Return whether any input file changed since it was read."""
         return any(
             FileState.of(path) != previous_state
             for path, previous_state in self._states.items()
         )
 
     def response_body(self) -> bytes:
-        """Return the response body of the page."""
+        """Return the body of the HTTP response for the page."""
         with self._lock:
             return self._body
 
     def polled_state(self) -> bytes:
-        """Return the polled state: page version and current error."""
+        """Return the page version and the current error as JSON."""
         with self._lock:
             values = {"version": self.version, "error": self.error}
         return json.dumps(values).encode()
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers requests for the page and its state."""
+    """Answers HTTP requests for the page and its state."""
 
     server: PageServer
     server_version, sys_version = "animtool", ""
@@ -106,7 +106,7 @@ class _Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Send the page or its state; refuse anything else."""
+        """Send the page or its state; refuse any other path."""
         watched, path = self.server.watched, self.path.partition("?")[0]
         if not self._is_authorized():
             self._send(403, b"forbidden\n", "text/plain")
@@ -150,7 +150,7 @@ class _Handler(BaseHTTPRequestHandler):
 
 
 class PageServer(ThreadingHTTPServer):
-    """HTTP server of a page on loopback, at a free port."""
+    """HTTP server of a page on the loopback interface, at a free port."""
 
     daemon_threads = True
 
@@ -164,7 +164,7 @@ class PageServer(ThreadingHTTPServer):
         return f"http://{ADDRESS}:{self.server_address[1]}/{self.watched.secret}/"
 
     def handle_error(self, request: Any, client_address: Any) -> None:
-        """Ignore closed connections."""
+        """Ignore connections that the browser closed."""
 
 
 def rebuild_on_changes(

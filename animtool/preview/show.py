@@ -21,7 +21,7 @@ DEFAULT_HEIGHT = 560
 def has_browser(
     environment: Mapping[str, str] = os.environ, platform: str = sys.platform
 ) -> bool:
-    """Return whether a browser can open: not over ssh, nor without a display.
+    """Return whether a browser can open: there is a display and no SSH session.
 
     >>> has_browser({"SSH_CONNECTION": "10.0.0.1"}, "darwin")
     False
@@ -40,7 +40,7 @@ def temporary_page() -> Path:
 
 
 def open_browser(address: str) -> bool:
-    """Open a URL in the browser; return whether that worked."""
+    """Open a URL in the browser; return whether the browser started."""
     try:
         return webbrowser.open(address)
     except webbrowser.Error:
@@ -103,7 +103,7 @@ class Preview:
         return output
 
     def _repr_html_(self) -> str:
-        """Return the page in a sandboxed iframe."""
+        """Return the page in a sandboxed iframe, as HTML for notebooks."""
         document = html.escape(self.page.html(), quote=True)
         title = html.escape(str(self.page.manifest["title"]), quote=True)
         return (

@@ -34,7 +34,7 @@ SCALE_ERROR = 1e-4
 
 
 def add_stage(draft: PageDraft, contents: StageContents) -> None:
-    """Add the visible prims of a stage, except characters, to a page."""
+    """Add the visible prims of a stage to a page, except characters."""
     with usd_errors(contents.path), without_usd_warnings():
         codes = draft.timeline.codes * float(contents.fps / draft.timeline.fps)
         for prim in contents.prims:
@@ -43,7 +43,7 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
 
 
 def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add a mesh: static, rigid or with animated points."""
+    """Add a mesh that is static, rigid, or has animated points."""
     if prim.is_deforming and prim.has_changing_faces:
         draft.add_notice(
             f"mesh {prim.name!r} changes its faces: only its points are drawn"
@@ -80,7 +80,7 @@ def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str
 def _add_rigid(
     draft: PageDraft, prim: ShownPrim, faces: ShownMesh, codes: FloatArray
 ) -> None:
-    """Add a mesh that only moves rigidly as one instance."""
+    """Add a mesh that only moves rigidly, as an instanced mesh with one instance."""
     times = codes if prim.is_moving else codes[:1]
     matrices = np.stack([prim.world(code) for code in times.tolist()])
     if not np.isfinite(matrices).all():
@@ -114,7 +114,7 @@ def _add_rigid(
 def _instance_streams(
     draft: PageDraft, positions: FloatArray, rotations: FloatArray, scales: FloatArray
 ) -> dict[str, Any]:
-    """Return instance streams ``(F, N, 3)``, ``(F, N, 4)``, ``(F, N, 3)``."""
+    """Add streams of positions, rotations and scales; return their manifest entry."""
     frames = len(positions)
     positions_stored = quantize_range(positions.reshape(frames, -1), period=3)
     rotations_stored = quantize_units(so3.align_signs(rotations).reshape(frames, -1))
@@ -134,7 +134,7 @@ def _instance_streams(
 def _point_stream(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray, count: int
 ) -> int:
-    """Return the stream of animated points; wrong sizes repeat the last sample."""
+    """Return the stream index of animated points; wrong counts repeat a sample."""
     rows = np.empty((len(codes), 3 * count), np.float32)
     for i, code in enumerate(codes.tolist()):
         points = prim.points(code)
@@ -153,12 +153,12 @@ def _point_stream(
 def _prim_visibility(
     draft: PageDraft, prim: ShownPrim, codes: FloatArray
 ) -> int | None:
-    """Return the stream of a prim's visibility; None if always visible."""
+    """Return the stream index of a prim's visibility; None if always visible."""
     return visibility_stream(draft, prim.visibility(codes))
 
 
 def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add curves as strands with their widths."""
+    """Add curves as strands with widths."""
     if prim.has_changing_faces:
         draft.add_notice(
             f"the number of curves {prim.name!r} changes: points are drawn"
@@ -187,7 +187,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 
 def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
-    """Add points with widths and colors, at stable slots."""
+    """Add points with widths and colors; each point keeps one slot."""
     is_animated = prim.is_deforming or prim.is_moving
     times = (codes if is_animated else codes[:1]).tolist()
     point_slots = PointSlots()
@@ -223,14 +223,14 @@ def _finite_mean(values: FloatArray) -> float:
 
 
 class PointSlots:
-    """Columns for points that appear and disappear, reused over time."""
+    """Assigns columns (slots) to points that appear and disappear, and reuses them."""
 
     def __init__(self) -> None:
         self.count = 0
         self._slot_of_id: dict[int, int] = {}
 
     def assign(self, ids: IntArray | None, rows: FloatArray) -> IntArray:
-        """Return the slot of each point of a frame ``(N,)``, new ones included."""
+        """Return the slot of each point of a frame ``(N,)``, adding new points."""
         names = (
             range(len(rows)) if ids is None or len(ids) != len(rows) else ids.tolist()
         )
@@ -250,7 +250,7 @@ class PointSlots:
 
 
 def _spread_to_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> FloatArray:
-    """Return positions by slot ``(F, 3 S)``, NaN for empty slots."""
+    """Return positions arranged by slot ``(F, 3 S)``, with NaN in empty slots."""
     slot_positions = np.full((len(rows), count, 3), np.nan)
     for frame, (slots, values) in zip(slot_positions, rows, strict=True):
         frame[slots] = values
@@ -260,7 +260,7 @@ def _spread_to_slots(rows: list[tuple[IntArray, FloatArray]], count: int) -> Flo
 def _slot_values(
     rows: list[tuple[IntArray, FloatArray]], values: list[FloatArray], count: int
 ) -> FloatArray | None:
-    """Return a value per slot, from its last point; None without values."""
+    """Return one value per slot, from the last point in it; None without values."""
     cache = next((frame_values for frame_values in values if len(frame_values)), None)
     if cache is None:
         return None
@@ -314,7 +314,7 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
 
 
 class _SlotInstances:
-    """Instances by slot; a removed one keeps its last transform."""
+    """Instances by slot; a removed instance keeps its last transform."""
 
     def __init__(self, frames: int, count: int) -> None:
         self.points = np.zeros((frames, count, 3))
@@ -326,7 +326,7 @@ class _SlotInstances:
     def of(
         cls, samples: list[PointSample], rows: list[IntArray], count: int
     ) -> _SlotInstances:
-        """Return the instances of samples; ``rows`` gives the slots of each sample."""
+        """Arrange instances by slot; ``rows`` contains the slots of each sample."""
         copies = cls(len(samples), count)
         for f, (sample, slots) in enumerate(zip(samples, rows, strict=True)):
             if f:
@@ -348,7 +348,7 @@ def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -
 
 
 def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
-    """Add a camera to a page; ``times`` ``(F,)`` are its track's at each frame."""
+    """Add a camera to a page, sampled at track times for each frame ``(F,)``."""
     names = [attribute.name for attribute in track.attributes]
     sampled = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.

@@ -36,7 +36,7 @@ TYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 @dataclass(frozen=True, slots=True)
 class Quantized:
-    """Quantized values with scale, offset and error.
+    """Quantized values with their scale, offset and largest error.
 
     Attributes:
         stored_values: Integers or floats ``(F, width)`` of the type ``kind``.
@@ -75,7 +75,7 @@ def quantize_units(values: FloatArray) -> Quantized:
 def quantize_range(
     values: Array, tolerance: float = POSITION_ERROR, *, period: int = 0
 ) -> Quantized:
-    """Quantize columns over their range; float32 if that is too coarse.
+    """Quantize columns over their range; use float32 if that is too coarse.
 
     Args:
         values: ``(F, width)``; non-finite values are gaps.
@@ -113,18 +113,18 @@ def quantize_range(
 
 
 def _single_or_list(values: list[float]) -> float | list[float]:
-    """Return a list, or its number if all are equal."""
+    """Return values as a list, or the number itself if there is only one."""
     return values[0] if len(values) == 1 else values
 
 
 def _largest_difference(differences: Array) -> float:
-    """Return the largest absolute difference; 0 without finite ones."""
+    """Return the largest absolute finite difference; 0 if there is none."""
     return float(np.nanmax(np.abs(differences), initial=0.0))
 
 
 @dataclass(slots=True)
 class _Stream:
-    """A stream of the page, and its blocks."""
+    """A stream of the page and its encoded blocks."""
 
     id: int
     data: Quantized
@@ -132,12 +132,12 @@ class _Stream:
 
     @property
     def is_delta_coded(self) -> bool:
-        """Whether samples are stored as differences."""
+        """Whether samples are stored as differences from the previous sample."""
         return self.data.kind != "f32"
 
     @property
     def sample_bytes(self) -> int:
-        """Size of a sample [bytes]."""
+        """Size of one sample [bytes]."""
         return int(self.data.stored_values.shape[1]) * _WIDTHS[self.data.kind]
 
     def manifest_entry(self) -> dict[str, Any]:
@@ -211,7 +211,7 @@ class StreamPacker:
         return [stream.manifest_entry() for stream in self._streams], blocks
 
     def _groups(self) -> list[tuple[list[_Stream], int]]:
-        """Return streams that share blocks, and their samples per block."""
+        """Return groups of streams that share blocks, and the samples per block."""
         groups: list[tuple[list[_Stream], int]] = []
         static_streams: list[_Stream] = []
         by_length: dict[int, list[_Stream]] = {}
@@ -238,7 +238,7 @@ class StreamPacker:
 def _split_by_size(
     streams: Sequence[_Stream], max_bytes: int, samples: int
 ) -> list[list[_Stream]]:
-    """Group streams up to a total size; a larger stream gets its own group."""
+    """Group streams up to a total size; a larger stream is a group of its own."""
     groups: list[list[_Stream]] = []
     size = 0
     for stream in streams:
@@ -252,7 +252,7 @@ def _split_by_size(
 
 
 def _encoded_samples(stored_values: Array, kind: str) -> bytes:
-    """Return samples column-major, delta-coded, as byte planes."""
+    """Return samples as bytes: column-major, delta-coded, split into byte planes."""
     width = _WIDTHS[kind]
     columns = (
         stored_values.reshape(1, -1) if len(stored_values) == 1 else stored_values.T
@@ -267,7 +267,7 @@ def _encoded_samples(stored_values: Array, kind: str) -> bytes:
 
 
 def deflate_base64(parts: Sequence[bytes]) -> str:
-    """Return bytes as raw deflate in base64."""
+    """Compress bytes with raw deflate and encode them as base64."""
     deflate = zlib.compressobj(DEFLATE_LEVEL, zlib.DEFLATED, -15)
     packed = b"".join([*map(deflate.compress, parts), deflate.flush()])
     return base64.b64encode(packed).decode("ascii")

@@ -58,7 +58,7 @@ def plot_svg(panel: Panel) -> str:
 
 
 def _positive_points(points: Sequence[PrecisionPoint]) -> list[PrecisionPoint]:
-    """Return the points that logarithmic axes can show."""
+    """Return the points with positive values, which logarithmic axes can show."""
     return [p for p in points if p.cost > 0 and p.error > 0 and math.isfinite(p.error)]
 
 
@@ -73,7 +73,7 @@ class _LogAxis:
 
     @staticmethod
     def from_values(values: Sequence[float], begin: float, end: float) -> _LogAxis:
-        """Return the axis of values, with a margin at both ends."""
+        """Return an axis that covers the values, with a margin at both ends."""
         low, high = math.log10(min(values)), math.log10(max(values))
         margin = max(0.05 * (high - low), 0.1)
         return _LogAxis(low - margin, high + margin, begin, end)
@@ -84,7 +84,7 @@ class _LogAxis:
         return self.begin + fraction * (self.end - self.begin)
 
     def ticks(self) -> list[float]:
-        """Return tick values, 20 at most."""
+        """Return at most 20 tick values."""
         first, last = math.floor(self.low), math.ceil(self.high)
         digits: tuple[int, ...] = (1, 2, 5) if last - first <= MAX_FEW_DECADES else (1,)
         if self.high - self.low < 1:
@@ -121,7 +121,7 @@ def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
 def _curve_elements(
     i: int, name: str, points: Sequence[PrecisionPoint], x: _LogAxis, y: _LogAxis
 ) -> Iterator[str]:
-    """Yield the line, markers and legend of a method."""
+    """Yield the line, the markers and the legend entry of a method."""
     colour = COLOURS[i % len(COLOURS)]
     dash = DASH_PATTERNS[i // len(COLOURS) % len(DASH_PATTERNS)]
     style = f'stroke="{colour}"' + (f' stroke-dasharray="{dash}"' if dash else "")

@@ -1,4 +1,4 @@
-"""Takes of a page: rest skeleton, motion, contacts, and quantization error."""
+"""Takes of a page: rest skeleton, motion, foot contacts and quantization error."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ WEIGHT_ERROR = 5e-5
 
 @dataclass(frozen=True, slots=True)
 class QuantizedTrack:
-    """One component of all joints: animated columns and constant values."""
+    """One transform component of all joints: constant values and animated columns."""
 
     static_values: FloatArray  # value of every joint, also animated ones ``(J, K)``
     animated_joints: IntArray  # indices of animated joints ``(A,)``
@@ -96,7 +96,7 @@ class BufferedMotion:
                     self._parts.setdefault(name, []).append(rows)
 
     def _round_like_layer(self, name: str, values: FloatArray) -> Float32Array:
-        """Return values as they would be after writing a layer."""
+        """Return values rounded as a written USD layer would store them."""
         if name == "translations":
             exact = (values / self._unit).astype(np.float32).astype(np.float64)
             return (exact * self._unit).astype(np.float32)
@@ -112,7 +112,7 @@ class BufferedMotion:
         return values.astype(np.float32)
 
     def pop_track(self, name: str) -> QuantizedTrack | None:
-        """Return a channel; constant joints are not animated."""
+        """Remove and return a channel; joints with constant values are not animated."""
         if name not in self._rest:
             return None
         channel, values = self._rest[name], np.concatenate(self._parts.pop(name))
@@ -126,7 +126,7 @@ class BufferedMotion:
         )
 
     def pop_rows(self, name: str) -> FloatArray | None:
-        """Return the values of a channel of one component ``(F, N)``."""
+        """Remove and return the values of a scalar channel ``(F, N)``."""
         track = self.pop_track(name)
         return None if track is None else track.dense_values(slice(None))[..., 0]
 
@@ -221,7 +221,7 @@ def _constant_channel(rest: FloatArray) -> QuantizedTrack:
 
 
 def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
-    """Return rotations whose first scalar part is positive."""
+    """Return quaternions with continuous signs and a positive first scalar part."""
     static = np.where(
         track.static_values[:, 3:] < 0, -track.static_values, track.static_values
     )
@@ -233,7 +233,7 @@ def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
 
 
 def _store_track(kind: str, track: QuantizedTrack | None) -> Quantized | None:
-    """Return the quantized values of a component; None if nothing is animated."""
+    """Return the quantized values of a component; None if no joint is animated."""
     if track is None or not track.animated_values.size:
         return None
     values = track.animated_values.reshape(len(track.animated_values), -1).astype(
@@ -245,7 +245,7 @@ def _store_track(kind: str, track: QuantizedTrack | None) -> Quantized | None:
 
 
 def _decoded_track(track: QuantizedTrack, data: Quantized | None) -> QuantizedTrack:
-    """Return a track with its values as the viewer decodes them."""
+    """Return a track with the values that the viewer decodes."""
     if data is None:
         return track
     values = data.stored_values * np.asarray(data.scale) + np.asarray(data.offset)
@@ -289,7 +289,7 @@ def _measure_error(
     exact_tracks: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
-    """Measure the quantization error of a take; return foot contacts."""
+    """Record the quantization error of a take; return its foot contacts."""
     if not rig.joints or not frames:
         return []
     skeleton, legs = _roled_legs(draft, rig)
@@ -323,7 +323,7 @@ LegJoints = dict[str, tuple[int, int, int, int]]
 
 
 def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
-    """Return a rig with roles and its legs; None if it has none."""
+    """Return a rig's roles (None without legs) and its legs, cached by rig."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.cache:
@@ -333,7 +333,7 @@ def _roled_legs(draft: PageDraft, rig: Rig) -> tuple[RoledSkeleton | None, LegJo
 
 
 def _find_legs(rig: Rig) -> tuple[RoledSkeleton | None, LegJoints]:
-    """Return a rig with roles and its legs; None if it has none."""
+    """Return the roles of a rig's joints (None without legs), and its legs."""
     skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
     legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
     return (skeleton if legs else None), legs
@@ -345,7 +345,7 @@ def _foot_contacts(
     feet: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
-    """Yield foot joints and their contact frames ``(F,)``."""
+    """Yield each foot joint with a mask of the frames in contact ``(F,)``."""
     for side, leg in legs.items():
         ankle, toe = leg[2:]
         length = skeleton.leg_length(side)
@@ -359,7 +359,7 @@ def _foot_contacts(
 def _contact_spans(
     draft: PageDraft, contacts: list[tuple[int, Any]], first: int
 ) -> list[dict[str, Any]]:
-    """Return the manifest entries of contacts, as spans of page frames."""
+    """Return the manifest entries of contacts as spans of page frames."""
     timeline = draft.timeline
 
     def code(frame: int) -> int | float:

@@ -55,7 +55,7 @@ def add_targets(
 
 
 def _covered_samples(draft: PageDraft, tracks: TargetTracks) -> IntArray:
-    """Return the page samples that the targets file covers ``(A,)``."""
+    """Return the page samples within the frame range of the targets file ``(A,)``."""
     codes = draft.timeline.codes * _rate_ratio(draft, tracks)
     first = -np.inf if tracks.first is None else float(tracks.first)
     last = np.inf if tracks.last is None else float(tracks.last)
@@ -63,7 +63,7 @@ def _covered_samples(draft: PageDraft, tracks: TargetTracks) -> IntArray:
 
 
 def _rate_ratio(draft: PageDraft, tracks: TargetTracks) -> float:
-    """Return the rate of the targets over that of the page."""
+    """Return the ratio of the targets' frame rate to the page's."""
     return 1.0 if tracks.fps is None else float(tracks.fps / draft.timeline.fps)
 
 
@@ -82,7 +82,7 @@ def _posed_targets(
     frames: IntArray,
     up_rotation: object,
 ) -> tuple[Rig, WorldTransforms]:
-    """Return the rig of the targets and its world transforms, in the file's axes."""
+    """Return the rig that the targets refer to, and its pose in the file's up axis."""
     if page_take is None or not page_take.frames:
         names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
         rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
@@ -105,7 +105,7 @@ def _add_markers(
     frames: IntArray,
     up_rotation: object,
 ) -> None:
-    """Add the goals of each kind as markers, NaN while inactive."""
+    """Add the goals of each kind as markers; inactive goals are NaN."""
     weights = np.asarray(targets.weights)
     for kind, (values, column, color, radius) in _GOAL_STYLES.items():
         columns = [

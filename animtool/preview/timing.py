@@ -61,7 +61,7 @@ def fit_to_page(
     options: PreviewOptions,
     notices: list[Fault],
 ) -> TimelineTake:
-    """Return a take resampled to the page's frames and rate.
+    """Return a take resampled to the frames and the rate of the page.
 
     Args:
         number: Index of its file.
@@ -113,7 +113,7 @@ def fit_to_page(
 
 
 def align_takes(timed_takes: list[TimelineTake]) -> list[Fault]:
-    """Shift takes that do not overlap the first to its start; return notices."""
+    """Move takes that do not overlap the first take to its start; return notices."""
     notices = []
     for timed in timed_takes[1:]:
         first_take = timed_takes[0]
@@ -181,7 +181,7 @@ def timeline_of(
 def _range_in_stage(
     timed: TimelineTake, stage_range: tuple[Fraction, Fraction] | None
 ) -> tuple[Fraction, Fraction]:
-    """Return the frames of a take inside the range of its stage."""
+    """Return the first and last frame of a take within its stage's range, if any."""
     if stage_range is None or timed.shift:
         return timed.first_frame, timed.last
     first, last = (
@@ -202,6 +202,6 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
-    """Return the span of a stage's moving prims; None if nothing moves."""
+    """Return the frame span of a stage's animated prims; None if nothing moves."""
     is_moving = any(prim.is_deforming or prim.is_moving for prim in contents.prims)
     return contents.span if is_moving or contents.cameras() else None

@@ -31,7 +31,7 @@ def write_tradeoff_page(
     overwrite: bool = False,
     calling: ArgumentNamer = python_name,
 ) -> int:
-    """Write a page of a report; return its size [byte].
+    """Write the HTML page of a tradeoff report; return its size [byte].
 
     Pairs of settings are read and shown side by side.
 
@@ -49,7 +49,7 @@ def write_tradeoff_page(
 def page_parts(
     report: Tradeoffs, calling: ArgumentNamer = python_name
 ) -> Iterator[str]:
-    """Yield the HTML of the page in pieces; it is self-contained."""
+    """Yield the self-contained HTML of the page in pieces."""
     style = viewer_text("tradeoffs.css")
     title = html.escape(f"{report.source.name}: time against error")
     yield (
@@ -102,7 +102,7 @@ def _table_html(
 
 
 def _viewer_html(compared_pair: Pair) -> Iterator[str]:
-    """Yield the viewer of two settings, in an iframe."""
+    """Yield an iframe with the viewer of two settings."""
     current, alternative = (
         html.escape(str(setting)) for setting in compared_pair.settings
     )

@@ -48,7 +48,7 @@ def add_visibility(
 
 
 def visibility_stream(draft: PageDraft, visible: BoolArray) -> int | None:
-    """Return the stream of visibility ``(F,)``; None if always visible."""
+    """Return the stream index of a visibility mask ``(F,)``; None if always visible."""
     if visible.all():
         return None
     rows = visible[:, None] if visible.any() else visible[:1, None]

@@ -51,7 +51,7 @@ class PrecisionPoint:
 
 @dataclass(frozen=True, slots=True)
 class PrecisionCurve:
-    """The settings of one method, in order."""
+    """Cost and error of the settings of one method, in order."""
 
     name: str  # for the legend
     points: tuple[PrecisionPoint, ...]  # settings that work
@@ -71,7 +71,7 @@ class Panel:
 
 
 def check_drawable(path: Path) -> None:
-    """Refuse a plot without matplotlib (IO005), or in an unknown format (SCN072)."""
+    """Raise if matplotlib is missing (IO005) or the format is unknown (SCN072)."""
     if path.suffix.lower() not in SUFFIXES:
         message = f"{path.suffix or 'a name without a suffix'} is not a kind of picture"
         hint = f"name it {', '.join(SUFFIXES)}"
@@ -80,7 +80,7 @@ def check_drawable(path: Path) -> None:
 
 
 def draw_panels(panels: Sequence[Panel], path: Path) -> None:
-    """Draw panels below each other, on logarithmic axes."""
+    """Draw panels one below the other with logarithmic axes and save the plot."""
     check_drawable(path)
     matplotlib, figures, ticker = _import_matplotlib()
     figure = figures.Figure(
@@ -150,7 +150,7 @@ def _draw_panel(axes: Any, panel: Panel, ticker: Any) -> None:
 
 
 def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
-    """Draw rings around the current settings."""
+    """Draw a ring around the point of each current setting."""
     if not current_points:
         return
     axes.plot(
@@ -166,7 +166,7 @@ def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
 
 
 def _draw_curve(axes: Any, curve: PrecisionCurve, i: int) -> None:
-    """Draw the settings of one method."""
+    """Draw the curve of one method."""
     visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not visible_points:
         return

@@ -1,4 +1,4 @@
-"""Compares two takes: joints, shapes, controls, and where they differ most."""
+"""Compares two takes: joints, shapes, controls, and where the takes differ most."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from animtool.scene.sources.open import (
 
 @dataclass(frozen=True, slots=True)
 class ShapeDifference:
-    """Largest difference of weights."""
+    """Largest difference between shape weights, and where it occurs."""
 
     value: float = 0.0  # difference [1]
     shape: str = ""  # name of the shape in the first take
@@ -49,7 +49,7 @@ class ShapeDifference:
 def compare_weights(
     first: Take, second: Take, frames: int
 ) -> tuple[ShapeDifference, int, list[str]]:
-    """Compare the weights of two takes of equal rate, shapes by name.
+    """Compare the shape weights of two takes of equal rate; match shapes by name.
 
     Different spellings of an ARKit shape are the same shape. A shape that only one take
     has is a mismatch if its weight is ever nonzero.
@@ -87,21 +87,21 @@ def compare_weights(
 
 
 def missing_text(noun: str, missing_names: Sequence[str], other_label: str) -> str:
-    """Return text that lists names missing from the other file or take."""
+    """Return a text that lists names missing from the other file or take."""
     verb = "is" if len(missing_names) == 1 else "are"
     count = counted(len(missing_names), noun)
     return f"{count} {verb} not in the {other_label}: {listed(missing_names)}"
 
 
 def _weights(take: Take) -> FloatArray:
-    """Return the weights of every shape ``(F, S)``; missing ones are 0."""
+    """Return the weight of every shape ``(F, S)``; 0 for shapes without weights."""
     if take.motion.weights is None:
         return np.zeros((take.clock.count, len(take.rig.shapes)))
     return take.motion.weights.dense()[..., 0]
 
 
 def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
-    """Match shapes by name, then by ARKit name, in order."""
+    """Return index pairs of shapes, matched by name and then by ARKit name."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
     used_first, used_second = (
         {i for i, _ in pairs},
@@ -127,7 +127,7 @@ SCALE_TOLERANCE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """Largest difference of one kind."""
+    """Largest difference of one quantity between joints, and where it occurs."""
 
     value: float  # difference [m] or [deg]
     joint: str  # name of the joint
@@ -242,7 +242,7 @@ _TakeOpeners: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 
 
 def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDifference:
-    """Compare the skeletons of two stages, matched by path."""
+    """Compare the skeletons of two stages, matched in pairs."""
     pairs = _skeleton_pairs(list(first), list(second))
     mismatches = [
         missing_text("skeleton", missing_names, other_label)
@@ -277,7 +277,7 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
 def _skeleton_pairs(
     first: Sequence[str], second: Sequence[str]
 ) -> list[tuple[str, str]]:
-    """Match skeletons by path, then by path below the root prim, then in order.
+    """Match skeletons by path, by path below the root prim, or else by order.
 
     >>> _skeleton_pairs(["/a/x/s", "/a/y/s"], ["/b/y/s", "/b/z/s"])
     [('/a/y/s', '/b/y/s')]
@@ -301,7 +301,7 @@ def _skeleton_pairs(
 def _merged_difference(
     total: TakeDifference, added: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Merge the difference of another skeleton into the total."""
+    """Return the total difference, extended by the difference of another skeleton."""
     quantities = ("world", "translation", "rotation", "scale", "weight")
     larger_differences = {
         quantity: replace(difference, skeleton=skeleton)
@@ -394,7 +394,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
 
 def _largest_extent(positions: FloatArray) -> float:
-    """Return the largest extent of a frame, or of the path of a single joint [m]."""
+    """Return the largest extent of any frame, or of the path of a single joint [m]."""
     if not positions.size:
         return 0.0
     extents = np.ptp(positions, axis=1)
@@ -411,7 +411,7 @@ def _dense_scales(
 
 
 def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
-    """Match joints by source name, then by name, in order."""
+    """Return index pairs of joints, matched by source name and then by name."""
     indices_by_name: dict[str, list[int]] = {}
     for i, joint in enumerate(second.joints):
         for key in {joint.source_name or joint.name, joint.name}:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class PointDifference:
-    """Largest difference of one kind."""
+    """Largest difference of one quantity between points, and where it occurs."""
 
     value: float = 0.0  # difference [m], [deg] or [1]
     prim: str = ""  # path of the prim below the default prim
@@ -137,7 +137,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
 
 
 def _bounds_diagonal(sample: PointSample) -> float:
-    """Return the diagonal of the bounds of a sample [m]."""
+    """Return the diagonal of a sample's bounding box [m]."""
     if not len(sample.points):
         return 0.0
     return float(np.linalg.norm(np.ptp(sample.points, axis=0)))
@@ -163,7 +163,7 @@ def _sample_pairs(
     name: str,
     codes: tuple[list[float], list[float]],
 ) -> Iterator[tuple[float, PointSample, PointSample]]:
-    """Yield time codes of the first stage, with both samples."""
+    """Yield common time codes of the first stage, with a sample of either stage."""
     first_codes, second_codes = codes
     if not first_codes or not second_codes:
         yield (
@@ -204,7 +204,7 @@ def _in_axes_of_first(
 
 
 def _point_mismatch(first: PointSample, second: PointSample) -> str:
-    """Return why two samples have different points; empty if they match."""
+    """Return why the points of two samples cannot be matched; "" if they can."""
     if len(first.points) != len(second.points):
         return f"{counted(len(first.points), 'point')} instead of {len(second.points)}"
     if first.ids is not None and second.ids is not None:
@@ -228,7 +228,7 @@ def _point_mismatch(first: PointSample, second: PointSample) -> str:
 def _matched_indices(
     first: PointSample, second: PointSample
 ) -> tuple[IntArray, IntArray, IntArray]:
-    """Return ids ``(N,)``, and their indices in both samples ``(N,)``."""
+    """Return the common point ids and their indices in both samples, each ``(N,)``."""
     ids = np.arange(len(first.points)) if first.ids is None else first.ids
     first_indices = second_indices = np.arange(len(ids))
     if first.ids is not None and second.ids is not None:
@@ -242,7 +242,7 @@ def _matched_indices(
 def _distances(
     first: PointSample, second: PointSample
 ) -> dict[str, tuple[FloatArray, IntArray]]:
-    """Return distances of points ``(N,)`` and their ids ``(N,)`` by quantity."""
+    """Return differences of points and the point ids, ``(N,)`` each, by quantity."""
     ids, first_indices, second_indices = _matched_indices(first, second)
     distances = np.linalg.norm(
         first.points[first_indices] - second.points[second_indices], axis=1
@@ -262,7 +262,7 @@ def _distances(
 def _start_notes(
     source_a: PointSource, source_b: PointSource, names: list[str]
 ) -> list[str]:
-    """Return a note if the samples of a prim start at different time codes."""
+    """Return a note if the samples of any prim start at different time codes."""
     starts = [(source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names]
     for first_start, second_start in starts:
         if first_start and second_start and first_start != second_start:

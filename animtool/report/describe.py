@@ -68,12 +68,12 @@ class TakeDescription:
 
     @property
     def has_frame_step(self) -> bool:
-        """Whether the frame step is not one time code."""
+        """Whether the step between frames is not one time code."""
         return self.step != 1
 
     @property
     def cycle_period(self) -> float | None:
-        """Duration of the cycle [s]."""
+        """Duration of the take's motion cycle [s]."""
         if self.cycle is None:
             return None
         return (self.cycle.last - self.cycle.first) / float(self.fps * self.step)
@@ -159,7 +159,7 @@ def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
 
 
 def _cycle(take: Take) -> Cycle | None:
-    """Return the cycle of a take if its ends match well enough."""
+    """Return the motion cycle of a take if its ends match closely enough."""
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import MAX_GOOD_SEAM
 
@@ -172,7 +172,7 @@ def _cycle(take: Take) -> Cycle | None:
 
 
 def _shot(path: Path) -> dict[str, object] | None:
-    """Return the shot of a USD file."""
+    """Return the shot that a USD file stores."""
     if not is_usd(path):
         return None
     from animtool.usd.layers.sdf import find_layer, layer_shot
@@ -190,7 +190,7 @@ def _points(path: Path) -> list[PointPrim]:
 
 
 def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | None:
-    """Return a summary of all characters; None for one, or if one was selected."""
+    """Return a summary of several characters; None for one or a selected character."""
     is_selected = options is not None and (options.prim_path or options.take)
     if not is_usd(path) or is_selected:
         return None

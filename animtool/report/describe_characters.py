@@ -1,4 +1,4 @@
-"""Summary of all characters of a stage, and which character has each extreme."""
+"""Summarizes the characters of a stage: each extreme value and its character."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """Largest or smallest value, and the character that has it."""
+    """Largest or smallest value, with the character and the frame that have it."""
 
     value: float
     character: str  # path of its Skeleton
@@ -98,7 +98,7 @@ def _value(extreme: Extreme) -> float:
 
 
 def _summarize(name: str, take: Take) -> _CharacterSummary:
-    """Return the summary of a character; speed and heights only for humans."""
+    """Return the summary of a character; only humans get speed and heights."""
     roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
     hips, positions = joint_positions(take, roles, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)

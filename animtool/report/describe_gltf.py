@@ -15,7 +15,7 @@ from animtool.formats.gltf.vrm import humanoid_bones
 
 @dataclass(frozen=True, slots=True)
 class GltfClip:
-    """A clip of a file."""
+    """An animation clip of a file."""
 
     name: str
     first_key: float  # [s]
@@ -25,7 +25,7 @@ class GltfClip:
 
 @dataclass(frozen=True, slots=True)
 class GltfContents:
-    """Contents of a file, used or not."""
+    """Contents of a file, both used and unused."""
 
     nodes: int
     meshes: int
@@ -40,7 +40,7 @@ class GltfContents:
 
 @dataclass(frozen=True, slots=True)
 class GltfDescription:
-    """Description of a file without nodes, so without anything to animate."""
+    """Description of a file that has no nodes to animate."""
 
     path: str
     format: str

@@ -56,7 +56,7 @@ class RigDescription:
 
     @property
     def others(self) -> dict[str, int]:
-        """Counts of optional parts of a rig, by noun."""
+        """Number of chains, attachments and colliders of a rig, by noun."""
         counts = {
             "chain": self.ik,
             "attachment": self.attach,
@@ -106,7 +106,7 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
 
 
 def _driver_formulas(rig: Rig) -> list[str]:
-    """Return driver formulas: ``joint roll = wrist.twist / 2``."""
+    """Return the formulas of drivers, such as ``joint roll = wrist.twist / 2``."""
     if not rig.is_driven:
         return []
     drivers = [
@@ -139,7 +139,7 @@ class GoalDescription:
 
 @dataclass(frozen=True, slots=True)
 class TargetsDescription:
-    """A targets file, not checked against a rig."""
+    """Description of a targets file, which is not checked against a rig."""
 
     path: Path  # path of the file
     fps: str  # frames per second; empty if not stated
@@ -150,7 +150,7 @@ class TargetsDescription:
 
 
 def describe_targets(path: Path) -> TargetsDescription:
-    """Return the description of a targets file; raises its faults."""
+    """Return the description of a targets file; raise an error for its faults."""
     tracks = load_targets(path)
     clock = tracks.clock
     goals = tuple(

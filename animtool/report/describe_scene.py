@@ -17,7 +17,7 @@ from animtool.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:
-    """A prop next to the character."""
+    """Description of a prop next to the character."""
 
     file: str  # source file
     prim: str  # prim in the source file
@@ -26,7 +26,7 @@ class PropDescription:
 
 @dataclass(frozen=True, slots=True)
 class PassDescription:
-    """A pass."""
+    """Description of a pass."""
 
     name: str  # name in the table of passes
     line: int  # line in the scene
@@ -56,7 +56,7 @@ class SystemDescription:
 
 @dataclass(frozen=True, slots=True)
 class OutputDescription:
-    """An output of a bake."""
+    """Description of one output of a bake."""
 
     file: str  # path of the file
     kind: str  # format: `usd`, `clip` or `bvh`
@@ -73,7 +73,7 @@ class OutputDescription:
 
 @dataclass(frozen=True, slots=True)
 class SceneDescription:
-    """A scene as written in its file; the files it refers to are not read."""
+    """Description of a scene file, without reading the files it refers to."""
 
     path: str  # path of the file
     sources: list[str]  # source files

@@ -155,12 +155,12 @@ _Scope: TypeAlias = tuple[Any, ...]  # records, the innermost first
 
 @dataclass(frozen=True, slots=True)
 class _Renderer:
-    """Formats values by name."""
+    """Formats the values of a record by their field names."""
 
     printers: Printers
 
     def lines(self, scope: _Scope, lines: Sequence[Line]) -> Iterator[str]:
-        """Yield the lines of the innermost record."""
+        """Yield the lines of the innermost record in a scope."""
         for line in lines:
             if isinstance(line, str):
                 text = self.fill_template(scope, _parse_template(line))
@@ -211,7 +211,7 @@ class _Renderer:
         }
 
     def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
-        """Return the text of template nodes; None if one of the fields is missing."""
+        """Return the text of template nodes; None if a required field is missing."""
         texts = []
         for node in nodes:
             if isinstance(node, _Alternatives):
@@ -246,7 +246,7 @@ class _Renderer:
 
 
 def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Return rows of cells as aligned lines, columns in ``left`` left-aligned."""
+    """Align rows of cells as lines; the columns in ``left`` are left-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
@@ -259,7 +259,7 @@ def columns(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Field:
-    """A field in braces."""
+    """A field of a template, in braces."""
 
     name: str
     spec: str = ""
@@ -268,7 +268,7 @@ class _Field:
 
 @dataclass(frozen=True, slots=True)
 class _Alternatives:
-    """Alternatives in brackets; the first with all its fields is used."""
+    """Alternatives in brackets; the first one whose fields all exist is used."""
 
     parts: tuple[tuple[_Node, ...], ...]
 
@@ -305,7 +305,7 @@ def _alternatives(
 
 
 def _value(scope: _Scope, name: str) -> Any:
-    """Return a field of the innermost record that has it."""
+    """Return the field value of the innermost record that has the field."""
     field_name, _, attributes_path = name.partition(".")
     for record in scope:
         if field_name == "self":

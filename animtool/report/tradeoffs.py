@@ -1,4 +1,4 @@
-"""Text of time-against-error tables."""
+"""Formats tables of time against error as text."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def _marks(row: TrialRow) -> str:
 
 
 def _missing_error(row: TrialRow) -> str:
-    """Return why a row has no error; empty if it has one."""
+    """Return why a row has no error; "" if it has one."""
     if not row.reason:
         return ""
     text = f"{row.ended}: {row.reason}"
@@ -80,7 +80,7 @@ def _missing_error(row: TrialRow) -> str:
 
 
 def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
-    """Return the excluded methods by the reason of their exclusion."""
+    """Return the names of excluded methods, grouped by the reason."""
     causes: dict[str, dict[str, None]] = {}
     for row in table.rows:
         if row.status is None:
@@ -91,7 +91,7 @@ def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
 
 
 def _advice(table: TrialTable) -> str:
-    """Return a text that recommends a setting; empty if there is none."""
+    """Return a text that recommends a setting; "" if there is no recommendation."""
     if table.reference is None or table.reference.sensitive:
         return ""
     recommended_row, current_row = table.recommended, table.chosen
@@ -127,7 +127,7 @@ def _cost(row: TrialRow, measure: CostMeasure) -> float:
 
 
 def _figure(name: str, scale: float) -> Callable[[TrialRow], str]:
-    """Return a formatter of one figure of a row; it returns "" if the row has none."""
+    """Return a function that formats a figure of a row, or returns "" without it."""
 
     def figure_text(row: TrialRow) -> str:
         value = row.figures.get(Figure(name))
@@ -176,7 +176,7 @@ TABLES = Template(
 
 @dataclass(frozen=True, slots=True)
 class TableParts:
-    """Parts of a table for a page."""
+    """Parts of a table for a page: header, cells and advice."""
 
     header: list[str]  # what was measured, and the reference
     rows: list[list[str]]  # cells, header row first

@@ -14,7 +14,7 @@ class _Model(BaseModel):
 
 
 class DistancesModel(_Model):
-    """Distances of points from the reference."""
+    """Distances of points from their reference positions."""
 
     largest: float = Field(description="[m]")
     rms: float = Field(description="Root mean square [m].")
@@ -24,7 +24,7 @@ class DistancesModel(_Model):
 
 
 class SettingModel(_Model):
-    """One setting of a method."""
+    """One setting of a method that is measured."""
 
     method: str
     options: dict[str, float]
@@ -43,7 +43,7 @@ class ReferenceModel(SettingModel):
 
 
 class RowModel(SettingModel):
-    """A setting and its results."""
+    """A setting and its measurements."""
 
     status: str = Field(description="Outcome: `ok`, `blew up`, `left out`, …")
     reason: str = Field(description="Why there is no error; empty if there is one.")
@@ -61,7 +61,7 @@ class RowModel(SettingModel):
 
 
 class TableModel(_Model):
-    """All settings of one output."""
+    """The settings measured for one output."""
 
     name: str
     kind: str

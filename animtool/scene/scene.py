@@ -69,7 +69,7 @@ class Scene:
 
     @property
     def output(self) -> Path | None:
-        """File of the first output; None if it names none."""
+        """File of the first output; None if the scene names no output."""
         return self.outputs[0].path
 
     @property
@@ -79,7 +79,7 @@ class Scene:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every input file that it names, the scene file included."""
+        """Every input file that the scene names, including the scene file."""
         folder = self.path.resolve().parent
         paths = [self.path, *(source.path for source in self.sources)]
         paths += [self.rig] if self.rig is not None else []
@@ -107,7 +107,7 @@ class Scene:
         return [folder / name for names in written_names for name in names]
 
     def for_output(self, output: SceneOutput) -> Scene:
-        """Return the scene with one output, its systems, and those they depend on."""
+        """Return the scene with one output, and the systems that this output needs."""
         if output.systems is None or not self.systems:
             return replace(self, outputs=(output,))
         from animtool.scene.systems.links import with_dependencies
@@ -211,7 +211,7 @@ class Scene:
     def steps(self) -> Iterator[tuple[Take, TakeStream]]:
         """Yield the source and the result of each pass, as takes and as streams.
 
-        Props that no pass retimes are not included. Passes write no file.
+        Props that no pass retimes are not included. Passes write no files.
         """
         source = self._source()
         props = self._open_props(source)
@@ -226,7 +226,7 @@ class Scene:
     def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
         """Return the result of a pass on a take, with its preroll.
 
-        It writes no file.
+        The pass writes no files.
         """
         return self._apply_pass(stream, entry, self._context(writes_files=False))
 
@@ -263,7 +263,7 @@ class Scene:
         return array(self.systems, self.path, take, system, particle, progress, lead)
 
     def _source(self, progress: Progress = None) -> TakeStream:
-        """Return the source, charged to the meter."""
+        """Return the source; the time to read it is charged to the meter."""
         self.meter.stages.clear()
         if not self.sources:
             message = "is simulated, and has no source with joints"
@@ -278,7 +278,7 @@ class Scene:
         return stream
 
     def _open_props(self, stream: TakeStream) -> Sequence[OpenProp]:
-        """Open the props; report the faults of all at once."""
+        """Open all props, or raise the faults of all props together."""
         if not self.props:
             return ()
         from animtool.scene.sources.props import open_props
@@ -304,7 +304,7 @@ class Scene:
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
-        """Attach the locations of their entries to faults of props."""
+        """In a block, locate the faults of props at their entries."""
         locations = {prop.path: prop.location for prop in self.props}
         try:
             yield
@@ -321,7 +321,8 @@ class Scene:
     ) -> TakeStream:
         """Return the result of a pass on a take, charged to the meter.
 
-        Its notices, immediate or block by block, are located at its entry.
+        All notices of the pass are located at its entry, including those that appear
+        while blocks are read.
         """
         pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores
@@ -383,7 +384,7 @@ class Scene:
     def _apply(
         self, entry: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
-        """Return a take with a pass applied, after the preroll it needs."""
+        """Return a take with a pass applied, including the preroll the pass needs."""
         lead_frames = 0
         if entry.pass_.needs_preroll and self.preroll is not None:
             lead_frames = self.preroll.frames(stream)
@@ -395,7 +396,7 @@ class Scene:
         return drop_first(passed_stream, lead_frames, stream.start)
 
     def _sources(self, progress: Progress) -> TakeStream:
-        """Return the sources joined to one stream."""
+        """Return the stream of all sources, joined."""
         if len(self.sources) == 1:
             (source,) = self.sources
             stream = open_source(source.path, source.options, progress=progress)
@@ -449,6 +450,6 @@ def _located_blocks(
 
 
 def _collect(stream: TakeStream) -> tuple[Take, TakeStream]:
-    """Return a take, and its stream as a single block."""
+    """Read a stream; return its take, and a stream of that take in one block."""
     take = stream.collect()
     return take, replace(stream, blocks=iter([take.motion]))

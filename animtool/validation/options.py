@@ -124,7 +124,7 @@ _NO_REPORT = (
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class ReportOptions:
-    """How findings are fixed, printed, and turned into an exit code."""
+    """How to fix and print findings and which exit code they give."""
 
     strict: bool = option(False, "switch", help="Exit with 1 if there are warnings.")
     exit_zero: bool = option(False, "switch", help="Exit with 0 whatever is found.")
@@ -186,12 +186,12 @@ def _longest_prefix(code: str, prefixes: Iterable[str]) -> str | None:
 
 
 def _prefix_length_of(prefix: str) -> int:
-    """Return the length of a prefix in current spelling."""
+    """Return the length of a prefix in its current spelling."""
     return len(current_codes(prefix)[0])
 
 
 def _prefix_length(code: str, prefixes: Iterable[str]) -> int:
-    """Return the length of the longest matching prefix of a code, -1 for none."""
+    """Return the length of the longest prefix that matches a code; -1 for none."""
     longest_prefix = _longest_prefix(code, prefixes)
     return -1 if longest_prefix is None else _prefix_length_of(longest_prefix)
 

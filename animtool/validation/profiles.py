@@ -1,4 +1,4 @@
-"""Severity profiles: severities of codes by purpose of a file."""
+"""Severity profiles: the severities of codes for a purpose."""
 
 from __future__ import annotations
 

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 
 def find_files(paths: Iterable[Path | str]) -> list[Path]:
-    """Return the files that paths match, each once, in path order.
+    """Return the files that match the given paths, without duplicates, in path order.
 
     See `animtool.core.files.reading.matching_files`; folders are searched for all file
     names that animtool knows.
@@ -81,7 +81,7 @@ _NAME_KEYS = ("name", "target", "joint", "effector")
 
 @dataclass(slots=True)
 class IgnoreEntries:
-    """The ``ignore`` entries of a file, and how often each matched."""
+    """The ``ignore`` entries of a file, and the number of matches of each."""
 
     document: Document  # the file
     match_counts: list[int]  # number of findings hidden by each entry
@@ -96,7 +96,7 @@ class IgnoreEntries:
         return [fault for fault in faults if not self._is_hidden(fault)]
 
     def entry_faults(self) -> Iterator[Fault]:
-        """Yield faults of the entries after all findings were matched."""
+        """Yield faults of the entries; call this after all findings were matched."""
         rules, _ = all_rules()
         for i, entry in enumerate(_entries(self.document)):
             code = entry["code"]
@@ -179,7 +179,7 @@ CHUNK_FILES = 10
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A finding as listed in reports."""
+    """A finding as it is listed in reports."""
 
     fault: Fault
     fixable: bool = False  # whether `--fix` can fix it
@@ -209,7 +209,7 @@ class Report:
 
     @property
     def repairs(self) -> list[Entry]:
-        """Fixed findings, and how."""
+        """The fixed findings, each with a description of the fix."""
         return [Entry(fault, done=fix_text) for fault, fix_text in self.mended]
 
     @property
@@ -218,7 +218,7 @@ class Report:
         return {str(kind): self.count(kind) for kind in Severity}
 
     def worded(self, calling: ArgumentNamer) -> Report:
-        """Return the report with arguments spelled for an interface."""
+        """Return a copy whose texts name arguments as an interface does."""
         return replace(
             self,
             findings=tuple(fault.worded(calling) for fault in self.findings),
@@ -324,10 +324,10 @@ def _findings_in_processes(
     values: Sequence[SceneValues | None],
     process_count: int,
 ) -> list[list[Fault]] | None:
-    """Return the reported findings of each file, from several processes.
+    """Validate files in several processes; return the reported findings of each file.
 
-    None if one of them crashed: repeated in this process, the file that causes it is
-    found.
+    Returns None if a process crashed; validating again in this process then finds the
+    file that causes the crash.
     """
     from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
     from multiprocessing import get_context
@@ -366,12 +366,12 @@ def _check_file(
 
 
 def _is_unreadable(fault: Fault, path: str) -> bool:
-    """Return whether a finding is an unreadable file, which always counts."""
+    """Return whether a finding reports an unreadable file; no option can ignore it."""
     return fault.code == "IO001" and fault.path == path
 
 
 def findings_in(checked: CheckedFile) -> list[Fault]:
-    """Return the findings of all rules in a file, selected or not, without ignored."""
+    """Return the findings of all rules in a file, except those that it ignores."""
     faults = list(checked.faults)
     rules, _ = all_rules()
     for rule in rules.values():
@@ -399,7 +399,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
 
 
 def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
-    """Return a rule's subjects in a file; none if its reader refused it."""
+    """Return the subjects of a rule in a file; none if the reader refused the file."""
     if rule.takes:
         return checked_file.takes
     return () if checked_file.subject is None else (checked_file.subject,)
@@ -413,7 +413,7 @@ def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
 
 
 def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
-    """Return the findings of a rule; a crash is a finding, too."""
+    """Return the findings of a rule; a crash of the rule is reported as a finding."""
     try:
         return [
             fault
@@ -431,7 +431,7 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
 
 
 def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
-    """Return a finding with its file spelled as the user did, or relative."""
+    """Return a finding with its path spelled as the user did, or relative."""
     if fault.path is None or fault.path in names.values():
         return fault
     try:

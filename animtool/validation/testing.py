@@ -9,7 +9,7 @@ from animtool.validation.run import Finding, findings_of_rule
 
 
 def check_rule(rule: Rule, wrong: Path | str, right: Path | str) -> list[Finding]:
-    """Check that a rule finds a fault in one file, and none in another.
+    """Check that a rule reports a fault in one file and none in another.
 
     Args:
         rule: The rule to test.

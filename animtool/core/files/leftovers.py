@@ -1,4 +1,4 @@
-"""Leftovers of killed processes in output folders: rolled back and removed.
+"""Leftovers of killed processes in output folders, which are rolled back and removed.
 
 A file being written has a temporary name in its folder, which identifies its process. A
 set of files also has a journal in each of its folders while the files are renamed.
@@ -36,7 +36,7 @@ _MAX_BYTES = 100_000_000
 
 
 def temporary_prefix(process: int | None = None) -> str:
-    """Return the prefix of a process's temporary files; None for this process."""
+    """Return the prefix of a process's temporary files; by default this process's."""
     return f".animtool-{_host_digest()}-{process or os.getpid()}-"
 
 
@@ -49,7 +49,7 @@ def new_temporary(final: Path) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class PlacedFile:
-    """A file of a set that is being committed."""
+    """One file of a set that is being committed."""
 
     final: Path  # its final path
     temporary: Path  # its temporary path
@@ -58,7 +58,7 @@ class PlacedFile:
     backup: Path  # backup of the replaced file; unused if there was none
 
     def roll_back(self) -> None:
-        """Restore the replaced file, or remove a new one.
+        """Restore the replaced file, or remove the file if it is new.
 
         Does nothing if another process has replaced the file since. May be called
         again.
@@ -98,7 +98,7 @@ class Journal:
 
     @classmethod
     def begin(cls, files: Sequence[PlacedFile]) -> Journal:
-        """Write the journal of a set before any file is renamed."""
+        """Write the journal of a file set before any of its files is renamed."""
         folders = tuple(dict.fromkeys(file.final.parent for file in files))
         journal = cls(
             f"{temporary_prefix()}{uuid4().hex[:12]}{_JOURNAL_SUFFIX}", folders
@@ -132,7 +132,7 @@ class Journal:
             os.fsync(handle)
 
     def end(self) -> None:
-        """Remove the journal, when the set is complete or rolled back."""
+        """Remove the journal of a set that is complete or rolled back."""
         while self._handles:
             with contextlib.suppress(OSError):
                 os.close(self._handles.pop())
@@ -141,7 +141,7 @@ class Journal:
                 (folder / self.name).unlink()
 
     def roll_back(self) -> None:
-        """Roll back a set whose process died before completing it."""
+        """Roll back the file set of a process that died before completing it."""
         if all((folder / self.name).is_file() for folder in self.folders):
             for folder in dict.fromkeys(self.folders):
                 for file in reversed(self._files(folder)):
@@ -178,7 +178,7 @@ def _journal_entry(file: PlacedFile) -> Mapping[str, Any]:
 
 
 def _path_status(path: Path) -> os.stat_result | None:
-    """Return the status of a path, without following links; None if missing."""
+    """Return the status of a path without following links; None if it is missing."""
     try:
         return path.lstat()
     except FileNotFoundError:
@@ -186,7 +186,7 @@ def _path_status(path: Path) -> os.stat_result | None:
 
 
 def roll_back_folder(folder: Path) -> None:
-    """Roll back sets of dead processes in a folder, once per process and folder."""
+    """Roll back the file sets of dead processes in a folder, once per process."""
     _roll_back_once(os.fspath(folder), os.getpid())
 
 
@@ -199,7 +199,7 @@ def _roll_back_once(folder: str, process: int) -> None:
 
 
 def _roll_back_journal(path: Path) -> bool:
-    """Roll back the set of a journal; return whether all its files are gone."""
+    """Roll back the file set of a journal; return whether all its files are gone."""
     try:
         if not stat.S_ISREG(path.lstat().st_mode):
             return True
@@ -226,7 +226,7 @@ def _journal_folders(content: bytes) -> list[Path]:
 
 
 def _try_lock(handle: int) -> bool:
-    """Lock a journal so that one process rolls it back."""
+    """Try to lock a journal, so that only one process rolls it back."""
     if sys.platform == "win32":
         return False
     import fcntl
@@ -239,7 +239,7 @@ def _try_lock(handle: int) -> bool:
 
 
 def remove_leftovers(folders: Iterable[Path], process: int | None = None) -> list[Path]:
-    """Remove temporary files of dead processes of this host; return them.
+    """Remove and return the temporary files of dead processes of this host.
 
     Incomplete sets are rolled back first. Missing folders are skipped; ``process`` is a
     dead process, None for all dead ones.
@@ -281,7 +281,7 @@ def _temporary_files(folder: Path) -> list[Path]:
 
 
 def is_running(process: int) -> bool:
-    """Return whether a process of this host runs; true if unknown."""
+    """Return whether a process of this host is running; True if unknown."""
     if os.name == "nt":
         # On Windows, signal 0 would end the process.
         return True
@@ -297,7 +297,7 @@ def is_running(process: int) -> bool:
 
 
 def _process_state(process: int) -> str:
-    """Return Linux's state letter of a process; empty if unknown."""
+    """Return the state letter of a process on Linux; "" if unknown."""
     try:
         status = Path(f"/proc/{process}/stat").read_text("utf-8", "replace")
     except OSError:

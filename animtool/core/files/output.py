@@ -1,4 +1,4 @@
-"""Output files: safe names, checks before the work, atomic writes."""
+"""Output files: safe names, checks before the work, and atomic writes."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ _RECORDS_FOLDER = ".animtool"
 
 
 def name_problem(name: str) -> str | None:
-    r"""Return the fault of a file or folder name; None without one.
+    r"""Return what is wrong with a file or folder name; None if nothing is.
 
     Names must be valid on every system, so that outputs can be moved.
 
@@ -89,7 +89,7 @@ def is_text(name: str) -> bool:
 
 
 def name_key(path: PurePath | str) -> str:
-    """Return a key that is equal for paths that some disks treat as one file.
+    """Return a key that is equal for paths that any disk treats as the same file.
 
     Some disks do not distinguish names by case or by the encoding of accents.
 
@@ -104,7 +104,7 @@ def name_key(path: PurePath | str) -> str:
 
 
 def is_inside(path: Path, folder: Path) -> bool:
-    """Return whether a path is in a folder, following links."""
+    """Return whether a path is inside a folder, with links resolved."""
     try:
         return path.resolve().is_relative_to(folder.resolve())
     except RuntimeError as error:
@@ -126,7 +126,7 @@ def check_outputs(
     *,
     overwrite: bool,
 ) -> None:
-    """Refuse outputs that cannot or must not be written.
+    """Raise an error for outputs that cannot be written or must not be.
 
     Refused are outputs that exist without ``overwrite`` (OUT001) or are inputs
     (OUT003), equal outputs (OUT007), outputs in folders that are missing or not
@@ -173,7 +173,7 @@ def check_outputs(
 
 
 def _check_folder(folder: Path, path: Path) -> None:
-    """Refuse an output in a folder that does not exist or may not be written to."""
+    """Raise an error if the folder of an output is missing or not writable."""
     try:
         problem = "" if folder.is_dir() else "does not exist"
         if problem and folder.exists():
@@ -193,7 +193,7 @@ def _check_folder(folder: Path, path: Path) -> None:
 
 @contextlib.contextmanager
 def protect_inputs(outputs: Sequence[Path]) -> Iterator[None]:
-    """Refuse outputs that the block has read as inputs (OUT003).
+    """In a block, raise OUT003 if an output was read as an input.
 
     A layer that is included by a USD file may be an output, since a shot is read to
     bake one of its layers again.
@@ -220,7 +220,7 @@ def _refuse_inputs(targets: Iterable[OutputTarget], inputs: Iterable[Path]) -> N
 
 
 def _refuse_duplicates(targets: Iterable[OutputTarget | WrittenFile]) -> None:
-    """Refuse two outputs that are the same file on this or another disk."""
+    """Raise an error for two outputs that are the same file on any kind of disk."""
     names: dict[str, Path] = {}
     for output in targets:
         first_path = names.setdefault(name_key(output.final), output.path)
@@ -240,7 +240,7 @@ def same_file(path: Path, other_path: Path) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class _OutputSet:
-    """Files that are committed together."""
+    """A set of files that is committed together."""
 
     # Complete files that wait to be renamed.
     files: list[WrittenFile] = field(default_factory=list)
@@ -272,7 +272,7 @@ def write_arrays(output: Path, arrays: Mapping[str, npt.NDArray[Any]]) -> None:
 
 @contextlib.contextmanager
 def _open_replacement(output: Path) -> Iterator[BinaryIO]:
-    """Provide an open file that becomes an output at the end."""
+    """Return a context with an open file that replaces an output at the end."""
     with replacement_path(output) as temporary:
         try:
             with temporary.open("wb") as file:
@@ -283,7 +283,7 @@ def _open_replacement(output: Path) -> Iterator[BinaryIO]:
 
 @contextlib.contextmanager
 def replacement_path(path: Path) -> Iterator[Path]:
-    """Provide a temporary path in the same folder that is renamed to ``path``.
+    """In a block, use a temporary path that is renamed to ``path`` at the end.
 
     The file is flushed and renamed when the block succeeds, and removed when it fails,
     so that ``path`` is always absent, unchanged, or complete. Inside `atomic_outputs`,
@@ -326,7 +326,7 @@ def _commit(files: Sequence[WrittenFile]) -> None:
 
 
 def written_size(path: Path) -> int:
-    """Return the size of a written file, committed or not [byte]."""
+    """Return the size of a written file, whether it is committed or not [byte]."""
     pending_set = _pending_outputs.get()
     for written_file in [] if pending_set is None else reversed(pending_set.files):
         if written_file.path == path:
@@ -336,12 +336,12 @@ def written_size(path: Path) -> int:
 
 @contextlib.contextmanager
 def atomic_outputs() -> Iterator[None]:
-    """Commit all files that the block writes together at its end.
+    """In a block, write files that are committed together at its end.
 
-    They are renamed in the order of writing; if the block fails, none is. In a nested
-    block, the outer one commits them. Inputs of the block must not change (IO004), no
-    other process may write one of the outputs (OUT001), and no two outputs may be the
-    same file (OUT007).
+    The files are renamed in the order of writing; if the block fails, none of them is.
+    In a nested block, the outer one commits them. Inputs of the block must not change
+    (IO004), no other process may write one of the outputs (OUT001), and no two outputs
+    may be the same file (OUT007).
     """
     if _pending_outputs.get() is not None:
         yield
@@ -368,10 +368,11 @@ def atomic_outputs() -> Iterator[None]:
 
 @contextlib.contextmanager
 def early_outputs(paths: Sequence[Path]) -> Iterator[None]:
-    """Commit new files of the block before the others.
+    """In a block, write new files that are committed before the other files.
 
-    For files that are read again before the files that refer to them are written. They
-    are removed if the block, or an enclosing `atomic_outputs`, fails.
+    This is for files that are read again before the files that refer to them are
+    written. The files are removed if the block, or an enclosing `atomic_outputs`,
+    fails.
     """
     pending_set = _pending_outputs.get()
     token = _pending_outputs.set(None)
@@ -393,7 +394,7 @@ def _remove(paths: Iterable[Path]) -> None:
 
 
 def after_commit(action: Callable[[], object]) -> None:
-    """Call a function when the files of the block are committed.
+    """Call a function after the files of the current block are committed.
 
     It is called now, or inside `atomic_outputs` at its end, if that succeeds.
     """

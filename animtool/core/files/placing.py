@@ -1,4 +1,4 @@
-"""Commit of written files: a file atomically, a set completely or not at all."""
+"""Commits written files: one file atomically, and a set completely or not at all."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ def output_error(path: Path, error: BaseException | str) -> OutputError:
 
 @dataclass(frozen=True, slots=True)
 class OutputTarget:
-    """The resolved path of an output."""
+    """An output path with links resolved."""
 
     path: Path  # the path as spelled by the user
     final: Path  # the file, with links followed
 
 
 def output_target(path: Path) -> OutputTarget:
-    """Return the resolved path of an output, following links."""
+    """Return an output path with links resolved."""
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError):
@@ -78,7 +78,7 @@ _SPECIAL_FILES = {
 
 
 def _check_kind(path: Path, status: os.stat_result) -> None:
-    """Refuse to overwrite anything but a file."""
+    """Raise an error if the path to overwrite is not a regular file."""
     if stat.S_ISDIR(status.st_mode):
         raise OutputError(
             Fault("OUT002", "is a folder", str(path), (), "write the name of a file")
@@ -93,7 +93,7 @@ def _check_kind(path: Path, status: os.stat_result) -> None:
 
 @dataclass(slots=True)
 class WrittenFile:
-    """A written temporary file."""
+    """A temporary file that is written completely."""
 
     path: Path  # the path as spelled by the user
     final: Path  # its final path
@@ -125,7 +125,7 @@ class WrittenFile:
         )
 
     def commit(self, *, must_be_new: bool) -> None:
-        """Rename the file to its final name.
+        """Rename the temporary file to its final name.
 
         Args:
             must_be_new: Whether the final name must be unused.
@@ -150,7 +150,7 @@ class WrittenFile:
 
 
 def _inherit_mode(handle: int, status: os.stat_result) -> None:
-    """Give an open file the mode of another, and its owner if permitted."""
+    """Give an open file the mode of another file and, if permitted, its owner."""
     current_status = os.fstat(handle)
     if (current_status.st_uid, current_status.st_gid) != (status.st_uid, status.st_gid):
         with contextlib.suppress(OSError):
@@ -162,7 +162,7 @@ def _inherit_mode(handle: int, status: os.stat_result) -> None:
 
 
 def _rename_new(temporary: Path, final: Path) -> None:
-    """Rename a file to an unused name; of several processes, one succeeds."""
+    """Rename a file to an unused name; if several processes do so, one succeeds."""
     if os.name == "nt":
         temporary.rename(final)
         return
@@ -186,7 +186,7 @@ def _rename_new(temporary: Path, final: Path) -> None:
 
 
 def commit_files(files: Sequence[WrittenFile], new_paths: frozenset[Path]) -> None:
-    """Commit sealed files in any folders, in order: all of them or none.
+    """Commit sealed files in any number of folders: all of them or none.
 
     If one of the ``new_paths`` exists (OUT001), or a file cannot be renamed, the
     previous state is restored.
@@ -235,7 +235,7 @@ def _try_roll_back(placed_file: PlacedFile) -> bool:
 
 
 def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
-    """Give a replaced file its backup name."""
+    """Rename a file that will be replaced to its backup name."""
     try:
         os.link(placed_file.final, placed_file.backup)
     except FileNotFoundError:
@@ -250,7 +250,7 @@ def _back_up(file: WrittenFile, placed_file: PlacedFile) -> None:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Flush the names in a folder to disk, if possible."""
+    """Flush the directory entries of a folder to disk, if possible."""
     if os.name == "nt":
         return  # Windows cannot flush a folder.
     with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Opening of input files, with a record of files and their states.
+"""Opens input files, and records the files that were accessed and their states.
 
 Files are recorded only inside `recorded_inputs`. Missing files that were looked for are
 recorded too, since creating one may change the result.
@@ -26,7 +26,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class FileState:
-    """State of a file that shows changes without reading it."""
+    """State of a file by which changes are detected without reading it."""
 
     size: int  # in bytes
     changed_at: int  # time of the last change of its content [ns], by the disk's clock
@@ -42,13 +42,13 @@ class FileState:
 
     @classmethod
     def of_stat(cls, status: os.stat_result) -> FileState:
-        """Return the state from a status of the system."""
+        """Return the file state in a result of ``os.stat``."""
         return cls(status.st_size, status.st_mtime_ns, status.st_ino)
 
 
 @dataclass(slots=True)
 class Inputs:
-    """Files that a task has accessed."""
+    """Files that a task accessed, with their states."""
 
     # State of each file at its first access, by absolute path.
     states: dict[Path, FileState | None] = field(default_factory=dict)
@@ -60,7 +60,7 @@ class Inputs:
     def record(
         self, path: Path, state: FileState | None = None, *, composed: bool = False
     ) -> None:
-        """Record a file that is about to be read; see `note_input`."""
+        """Record a file before it is read; see `note_input`."""
         absolute_path = path.absolute()
         if not composed:
             self.opened.add(absolute_path)
@@ -72,7 +72,7 @@ class Inputs:
             self.replaced.add(absolute_path)
 
     def changed_paths(self) -> list[Path]:
-        """Return the files that have changed."""
+        """Return the files that changed since they were recorded."""
         return [
             path
             for path, state in self.states.items()
@@ -100,7 +100,7 @@ _ACTIVE_RECORDS: ContextVar[tuple[Inputs, ...]] = ContextVar(
 
 @contextmanager
 def recorded_inputs() -> Iterator[Inputs]:
-    """Provide a record of the files that the block accesses.
+    """Return a context with a record of the files that its block accesses.
 
     Records of enclosing blocks include them too.
 
@@ -130,7 +130,7 @@ def note_input(
 
 
 def check_inputs() -> None:
-    """Raise `FormatError` if recorded files have changed (IO004)."""
+    """Raise `FormatError` if any recorded file changed (IO004)."""
     for inputs in _ACTIVE_RECORDS.get():
         inputs.check()
 
@@ -158,14 +158,14 @@ _NON_FILE_KINDS = {
 
 @dataclass(frozen=True, slots=True)
 class MatchedFile:
-    """A file that a name or pattern matched."""
+    """A file that a name or a pattern matches."""
 
     path: Path  # the file, spelled like its folder
     search_folder: Path  # the searched folder; for a named file, its folder
 
 
 class PathResolver:
-    """Resolves links to folders in paths, but not links to files.
+    """Resolves links to folders in paths, but no links to files.
 
     Each folder is resolved only once.
     """
@@ -174,7 +174,7 @@ class PathResolver:
         self._folders: dict[Path, Path] = {}
 
     def __call__(self, path: Path) -> Path:
-        """Return one path for all its spellings."""
+        """Return one path for all spellings of it."""
         folder = path.parent
         if folder not in self._folders:
             self._folders[folder] = folder.resolve()
@@ -182,7 +182,7 @@ class PathResolver:
 
 
 def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error of an unreadable file, spelled as by the user (IO001)."""
+    """Return the error of an unreadable file, spelled as the user did (IO001)."""
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         message = "does not exist"
     elif isinstance(reason, PermissionError):
@@ -201,7 +201,7 @@ _SHELL_VARIABLE = re.compile(r"\$(?!\{)(\w+)|%(\w+)%|^(~)/")
 
 
 def unexpanded_hint(text: str) -> str | None:
-    """Return a hint for a path with a variable of a shell; None for others.
+    """Return a hint for a path with a shell variable in it; None for other paths.
 
     >>> unexpanded_hint("~/walk.bvh")
     '~ is not replaced: write the folder'
@@ -220,7 +220,7 @@ _UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".txt"}
 
 
 def _folder_hint(path: Path) -> str | None:
-    """Return a hint to name a file in a folder; None if the path is no folder."""
+    """Return a hint to name a file in a folder; None if the path is not a folder."""
     try:
         entries = islice(path.iterdir(), MAX_NAMES)
         files = sorted(entry for entry in entries if entry.is_file())
@@ -241,12 +241,12 @@ class InputFile(io.FileIO):
     """
 
     def __init__(self, path: Path, handle: int, state: FileState) -> None:
-        """Take a descriptor, closed with this file."""
+        """Take over an open descriptor, which is closed with this file."""
         super().__init__(handle, "rb")
         self.path, self.state = path, state
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Return at most ``size`` bytes; none at the end."""
+        """Return at most ``size`` bytes; empty at the end of the file."""
         remaining = max(0, self.state.size - self.tell())
         size = remaining if size is None or size < 0 else min(size, remaining)
         return super().read(size) or b""
@@ -283,7 +283,7 @@ class InputFile(io.FileIO):
 def open_input(
     path: Path, max_bytes: int | None = MAX_INPUT_BYTES, *, recorded: bool = True
 ) -> InputFile:
-    """Open a file that a user or another file names.
+    """Open a file that a user or another file names, after checking it.
 
     The checked file is the one that is read: the open descriptor. A missing,
     inaccessible or irregular file is IO001, a too large one IO010; without
@@ -315,13 +315,13 @@ def open_input(
 def read_input(
     path: Path, max_bytes: int = MAX_INPUT_BYTES, *, recorded: bool = True
 ) -> bytes:
-    """Return the content of a file, see `open_input`; if it changes: IO004."""
+    """Return the content of a file; raise IO004 if it changes. See `open_input`."""
     with open_input(path, max_bytes, recorded=recorded) as file:
         return file.read_all()
 
 
 def size_error(path: Path, size: int, limit: int) -> FormatError:
-    """Return the error of a file above the size limit [bytes] (IO010)."""
+    """Return the error of a file that exceeds a size limit [bytes] (IO010)."""
     message = f"is {size / 1000000.0:,.6g} MB; the limit is {limit / 1000000.0:,.6g} MB"
     return FormatError(Fault("IO010", message, str(path)))
 
@@ -332,7 +332,7 @@ def _check_regular(path: Path, status: os.stat_result) -> None:
 
 
 def _non_file_kind(status: os.stat_result) -> str:
-    """Return the kind of a path that is not a file."""
+    """Return text on what a path is instead of a file."""
     return _NON_FILE_KINDS.get(stat.S_IFMT(status.st_mode), "is a device, not a file")
 
 
@@ -353,12 +353,12 @@ def _check_size(path: Path, status: os.stat_result, limit: int | None) -> None:
 
 
 def exists(path: Path) -> bool:
-    """Return whether a path exists; false for impossible names."""
+    """Return whether a path exists; False for impossible names."""
     return FileState.of(path) is not None
 
 
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
-    """Return a hint at the nearest existing file name.
+    """Return a hint with the most similar name of an existing file.
 
     The hint names the most similar file, or a folder similar to the first missing one;
     without one, it names the missing folder. Relative paths start in ``folder``. None
@@ -403,7 +403,7 @@ def _equal_stems(name: str, other: str) -> bool:
 
 
 def is_pattern(text: str) -> bool:
-    """Return whether a path has the wildcards of a glob."""
+    """Return whether a path contains wildcards of a glob."""
     return not _WILDCARDS.isdisjoint(text)
 
 
@@ -442,7 +442,7 @@ def _is_shown(file: Path, folder: Path) -> bool:
 
 
 def path_from_folder(path: Path, folder: Path) -> str:
-    """Return a path relative to a folder, if there is one.
+    """Return a path relative to a folder; absolute if they are on different drives.
 
     >>> path_from_folder(Path("/shots/rigs/hero.usda"), Path("/shots/sh010"))
     '../rigs/hero.usda'

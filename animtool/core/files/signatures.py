@@ -1,4 +1,4 @@
-"""Detects the format of a file from its first bytes, whatever its name."""
+"""Detects the format of a file from its first bytes, independent of its name."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _EXPORT_HINT = "export FBX, glTF or USD from {}, then use that file"
 
 @dataclass(frozen=True, slots=True)
 class Signature:
-    """A format and the beginning of its files.
+    """A file format and the first bytes of its files.
 
     Attributes:
         about: The format, with an article.
@@ -94,7 +94,7 @@ SIGNATURES = (
 
 
 def signature_of(head: bytes) -> Signature | None:
-    r"""Return the format of a file's first bytes; None if unknown.
+    r"""Return the format that the first bytes of a file show; None if unknown.
 
     >>> signature_of(b"HIERARCHY\nROOT hips").suffixes
     ('.bvh',)
@@ -114,7 +114,7 @@ def signature_of(head: bytes) -> Signature | None:
 def format_mismatch(
     code: str, path: Path | str, expected: str, hint: str = ""
 ) -> Fault | None:
-    """Return a fault if the bytes of a file show another known format.
+    """Return a fault if the first bytes of a file show a format other than expected.
 
     Args:
         code: Code of the fault.
@@ -156,7 +156,7 @@ def _is_empty(path: Path | str) -> bool:
 def expects_format(
     code: str, expected: str, hint: str = ""
 ) -> Callable[[_ReaderT], _ReaderT]:
-    """Decorate a reader, so that its errors name the format of the file's bytes.
+    """Return a decorator for a reader that adds the detected format to its errors.
 
     The arguments are those of `format_mismatch`.
     """

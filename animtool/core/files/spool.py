@@ -1,4 +1,4 @@
-"""A queue of arrays that spills to disk, for takes larger than memory."""
+"""A queue of arrays that spills to disk, for takes that do not fit in memory."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ MAX_MEMORY = 1 << 28
 
 
 class Spool:
-    """A queue of lists of arrays.
+    """A queue of lists of arrays, kept in memory or on disk.
 
     Args:
-        kept: Maximum kept in memory [bytes].
+        max_bytes: Maximum size of the arrays kept in memory [bytes].
     """
 
     def __init__(self, max_bytes: int = MAX_MEMORY) -> None:
@@ -50,7 +50,7 @@ class Spool:
         self._lengths.append(len(arrays))
 
     def drain(self) -> Iterator[list[FloatArray]]:
-        """Yield the lists and release each one; call it once."""
+        """Yield each list and then release it; may be called once."""
         while self._buffered:
             yield list(self._buffered.popleft())
         if self._file is None:

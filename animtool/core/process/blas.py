@@ -22,7 +22,7 @@ _ThreadFunctions = tuple[Callable[[], int], Callable[[int], None]]
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Run linear algebra in one thread, where the library can be controlled.
+    """In a block, run linear algebra in one thread, if the library allows that.
 
     The threads of OpenBLAS busy-wait for each other: for matrices of some hundred rows
     on a busy machine that takes much longer than a single thread, and another number of
@@ -41,7 +41,7 @@ def one_thread() -> Iterator[None]:
 
 @lru_cache(maxsize=1)
 def _libraries() -> tuple[_ThreadFunctions, ...]:
-    """Return the thread functions of each OpenBLAS in a wheel."""
+    """Return functions that get and set the thread count of each loaded OpenBLAS."""
     import numpy.linalg
     import scipy.linalg  # noqa: F401  (a library is only one that is loaded)
 

@@ -27,7 +27,7 @@ class TerminatedError(BaseException):
 
 @dataclass(slots=True)
 class _SignalState:
-    """State of the process's end."""
+    """State of the termination of this process by signals."""
 
     number: int = 0  # the signal that is obeyed; 0 for none so far
     has_written_all: bool = (
@@ -40,19 +40,19 @@ _signal_state = _SignalState()
 
 
 def ending_signal() -> int:
-    """Return the signal that ends the process; 0 if there is none."""
+    """Return the signal that is ending the process; 0 if there is none."""
     return _signal_state.number
 
 
 def reraise_swallowed() -> NoReturn:
-    """Raise the exception of the obeyed signal again, if it was swallowed."""
+    """Raise the exception of the received signal again after it was swallowed."""
     if _signal_state.number == signal.SIGINT:
         raise KeyboardInterrupt
     raise TerminatedError
 
 
 def _raise_first_signal(signum: int, frame: FrameType | None) -> None:
-    """Raise at the first signal; later ones would interrupt the clean-up."""
+    """Raise an exception at the first signal only, so as not to interrupt clean-up."""
     del frame
     if _signal_state.has_written_all or _signal_state.number:
         return
@@ -67,7 +67,7 @@ def _raise_for_swallowed_signal(signum: int, frame: FrameType | None) -> None:
 
 
 def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
-    """Raise an ending exception again that Python ignored."""
+    """Raise again an exception of a signal that Python ignored."""
     is_end = isinstance(unraisable.exc_value, KeyboardInterrupt | TerminatedError)
     if not (is_end and _signal_state.number):
         sys.__unraisablehook__(unraisable)
@@ -77,7 +77,7 @@ def _reraise_ending(unraisable: sys.UnraisableHookArgs) -> None:
 
 
 def obey_signals() -> None:
-    """Raise at the first SIGINT, SIGTERM or SIGHUP from now on, and only then.
+    """From now on, raise an exception at the first SIGINT, SIGTERM or SIGHUP.
 
     The exception is `KeyboardInterrupt` or `TerminatedError`. Ignored signals stay
     ignored.
@@ -95,7 +95,7 @@ def obey_signals() -> None:
 
 @contextmanager
 def obey_signals_in_block() -> Iterator[None]:
-    """Obey signals in the block like `obey_signals`, unless already done."""
+    """In a block, handle signals as `obey_signals` does, unless that is active."""
     is_main_thread = threading.current_thread() is threading.main_thread()
     if _signal_state.is_installed or not is_main_thread:
         yield
@@ -129,9 +129,9 @@ def receive_signals() -> None:
 
 @contextmanager
 def without_interrupts() -> Iterator[None]:
-    """Block SIGINT in processes that start inside the block.
+    """In a block, start processes with SIGINT blocked.
 
-    A terminal sends it to all processes of a command; the parent process ends its
+    A terminal sends SIGINT to all processes of a command; the parent process ends its
     children.
     """
     if not hasattr(signal, "pthread_sigmask"):
@@ -149,18 +149,18 @@ def without_interrupts() -> Iterator[None]:
 
 
 def ignore_signals() -> None:
-    """Ignore signals from now on: all output is written."""
+    """Ignore signals from now on, since all output is written."""
     _signal_state.has_written_all = True
 
 
 @contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Defer SIGINT, SIGTERM and SIGHUP to the end of the block.
+    """In a block, defer SIGINT, SIGTERM and SIGHUP to its end.
 
-    For steps of milliseconds that must not be interrupted: importing a library that
-    swallows exceptions, or renaming files that belong together. Only the main thread is
-    interrupted by signals; in other threads, and for ignored signals, nothing is
-    deferred.
+    This is for steps of milliseconds that must not be interrupted: importing a library
+    that swallows exceptions, or renaming files that belong together. Only the main
+    thread is interrupted by signals; in other threads, and for ignored signals, nothing
+    is deferred.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

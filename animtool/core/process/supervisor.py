@@ -54,14 +54,14 @@ CRASH_SIGNALS = {
 
 @dataclass(frozen=True, slots=True)
 class Crash:
-    """How a child crashed."""
+    """The signal by which a child crashed, and the file it was reading."""
 
     number: int  # signal that ended it
     path: str = ""  # file that it was reading, as spelled by the user; empty for none
 
     @property
     def name(self) -> str:
-        """Name of the signal."""
+        """Name of the signal that ended the child."""
         try:
             return signal.Signals(self.number).name
         except ValueError:
@@ -78,7 +78,7 @@ def crash_fault(path: str, number: int) -> Fault:
 
 @dataclass(slots=True)
 class _SharedNotes:
-    """Memory shared by a child and its parent."""
+    """Notes in memory that a child shares with its parent."""
 
     memory: mmap.mmap  # length of the notes, then JSON
     # Length of the recorded stdin, then its bytes; length 0 for nothing yet.
@@ -98,7 +98,7 @@ class _SharedNotes:
         self.write()
 
     def read(self) -> None:
-        """Copy the notes of a child."""
+        """Read the notes that the child wrote."""
         self.path, self.has_output, self.folders = "", False, []
         text = _stored_data(self.memory)
         if text is not None:
@@ -122,7 +122,7 @@ def _stored_data(memory: mmap.mmap) -> bytes | None:
 
 @dataclass(slots=True)
 class _SupervisionState:
-    """State of supervision in this process."""
+    """State of the supervision in this process."""
 
     notes: _SharedNotes | None = (
         None  # where notes are stored; None if the process is not supervised
@@ -145,7 +145,7 @@ _lock = threading.Lock()
 
 @contextmanager
 def reading_file(path: Path) -> Iterator[None]:
-    """Record a file that USD reads; refuse one that crashed it before (USD160)."""
+    """In a block, record the file that USD reads; refuse a known crasher (USD160)."""
     listener = _state.listener
     if listener is None:
         yield
@@ -166,7 +166,7 @@ def reading_file(path: Path) -> Iterator[None]:
 
 
 def report_reading(listener: Callable[[str], object]) -> None:
-    """Call a function with the file that is being read; empty after reading."""
+    """Call a function with the file that USD reads, and with "" after reading."""
     _state.listener = listener
 
 
@@ -176,7 +176,7 @@ def has_crashed() -> bool:
 
 
 def note_output() -> None:
-    """Record that output was printed or a file named; a rerun would repeat it."""
+    """Record that a rerun would repeat output that was already printed."""
     notes = _state.notes
     if notes is not None:
         # Buffered output is lost in a crash.
@@ -188,7 +188,7 @@ def note_output() -> None:
 
 
 def note_folder(folder: Path) -> None:
-    """Record a folder with temporary files of this process."""
+    """Record a folder in which this process has temporary files."""
     notes = _state.notes
     if notes is not None and str(folder) not in notes.folders:
         with _lock:
@@ -197,7 +197,7 @@ def note_folder(folder: Path) -> None:
 
 
 def stdin_lines() -> list[str]:
-    """Return the lines on stdin; a rerun gets the same lines."""
+    """Return the lines of stdin; a rerun gets the same lines."""
     notes = _state.notes
     recorded_bytes = None if notes is None else _stored_data(notes.stdin_record)
     if recorded_bytes is None:
@@ -244,7 +244,7 @@ def follow_parent() -> None:
 
 @contextmanager
 def without_main() -> Iterator[None]:
-    """Keep child processes from running this process's script again.
+    """In a block, start processes that do not run the main script again.
 
     Their tasks are in modules, and a script may start them without a guard. The
     script's module is replaced by one with the same names, which threads may look up,
@@ -275,7 +275,7 @@ def without_main() -> Iterator[None]:
 
 
 def can_supervise() -> bool:
-    """Return whether this system can fork and wait for signals."""
+    """Return whether the system can fork processes and wait for signals."""
     return hasattr(os, "fork") and hasattr(signal, "sigwait")
 
 
@@ -284,7 +284,7 @@ def supervise(
     refuse: Callable[[Crash], int],
     remove_leftovers: Callable[[list[str], int], object],
 ) -> int:
-    """Run work in a child, rerun without a file that crashed it; return its exit code.
+    """Run work in a child, rerun it without a file that crashed it; return the code.
 
     Signals that ask this process to end or to pause are forwarded to the child. If a
     second run crashes too, ``refuse`` gets the crash and returns the exit code;
@@ -335,7 +335,7 @@ def _signals_to_wait_for() -> set[int]:
 def _fork(
     work: Callable[[], int], notes: _SharedNotes, signals_to_wait: set[int]
 ) -> tuple[int, int]:
-    """Return the child, and a descriptor that closes when this process ends."""
+    """Return a forked child, and a descriptor that closes when this process ends."""
     sys.stdout.flush()
     sys.stderr.flush()
     read_end, write_end = os.pipe()
@@ -375,7 +375,7 @@ def _run_child(
 
 
 def exit_now(code: int) -> NoReturn:
-    """Exit immediately after flushing the output, whatever signals arrive.
+    """Flush the output and exit immediately, regardless of signals.
 
     Skips garbage collection and the destructors of libraries.
     """
@@ -390,7 +390,7 @@ def exit_now(code: int) -> NoReturn:
 
 
 def _end_with_parent(alive_pipe: int) -> None:
-    """Exit when the parent is gone, after clean-up if possible."""
+    """Exit when the parent process is gone, with clean-up if possible."""
     os.read(alive_pipe, 1)
     os.kill(os.getpid(), signal.SIGTERM)
     threading.Event().wait(GRACE_SECONDS)
@@ -398,7 +398,7 @@ def _end_with_parent(alive_pipe: int) -> None:
 
 
 def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
-    """Wait for a child; return its exit code and the first signal received.
+    """Wait for a child; return its exit code and the first signal that arrived.
 
     If the child does not end in time, it is killed: it may be deep inside a library.
     """
@@ -421,7 +421,7 @@ def _wait(child: int, signals_to_wait: set[int]) -> tuple[int, int]:
 
 
 def _stop(child: int) -> None:
-    """Stop the child and this process until they are continued."""
+    """Stop the child and this process until they are continued by a signal."""
     os.kill(child, signal.SIGSTOP)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGTSTP})
     os.kill(os.getpid(), signal.SIGTSTP)

@@ -1,4 +1,4 @@
-"""Draws skeletons: bones as octahedra, joints as balls, joint axes."""
+"""Draws skeletons: bones as octahedra, joints as balls, and joint axes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Color = tuple[int, int, int]
 
 
 class BoneRenderer:
-    """Renderer of the skeletons of takes."""
+    """Draws the skeletons of takes."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -96,7 +96,7 @@ class BoneRenderer:
         poses: Sequence[PosedTake],
         color: Callable[[int], Color],
     ) -> None:
-        """Draw many skeletons as thin lines."""
+        """Draw skeletons as thin lines, in one draw call."""
         rows = []
         for pose in poses:
             child = np.flatnonzero(pose.parents >= 0)
@@ -113,7 +113,7 @@ class BoneRenderer:
         self._array.render(self._device.module.LINES, vertices=len(values))
 
     def _draw_axes(self, eye: EyeMatrices, poses: Sequence[PosedTake]) -> None:
-        """Draw the axes of each joint, red, green and blue."""
+        """Draw the x, y and z axes of each joint in red, green and blue."""
         begins: list[FloatArray] = []
         ends: list[FloatArray] = []
         colors: list[FloatArray] = []

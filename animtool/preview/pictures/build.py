@@ -1,4 +1,4 @@
-"""Renders pictures of files: single frames, sheets, and turntable or playback films."""
+"""Renders pictures of files: single frames, contact sheets, turntables and films."""
 
 from __future__ import annotations
 
@@ -181,7 +181,7 @@ def save_pictures(
 
 @contextmanager
 def _open_device() -> Iterator[Device]:
-    """Context with an off-screen device."""
+    """Return a context with an off-screen OpenGL device."""
     device = Device()
     try:
         yield device
@@ -252,7 +252,7 @@ class PictureRenderer:
 
     @property
     def _is_sheet(self) -> bool:
-        """Whether several pictures are put on one sheet."""
+        """Whether the picture is a contact sheet of several pictures."""
         has_several_cameras = len(self._cameras) > 1
         return bool(self._options.sheet or self._frames) or has_several_cameras
 
@@ -291,7 +291,7 @@ class PictureRenderer:
         return [int(i) for i in evenly_spaced(len(codes), max(cells, 1))]
 
     def _render_pictures(self) -> tuple[Array, list[int]]:
-        """Return the pixels of a picture or sheet, and the samples it shows."""
+        """Return the pixels of a picture or sheet, and the samples that it shows."""
         samples = self._picture_samples()
         cells = [(camera, i) for camera in self._cameras for i in samples]
         has_several_cells = len(cells) > 1
@@ -334,7 +334,7 @@ class PictureRenderer:
         return math.ceil(cells / math.ceil(cells / DEFAULT_COLUMNS))
 
     def _wrap_captions(self, cells: int, size: tuple[int, int]) -> list[Caption]:
-        """Return the captions of all pictures."""
+        """Return the wrapped caption of each picture."""
         texts = self._options.caption
         if len(texts) not in {0, 1, cells}:
             message = f"{counted(len(texts), 'caption')} for "
@@ -361,7 +361,7 @@ class PictureRenderer:
         return view
 
     def _add_text(self, pixels: Array, caption: Caption, sample: int | None) -> Array:
-        """Return pixels with the caption and, if requested, the frame number."""
+        """Return pixels with the caption drawn and, if requested, the frame number."""
         number = ""
         if sample is not None:
             number = f"frame {frame_label(self._scene.codes[sample])}"

@@ -55,7 +55,7 @@ class Bounds:
 
     @property
     def is_empty(self) -> bool:
-        """Whether it contains nothing."""
+        """Whether the bounds contain no point."""
         return not self.low[0] <= self.high[0]
 
     @property
@@ -68,7 +68,7 @@ class Bounds:
 
     @property
     def radius(self) -> float:
-        """Half of the diagonal."""
+        """Half of the bounds' diagonal."""
         if self.is_empty:
             return 1.0
         return max(float(np.linalg.norm(self.high - self.low)) / 2, 1e-3)
@@ -128,7 +128,7 @@ class CameraView:
         radius: Radius of the framed bounds [m].
         floor: Height of the lowest point of the bounds [m].
         is_following: Whether it follows a joint.
-        followed: Last position of the followed joint [m].
+        followed_position: Last position of the followed joint [m].
         light: Direction to the key light, in view space.
     """
 
@@ -158,17 +158,17 @@ class CameraView:
 
     @property
     def _covered_fraction(self) -> float:
-        """Fraction of the picture's height that text covers."""
+        """Fraction of the picture height that text covers."""
         return min(self.top_inset / self.height, 0.5)
 
     def _half_size(self) -> tuple[float, float]:
-        """Return half of the unobstructed width and height at distance 1."""
+        """Return half the unobstructed width and height of the view at distance 1."""
         aspect, uncovered = self.width / self.height, 1 - self._covered_fraction
         half_height = HALF_FOV_TANGENT * max(1.0, uncovered / aspect)
         return half_height / uncovered * aspect, half_height
 
     def frame_bounds(self, box: Bounds) -> None:
-        """Frame the given bounds."""
+        """Aim the camera at bounds, at a distance at which all of them are visible."""
         self.target, self.radius = box.center, box.radius
         self.floor = float(box.low[1])
         self.distance = self.radius * 0.2
@@ -185,7 +185,7 @@ class CameraView:
                 )
 
     def follow_position(self, position: FloatArray | None) -> None:
-        """Follow a joint horizontally."""
+        """Move the camera horizontally with a joint."""
         if (
             self.is_following
             and position is not None
@@ -254,7 +254,7 @@ class CameraView:
 
 
 def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:
-    """Return world_from_camera; the camera looks along -Z."""
+    """Return the world_from_camera matrix of a camera aimed at a point along -Z."""
     z = (eye - target) / np.linalg.norm(eye - target)
     x = np.cross([0.0, 1.0, 0.0], z)
     x /= np.linalg.norm(x)
@@ -267,7 +267,7 @@ def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:
 def _perspective_matrix(
     half_width: float, half_height: float, near: float, far: float
 ) -> FloatArray:
-    """Return a projection matrix from half sizes at distance 1."""
+    """Return a perspective projection matrix from half sizes at distance 1."""
     out = np.zeros((4, 4))
     out[0, 0], out[1, 1] = 1 / half_width, 1 / half_height
     out[2, 2], out[2, 3] = (far + near) / (near - far), 2 * far * near / (near - far)

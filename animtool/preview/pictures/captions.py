@@ -69,7 +69,7 @@ def wrap_caption(text: str, width: int, height: int) -> Caption:
 
 
 def _wrapped_lines(text: str, width: float, font: Any) -> Iterator[str]:
-    """Yield lines within a width; long words are split."""
+    """Yield lines that fit a width; words that are too long are split."""
     for paragraph in text.splitlines():
         line = ""
         for unbroken in paragraph.split():
@@ -137,7 +137,7 @@ def _load_font(text_height: int) -> Any:
 def picture_sheet(
     rows: list[list[Array]], gap: int, color: Color, caption: Caption, ink: Color
 ) -> Array:
-    """Return equal-sized pictures as a sheet, with a title above.
+    """Return pictures of equal size arranged in rows, with a title above.
 
     Args:
         rows: Pictures by row; rows may be short.
@@ -158,12 +158,12 @@ def picture_sheet(
 
 
 def _sheet_span(count: int, size: int, gap: int) -> int:
-    """Return the size of several cells with gaps [px]."""
+    """Return the total size of cells with gaps between them [px]."""
     return count * size + (count - 1) * gap
 
 
 def evenly_spaced(count: int, samples: int) -> IntArray:
-    """Return evenly spaced samples, including the first and the last.
+    """Return evenly spaced sample indices, including the first and the last sample.
 
     >>> evenly_spaced(100, 4).tolist(), evenly_spaced(1, 4).tolist()
     ([0, 33, 66, 99], [0, 0, 0, 0])

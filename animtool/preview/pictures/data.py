@@ -1,4 +1,4 @@
-"""Reads the streams of a page: blocks are decoded on demand, the last few cached."""
+"""Reads the streams of a page; blocks are decoded on demand and cached."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ class StreamReader:
         )
 
     def sample_values(self, number: int, sample: int) -> Array:
-        """Return the values at a sample, clamped to the nearest one."""
+        """Return the values of a stream at a sample, clamped to the last sample."""
         if number in self._constant:
             return self._constant[number]
         spans = self._entries[number]["block"]
@@ -76,7 +76,7 @@ class StreamReader:
 
 
 def _size_of(values: dict[int, Array]) -> int:
-    """Return the size of arrays [byte]."""
+    """Return the total size of arrays [byte]."""
     return sum(array.nbytes for array in values.values())
 
 

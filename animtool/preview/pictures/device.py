@@ -31,7 +31,7 @@ _PACKAGES_HINT = (
 
 
 def import_package(name: str) -> ModuleType:
-    """Import a package of the optional extra (else IO005)."""
+    """Import a package of an optional extra; raise IO005 if it is not installed."""
     try:
         return import_module(name)
     except ModuleNotFoundError as error:
@@ -131,7 +131,7 @@ class Device:
 
     @contextmanager
     def blending(self) -> Iterator[None]:
-        """Context in which drawing is alpha-blended."""
+        """Return a context in which drawing is alpha-blended."""
         self.gl.enable(self.module.BLEND)
         self.gl.blend_func = self.module.SRC_ALPHA, self.module.ONE_MINUS_SRC_ALPHA
         try:

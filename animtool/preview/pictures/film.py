@@ -23,7 +23,7 @@ PALETTE_SIZE = 256
 
 
 def write_picture(path: Path, pixels: Array) -> None:
-    """Write a picture atomically (else OUT002)."""
+    """Write a picture atomically; raise OUT002 if that fails."""
     image_module = import_package("PIL.Image")
     settings: dict[str, Any] = {"format": "PNG", "optimize": True}
     if path.suffix.lower() == ".webp":
@@ -44,7 +44,7 @@ def film_writer(
     rate: Fraction,
     samples: Sequence[Array],
 ) -> Iterator[Callable[[Array], None]]:
-    """Context that encodes frames to a film, written atomically (else OUT002).
+    """Return a context that encodes frames to a film file, written atomically.
 
     Args:
         path: Path of the film.
@@ -92,7 +92,7 @@ def film_writer(
 
 
 def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
-    """Return pixels as a libav frame."""
+    """Return pixels as a video frame of libav."""
     pixels = np.ascontiguousarray(pixels)
     if palette is None:
         frame = av.VideoFrame.from_ndarray(pixels, format="rgb24")
@@ -108,7 +108,7 @@ def _video_frame(av: Any, pixels: Array, palette: Any) -> Any:
 
 
 def _palette_image(samples: Sequence[Array]) -> Any:
-    """Return a palette image for some frames."""
+    """Return a palette image with the most important colors of some sample frames."""
     image_module = import_package("PIL.Image")
     all_pixels = image_module.fromarray(np.ascontiguousarray(np.concatenate(samples)))
     method = image_module.Quantize.MEDIANCUT

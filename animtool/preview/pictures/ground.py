@@ -1,4 +1,4 @@
-"""Draws the ground: grid, contact shadow, and trails of root and feet."""
+"""Draws the ground: the grid, contact shadows, and trails of the root and the feet."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHADOW_WIDTH, SHADOW_HEIGHT, SHADOW_DEPTH, SHADOW_OFFSET = 1.1, 0.35, 2e-3, 0.2
 
 
 def round_to_1_2_5(x: float) -> float:
-    """Return the next of 1, 2, 5, 10, …, or the previous one if only slightly smaller.
+    """Round up to the next number of 1, 2, 5, 10, …; down if only slightly larger.
 
     >>> round_to_1_2_5(0.31), round_to_1_2_5(2.001)
     (0.5, 2.0)
@@ -33,7 +33,7 @@ def round_to_1_2_5(x: float) -> float:
 
 
 class GroundRenderer:
-    """The ground grid."""
+    """Draws the ground grid."""
 
     def __init__(self, device: Device, radius: float) -> None:
         self._lines = LineRenderer(device)
@@ -54,7 +54,7 @@ class GroundRenderer:
         self._lines.draw(eye, width=1, fade=fade)
 
     def _set_lines(self, cx: int, cz: int, line: Color, strong: Color) -> None:
-        """Set the grid lines around a cell."""
+        """Set the vertices of the grid lines around a cell."""
         half, cell = GRID_CELLS // 2, self._cell
         segments = []
         for i in range(-half, half + 1):
@@ -77,7 +77,7 @@ class GroundRenderer:
 
 
 class TrailRenderer:
-    """Trails of roots and feet around the frame, with ground contacts."""
+    """Draws the trails of roots and feet around a frame, with ground contacts."""
 
     def __init__(self, device: Device, codes: FloatArray) -> None:
         self._codes = codes
@@ -118,7 +118,7 @@ class TrailRenderer:
     def _trail_segments(
         self, pose: PosedTake, sample: int, color: Color, contact: Color
     ) -> FloatArray:
-        """Return the segments of a take's trails, fading with time."""
+        """Return the line segments of a take's trails, which fade with time."""
         first = max(0, sample - TRAIL_SAMPLES)
         last = min(len(self._codes) - 1, sample + TRAIL_SAMPLES)
         paths = pose.trail_positions(first, last)
@@ -160,7 +160,7 @@ def _ring_lines(centre: FloatArray, radius: float, color: Color) -> FloatArray:
 
 
 class ContactShadow:
-    """Contact shadow: geometry near the ground darkens it."""
+    """Draws contact shadows of geometry near the ground."""
 
     def __init__(self, device: Device) -> None:
         gl, module = device.gl, device.module
@@ -209,7 +209,7 @@ class ContactShadow:
         return True
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Darken the ground."""
+        """Draw the contact shadows on the ground."""
         self._maps[1].use(0)
         self._device.set_uniforms(self._ground, eye, area=self._area)
         self._ground["map"].value = 0

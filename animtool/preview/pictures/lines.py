@@ -1,4 +1,4 @@
-"""Draws wide lines, and camera-facing balls."""
+"""Draws wide lines and camera-facing balls."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ def srgb_bytes(color: npt.ArrayLike) -> FloatArray:
 
 
 def repeat_color(count: int, color: FloatArray) -> Bytes:
-    """Return one color repeated for N points ``(N, 3)``."""
+    """Return one color repeated for each of N points ``(N, 3)``."""
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
 
 class LineRenderer:
-    """Line segments drawn in one call."""
+    """Draws line segments in one draw call."""
 
     def __init__(self, device: Device) -> None:
         self._device, self._table = device, TextureTable(device)
@@ -100,7 +100,7 @@ class VertexBuffer:
 
 
 class SpriteRenderer:
-    """Camera-facing balls: particles, markers and joints."""
+    """Draws camera-facing balls for particles, markers and joints."""
 
     def __init__(self, device: Device) -> None:
         self._device = device
@@ -146,6 +146,6 @@ class SpriteRenderer:
 
 
 def move_missing_offscreen(values: Values) -> FloatArray:
-    """Return positions ``(N, 3)``, with missing ones far away."""
+    """Return positions ``(N, 3)`` with missing points moved far out of view."""
     points = np.reshape(values, (-1, 3)).astype(np.float64)
     return np.where(np.isfinite(points), points, OFFSCREEN_COORDINATE)

@@ -135,7 +135,7 @@ class PosedTake:
         return self.world[:, :3, 3]
 
     def tip_ends(self) -> tuple[list[int], FloatArray]:
-        """Return joints with tips, and the tip positions ``(N, 3)``."""
+        """Return the joints that have a tip, and the tip positions ``(N, 3)``."""
         joints = [j for j, _ in self.tips]
         ends = [
             self.world[j, :3, :3] @ tip_position + self.world[j, :3, 3]
@@ -144,7 +144,7 @@ class PosedTake:
         return joints, np.reshape(ends, (-1, 3))
 
     def trail_positions(self, first: int, last: int) -> FloatArray:
-        """Return trail joint positions in a range of samples ``(F, T, 3)``."""
+        """Return positions of the trail joints in a range of samples ``(F, T, 3)``."""
         cached_paths = self._paths
         # Positions that the next picture of a film needs are kept.
         self._paths = {
@@ -157,7 +157,7 @@ class PosedTake:
         return np.stack([self._paths[i] for i in range(first, last + 1)])
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
-        """Return which trail joints are in contact at time codes ``(F, T)``."""
+        """Return a mask of trail joints in ground contact at time codes ``(F, T)``."""
         is_in_contact = np.zeros((len(codes), len(self.trail_joints)), bool)
         for contact in self.record.get("contacts") or []:
             for column, joint in enumerate(self.trail_joints):
@@ -167,7 +167,7 @@ class PosedTake:
 
 
 def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
-    """Return which time codes are inside spans ``(F,)``."""
+    """Return a mask of the time codes that are inside any of the spans ``(F,)``."""
     is_inside = np.zeros(len(codes), bool)
     for first, last in spans:
         is_inside |= (codes >= first - 1e-6) & (codes <= last + 1e-6)

@@ -48,11 +48,11 @@ class CameraChoice:
     shot: int | None = None
 
     def aim(self, view: CameraView) -> None:
-        """Rotate a view before it is framed."""
+        """Set the yaw and pitch of a view before it is framed."""
         view.yaw, view.pitch = self.yaw, min(max(self.pitch, -MAX_PITCH), MAX_PITCH)
 
     def position(self, view: CameraView) -> None:
-        """Place a view after it is framed, if a position is given."""
+        """Set the distance and target of a view after it is framed, if given."""
         if self.distance is not None:
             view.distance, view.target = self.distance, np.array(self.target)
 
@@ -78,7 +78,7 @@ def picture_size(
 
 
 def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
-    """Return columns and rows of a sheet; None without one."""
+    """Return the number of columns and rows of a sheet; None without a sheet."""
     if options.sheet is None:
         return None
     columns, rows = _parse_pair(options.sheet, "sheet", "4x3")
@@ -91,7 +91,7 @@ def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
 
 
 def _parse_pair(text: str, option: str, example: str) -> tuple[int, int]:
-    """Return two numbers written as `960x540`; refuse anything else."""
+    """Return the two numbers of a text such as `960x540`; refuse any other text."""
     match = _SIZE_PAIR.fullmatch(text.strip().lower())
     if match is None:
         raise option_error(

@@ -1,4 +1,4 @@
-"""Draws all 3D content of a page, in order."""
+"""Draws all 3D content of a page in order."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ Solid: TypeAlias = MeshRenderer | InstanceRenderer | PointRenderer | StrandRende
 
 
 class SceneRenderer:
-    """The contents of a page in an OpenGL context."""
+    """Draws the contents of a page in an OpenGL context."""
 
     def __init__(
         self,
@@ -99,7 +99,7 @@ class SceneRenderer:
         return None if take is None else self._poses[take]
 
     def frame_motion(self, view: CameraView, sample: int) -> None:
-        """Frame everything from first to last sample; follow a travelling character."""
+        """Frame the bounds of the complete motion; follow a travelling character."""
         self._update(sample)
         for pose in self._poses:
             framed_bounds = Bounds()
@@ -150,7 +150,7 @@ class SceneRenderer:
     def _grow_bounds(
         self, framed_bounds: Bounds, character_bounds: Bounds, shift: FloatArray | float
     ) -> Bounds:
-        """Grow bounds of everything and of characters; return those to frame."""
+        """Grow the bounds of everything and of characters; return those to frame."""
         bounds, characters = Bounds(), Bounds()
         for pose in self._poses:
             if pose.is_visible:
@@ -172,7 +172,7 @@ class SceneRenderer:
         )
 
     def _update(self, sample: int) -> None:
-        """Pose everything at a sample."""
+        """Update all objects to a sample."""
         if sample == self._sample:
             return
         self._sample = sample
@@ -240,7 +240,7 @@ class SceneRenderer:
     def _draw_casting(
         self, eye: EyeMatrices, visible: list[PosedTake], radius: float
     ) -> None:
-        """Draw what casts a contact shadow."""
+        """Draw the objects that cast a contact shadow."""
         shadow_casters = [
             solid
             for solid in self._shown_solids()
@@ -260,7 +260,7 @@ class SceneRenderer:
         has_shadow: bool,
         shot: int | None,
     ) -> None:
-        """Draw all layers, the ground first."""
+        """Draw all layers, starting with the ground."""
         far_eye = eye.with_depth_range(0.1, 1.0)
         self._draw_shapes(far_eye, self._shown_solids())
         target.depth_mask = False
@@ -284,14 +284,14 @@ class SceneRenderer:
 
     @property
     def _has_surfaces(self) -> bool:
-        """Whether meshes or instances are shown, not only bones."""
+        """Whether any mesh or instance is shown, not just bones."""
         return "meshes" in self._shown_layers and any(
             mesh.pose is not None or mesh.record.get("cache") is not None
             for mesh in self._meshes
         )
 
     def _draw_shapes(self, eye: EyeMatrices, shapes: Sequence[Solid]) -> None:
-        """Draw shapes, unless meshes are hidden."""
+        """Draw objects, except meshes if these are hidden."""
         for shape in shapes if "meshes" in self._shown_layers else []:
             if not (isinstance(shape, MeshRenderer) and shape.is_prototype):
                 shape.draw(eye)

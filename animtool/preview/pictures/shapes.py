@@ -46,7 +46,7 @@ def vertex_normals(points: Array, faces: Array) -> FloatArray:
 
 
 class GeometryBuffers:
-    """Buffers of a rest mesh, shared by meshes of the same streams."""
+    """Vertex buffers of a rest mesh, shared by meshes with the same streams."""
 
     def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
         self.rest_points = streams.static_values(record["points"]).reshape(-1, 3)
@@ -94,7 +94,7 @@ class GeometryBuffers:
 
 
 class MeshRenderer:
-    """A mesh: skinned in the shader, with shapes, or cached points."""
+    """Draws a mesh that is skinned in the shader, shape-deformed, or a point cache."""
 
     def __init__(
         self,
@@ -137,7 +137,7 @@ class MeshRenderer:
     def _shared_geometry(
         self, geometries: dict[tuple[Any, ...], GeometryBuffers]
     ) -> GeometryBuffers:
-        """Return the buffers of the rest mesh, shared by equal meshes."""
+        """Return the buffers of the rest mesh, which equal static meshes share."""
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
             return GeometryBuffers(self._device, self._streams, record)
@@ -151,7 +151,7 @@ class MeshRenderer:
         return geometries[key]
 
     def vertex_array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
-        """Return the vertex array with further buffers."""
+        """Return the vertex array of the mesh, with extra buffers appended."""
         unused_attributes = {"joints", "weights"} if self._joints is None else set()
         buffers = [
             buffer
@@ -167,11 +167,11 @@ class MeshRenderer:
 
     @property
     def is_skinned(self) -> bool:
-        """Whether joints deform it."""
+        """Whether joints deform the mesh."""
         return self._joints is not None
 
     def update(self, sample: int) -> None:
-        """Pose it at a sample."""
+        """Deform the mesh for a sample."""
         pose, record = self.pose, self.record
         first = pose.first if pose else 0
         visible = record.get("visible")
@@ -197,7 +197,7 @@ class MeshRenderer:
             self.geometry.set_points(self._shown)
 
     def _apply_shapes(self, weights: FloatArray) -> None:
-        """Apply blend shapes if their weights changed."""
+        """Apply blend shapes to the points if the weights changed."""
         shape_weights = np.array([weights[column] for column, _, _ in self._shapes])
         if np.array_equal(shape_weights, self._amounts):
             return
@@ -243,7 +243,7 @@ class MeshRenderer:
         return bool(high[1] < GROUND_HEIGHT * radius or width > ROOM_WIDTH * radius)
 
     def draw(self, eye: EyeMatrices, array: Any = None, copies: int = 1) -> None:
-        """Draw it once, or instanced by the rows of an array."""
+        """Draw the mesh once, or an instance of it for each row of an array."""
         if self.hidden or not copies:
             return
         shift = self.pose.shift if self.pose else (0.0, 0.0, 0.0)
@@ -261,7 +261,7 @@ class MeshRenderer:
 
 
 class InstanceRenderer:
-    """Instances of a mesh: rigid bodies, flocks, crowds and props."""
+    """Draws the instances of a mesh: rigid bodies, flocks, crowds and props."""
 
     def __init__(
         self,
@@ -280,7 +280,7 @@ class InstanceRenderer:
         self.matrices = np.zeros((0, 4, 4))
 
     def update(self, sample: int) -> None:
-        """Place the instances at a sample."""
+        """Set the transforms of the instances at a sample."""
 
         def sample_stream(name: str) -> Array | None:
             """Return a stream's values at the sample; None without the stream."""
@@ -334,7 +334,7 @@ class InstanceRenderer:
 
 
 class PointRenderer:
-    """Points of a simulation or a capture."""
+    """Draws the points of a simulation or a capture."""
 
     def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
         self._streams, self._record = streams, record
@@ -352,7 +352,7 @@ class PointRenderer:
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Place the points at a sample."""
+        """Set the positions of the points at a sample."""
         self._points = move_missing_offscreen(
             self._streams.sample_values(self._record["positions"], sample)
         )
@@ -363,12 +363,12 @@ class PointRenderer:
         bounds.add(self._points[self._points[:, 0] < OFFSCREEN_COORDINATE / 10])
 
     def draw(self, eye: EyeMatrices) -> None:
-        """Draw them."""
+        """Draw the points."""
         self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
 
 
 class StrandRenderer:
-    """Strands and ropes: polylines with their width, at least a pixel."""
+    """Draws strands and ropes as polylines that are at least one pixel wide."""
 
     def __init__(
         self,
@@ -388,7 +388,7 @@ class StrandRenderer:
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
-        """Place the strands at a sample."""
+        """Set the points of the strands at a sample."""
         pose, record = self.pose, self._record
         first = pose.first if pose else 0
         stream_values = self._streams.sample_values(record["points"], sample - first)

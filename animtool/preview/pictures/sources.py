@@ -44,7 +44,7 @@ def _shader_constants(module: str) -> dict[str, str]:
 
 @cache
 def theme_colors() -> dict[str, tuple[int, int, int]]:
-    """Return the colours of the light theme by name, each 0 to 255.
+    """Return the colors of the light theme by name, with components from 0 to 255.
 
     >>> sorted(theme_colors())[:3]
     ['accent', 'bone', 'contact']

@@ -76,7 +76,7 @@ def bake_outputs(
     rig_file: Path | None = None,
     progress: Progress = None,
 ) -> list[OutputReport]:
-    """Bake to the requested files; return a report of each.
+    """Bake to the requested files and return a report of each file.
 
     All outputs are checked before anything is read, and renamed to their final names
     only after all are written.
@@ -97,7 +97,7 @@ def bake_outputs(
 
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run an outline; see `bake_outputs`."""
+    """Plan and run the bake of an outline; see `bake_outputs`."""
     # Passes may save states as soon as a source is opened.
     with atomic_outputs():
         return run_outputs(plan_outputs(outline, progress=progress), progress)

@@ -46,7 +46,7 @@ class DeformedCharacter:
     def with_meshes(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
-        """Return a copy with some of its meshes and strands, in its order."""
+        """Return a copy with only the named surfaces and strands; the order stays."""
         is_selected = [mesh.name in surfaces for mesh in self.surfaces]
         is_selected += [mesh.name in strands for mesh in self.strands]
         return replace(
@@ -60,8 +60,8 @@ class DeformedCharacter:
 def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacter:
     """Return the meshes and strands that a take deforms.
 
-    They are those of the take's rig if it has meshes; else those of the rig layer; else
-    those of the USD file that the take was read from.
+    The meshes and strands are from the take's rig if it has meshes, else from the rig
+    layer, else from the USD file that the take was read from.
     """
     stream, source, mapping = take.stream, take.source, take.mapping
     options = take.options
@@ -125,7 +125,7 @@ def _rotate_surfaces(
 def motion_pieces(
     blocks: TimedBlocks, *, neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
-    """Yield short chunks of a motion, each with a slice of its own frames.
+    """Yield a motion in short chunks, each with the slice of the frames to write.
 
     With ``neighbours``, a chunk also contains the frames before and after these.
     """

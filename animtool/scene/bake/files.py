@@ -68,12 +68,12 @@ class ConvertReport:
 
     @property
     def named(self) -> list[Path]:
-        """Output file, as reports of solves list it."""
+        """Output file as a list, as in the reports of solves."""
         return [self.output]
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """Errors of the channels of a written clip."""
+        """Approximation errors of the channels of a written clip."""
         return None if self.keyed is None else self.keyed.errors
 
     @property
@@ -84,7 +84,7 @@ class ConvertReport:
 
     @property
     def reduction(self) -> Reduction | None:
-        """Keys of a written clip and their error."""
+        """Number of keys of a written clip and their approximation error."""
         return None if self.keyed is None else self.keyed.reduction
 
 
@@ -105,7 +105,7 @@ class FilePlan:
         return self.take.notices
 
     def run(self, progress: Progress = None) -> ConvertReport:
-        """Write the take, resampled to the clock of the output."""
+        """Resample the take to the output's frames, write it and return the report."""
         del progress  # the source's clock
         plan = self.take
         resampled_stream = in_frames(plan)
@@ -165,7 +165,7 @@ class FilePlan:
 
 
 def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
-    """Return a take of a USD file with the meshes that were not read with it.
+    """Return a take of a USD file with its meshes, if these were not read with it.
 
     Also return notices about the meshes and the bind pose.
     """
@@ -200,9 +200,10 @@ def _with_meshes(take: Take, plan: TakePlan) -> tuple[Take, list[Fault]]:
 
 
 def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
-    """Return the weights of a take for more shapes.
+    """Return the weights of a take for all the given shapes, in their order.
 
-    Shapes without a weight in the take are combinations of others, or at 0.
+    Combination shapes that the take lacks get the weight that follows from its shapes;
+    other missing shapes get 0.
     """
     weights, all_names = take.motion.weights, [shape.name for shape in shapes]
     names = [shape.name for shape in take.rig.shapes]
@@ -229,7 +230,7 @@ def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
 def _take_files(
     writer: Writer, take: Take, path: Path, options: WriteOptions
 ) -> TakeFiles:
-    """Return the contents of a take's files in a format."""
+    """Return the files of a take, in memory, in the format of a writer."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
         return write(take, path, options)
@@ -248,7 +249,7 @@ def _take_files(
 
 
 def _base_take(take: Take, path: Path, options: SourceOptions | None) -> Take:
-    """Return the base take of an additive take, sampled at its frames."""
+    """Return the base take of an additive take, sampled at the additive frames."""
     from animtool.edit.combine import match_rig, sample_other_take
 
     base_take = match_rig(take.rig, open_source(path, options).collect())

@@ -1,4 +1,4 @@
-"""The first frame of a take that starts between the frames of its source's rate.
+"""The first output frame of a take that starts between two frames.
 
 A 25 fps take that a stage of 24 time codes a second refers to has its frame 1001 at
 time code 960.96.
@@ -22,7 +22,7 @@ START_ROUNDING = Fraction(1, 100)
 def frame_start(
     start: Fraction, source_fps: Fraction, fps: Fraction, *, on_frame: bool = True
 ) -> Fraction:
-    """Return the first frame at another rate of a take that starts between frames.
+    """Return the first frame, at another rate, of a take that starts between frames.
 
     An integer start keeps its number.
 
@@ -47,8 +47,8 @@ def frame_start(
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
     """Return the integer time codes that cover a take; None if none are needed.
 
-    The first is rounded up from the time code of the first sample, the last from that
-    of the last. None also if that start is an integer or each frame has one sample.
+    The time codes of the first and the last sample are rounded up. Returns None if the
+    start is an integer or each frame has one sample.
 
     fps: [frame/s]. start: Time code of the first sample [frame].
 
@@ -70,7 +70,7 @@ def start_notice(
     fps: Fraction,
     first: Fraction,
 ) -> list[Fault]:
-    """Warn where a source starts between frames and the output on one (TAKE008).
+    """Warn if a source starts between frames and the output on a frame (TAKE008).
 
     Args:
         source_start: Time code of the source's first frame.

@@ -62,7 +62,7 @@ class TakePlan:
 
 @dataclass(frozen=True, slots=True)
 class TimedTake:
-    """A take at the times of an output."""
+    """A take sampled at the times of an output."""
 
     blocks: TimedBlocks
     rig: Rig
@@ -71,7 +71,7 @@ class TimedTake:
 
     @property
     def frames(self) -> tuple[Fraction, Fraction] | None:
-        """First and last frame, where known before blocks are read."""
+        """First and last frame; None if they are unknown until the blocks are read."""
         return None if self.times is None else (self.times.first, self.times.last)
 
 
@@ -108,7 +108,7 @@ def timed_blocks(plan: TakePlan, stream: TakeStream) -> TimedTake:
 def _interpolation_notices(
     plan: TakePlan, interpolation: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
-    """Report the error bound of linear interpolation, unless a pass reported it."""
+    """Return notices of interpolation errors that no pass has reported before."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     sample_times = FramePositions(times.frames, times.fractions)
     return [
@@ -167,7 +167,7 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
 
 
 def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
-    """Return a hint to number the frames of a range as the take does."""
+    """Return a hint on how to number the take so that it contains a frame range."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
     origin = Fraction(1) if plan.stream.start is None else plan.stream.start
     offset = plan.start - origin
@@ -185,7 +185,7 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     """Return notices of frames of a shot that the take lacks.
 
-    The last frame of a take lasts until the next would begin.
+    The last frame of a take lasts until the next frame would begin.
     """
     frame_range, source_path = plan.options.frame_range, str(plan.source)
     assert frame_range is not None
@@ -248,7 +248,7 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
 def _sample_curve(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
-    """Sample a source that is a function of time at the output's sample times."""
+    """Evaluate a source that is a function of time at the output's sample times."""
     first = Fraction(1) if stream.start is None else stream.start
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
@@ -285,7 +285,7 @@ def _stream_blocks(plan: TakePlan, stream: TakeStream) -> TimedBlocks:
 
 
 def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Warn where a range reaches beyond the take."""
+    """Return a warning if a frame range extends beyond the take."""
     frame_range = plan.options.frame_range
     if frame_range is None or plan.options.keep_samples:
         return []
@@ -301,7 +301,7 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
-    """Return notices of a range whose first or last frame is not written."""
+    """Return notices if the take's last frame or an end of a range is not written."""
     source_path, frame_range = str(plan.source), plan.options.frame_range
     notices = []
     if times.dropped_at_end:
@@ -330,7 +330,7 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
 
 
 def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
-    """Return the rig with a frame of the take as its rest pose."""
+    """Return the rig with its rest pose replaced by the pose of a frame of the take."""
     frames, take = FrameRange(frame, frame), interpolation.take
     try:
         times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
@@ -353,7 +353,7 @@ def _with_rest(plan: TakePlan, interpolation: TakeSampler, frame: int) -> Rig:
 
 
 def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
-    """Return a mask of the joints that leave the rest pose ``(J,)``."""
+    """Return a mask of the joints that leave the rest pose in any frame ``(J,)``."""
     is_moving = np.zeros(len(rig.joints), bool)
     rest_scales = np.ones((len(rig.joints), 3))
     if plan.mapping is not None:
@@ -380,7 +380,7 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
 
 
 class BakedTake:
-    """A take that is read from its source and passed to the writer."""
+    """A take that is read from its source and sampled for the writer."""
 
     def __init__(
         self, plan: TakePlan, recorder: CharacterRecorder | None = None
@@ -393,7 +393,7 @@ class BakedTake:
         self._timed: TimedTake | None = None
 
     def open(self) -> TimedTake:
-        """Return the take at the output's times; frames are counted when read."""
+        """Return the take at the output's times; its frames are counted when read."""
         if self._timed is not None:
             return self._timed
         stream = self.plan.stream
@@ -410,7 +410,7 @@ class BakedTake:
 
     @property
     def rig(self) -> Rig:
-        """Rig in its rest pose."""
+        """The rig, with its rest pose."""
         return self.open().rig
 
     def _count_frames(self, blocks: Iterator[Motion]) -> Iterator[Motion]:

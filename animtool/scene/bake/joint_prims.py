@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 class JointPrims:
-    """SkelAnimations of takes; without a rig layer also their Skeleton."""
+    """SkelAnimation prims of takes and, without a rig layer, their Skeleton."""
 
     def author(self, draft: BakeState) -> None:
         """Author the layers of every take."""
@@ -68,19 +68,19 @@ class JointPrims:
 
 @dataclass(frozen=True, slots=True)
 class JointFiles:
-    """Authored layers of takes that are written as joints."""
+    """The authored layers of takes that are written as joints."""
 
     job: UsdJob
     authored: AuthoredLayers
     result: UsdResult
 
     def write(self, save: Save) -> None:
-        """Write the layers; the layer that refers to the others is last."""
+        """Write all layers; the layer that refers to the other layers is last."""
         write_usd(self.job, self.authored, self.result, save)
 
 
 def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
-    """Return the writer's job for every take."""
+    """Return the settings with which the USD writer authors every take."""
     joint_map = plan.takes[0].mapping
     rig = rest_rig if joint_map is None else joint_map.rig
     names, joints = _usd_names(plan, rig)
@@ -104,7 +104,7 @@ def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
 
 
 def _usd_names(plan: BakePlan, rig: Rig) -> tuple[UsdNames, list[str]]:
-    """Return the USD names and paths of the joints."""
+    """Return the USD names of the joints, and their paths as joint tokens."""
     if plan.target is not None:
         return plan.target.names, plan.target.skeleton.tokens
     names = joint_names(rig.joints, plan.options.strip_namespace)
@@ -136,7 +136,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 
 
 class _JointTake:
-    """A take that is written as joints."""
+    """One take that is written as a SkelAnimation."""
 
     def __init__(self, run: BakedTake) -> None:
         self.plan, self._run = run.plan, run
@@ -217,7 +217,7 @@ def _reduce_samples(
     rig: Rig,
     step: Fraction,
 ) -> tuple[TimedBlocks, ThinnedSamples, tuple[Fraction, Fraction]]:
-    """Return the reduced samples, their error, and the first and last frame."""
+    """Return the samples to keep, their error, and the first and last frame."""
     from animtool.edit.thin import thin_samples
 
     all_blocks = list(blocks)
@@ -243,14 +243,14 @@ def _reduce_samples(
 
 
 def _shape_names(plan: TakePlan) -> tuple[str, ...]:
-    """Return the names of the take's shapes in the output."""
+    """Return the names that the take's shapes have in the output."""
     if plan.mapping is not None:
         return plan.mapping.shapes
     return tuple(shape.name for shape in plan.stream.rig.shapes)
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
-    """Return the curves of controls in time codes of the output."""
+    """Return the animation curves of controls, retimed to time codes of the output."""
     stream = plan.stream
     if not stream.control_curves:
         message = "there is no control whose curve could be kept"

@@ -49,7 +49,7 @@ def take_names(
 def rate_notice(
     names: Sequence[str], streams: Sequence[TakeStream], fps: Fraction
 ) -> list[Fault]:
-    """Warn where takes have different rates."""
+    """Return a warning if takes of a library have different rates."""
     rates = [stream.fps / stream.step for stream in streams]
     if len(set(rates)) < 2:
         return []
@@ -67,7 +67,7 @@ def in_joint_order(
     options: BakeOptions,
     notices: list[Fault],
 ) -> list[TakeStream]:
-    """Return the takes with their joints in the order of the first take's."""
+    """Return the takes with joints in the order of the first take's joints."""
     first_joints, *other_joints = [
         _parents_by_name(stream.rig, options) for stream in streams
     ]
@@ -92,10 +92,10 @@ def in_joint_order(
 
 
 def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
-    """Return the parent of every joint by USD name, in order.
+    """Return the parent of every joint by USD name, in joint order.
 
-    By USD name, a BVH and its conversion to USD have equal joints. A root has the
-    parent "".
+    USD names are used so that a BVH file and its conversion to USD have equal joints.
+    The parent of a root is "".
     """
     names = joint_names(rig.joints, options.strip_namespace).names
     return {
@@ -107,7 +107,7 @@ def _parents_by_name(rig: Rig, options: BakeOptions) -> dict[str, str]:
 def _joint_difference(
     first_parents: dict[str, str], other_parents: dict[str, str], source: str
 ) -> str:
-    """Return the first difference between joints as text; empty for none."""
+    """Return the first difference between two joint hierarchies as text, or ""."""
     for name, parent in first_parents.items():
         if name not in other_parents:
             return f"there is no joint {name!r}, which {source} has"
@@ -126,7 +126,7 @@ def _joint_difference(
 def _reorder_joints(
     stream: TakeStream, names: list[str], order: list[str], first_rig: Rig
 ) -> TakeStream:
-    """Return a take with its joints in the order of a first rig."""
+    """Return a take with its joints in the order of another take's rig."""
     if names == order:
         return stream
     from animtool.usd.rigs.joint_map import RigJointMap
@@ -154,7 +154,7 @@ def _reorder_joints(
 
 
 def _rest_notice(first_rig: Rig, other_rig: Rig, path: str, source: str) -> list[Fault]:
-    """Warn where a take's rest pose differs from the one that is written."""
+    """Return a warning if a take's rest pose differs from the rest pose written."""
     distances = np.linalg.norm(
         first_rig.rest_translations - other_rig.rest_translations, axis=1
     )

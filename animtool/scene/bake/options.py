@@ -382,7 +382,7 @@ def _frame_option(start: FractionLike) -> Fraction:
 
 
 def with_fallbacks(options: BakeOptions, fallback_options: BakeOptions) -> BakeOptions:
-    """Return options whose default values are replaced by those of fallback options."""
+    """Return options in which default values are replaced by the fallback values."""
     defaults = BakeOptions()
     overrides = {
         field.name: getattr(fallback_options, field.name)

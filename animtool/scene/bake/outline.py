@@ -1,4 +1,4 @@
-"""The requested outputs of a bake, checked before anything is read."""
+"""The requested outputs of a bake, checked before any source is read."""
 
 from __future__ import annotations
 
@@ -69,17 +69,17 @@ class OutputEntry:
 
     @property
     def is_stage(self) -> bool:
-        """Whether it is written as USD."""
+        """Whether the output is written as USD."""
         return self.path == STDOUT or writes_stage(self.path)
 
     @property
     def name(self) -> str:
-        """Path of the file, or stdout."""
+        """Path of the file, or ``stdout``."""
         return "stdout" if self.path == STDOUT else str(self.path)
 
     @property
     def files(self) -> list[Path]:
-        """Files to write, including existing chunks that may be replaced."""
+        """Files to write, including existing chunk files that the bake may replace."""
         if self.path == STDOUT:
             return []
         if self.is_stage:
@@ -100,7 +100,7 @@ class Outline:
 
     @property
     def scene(self) -> Scene | None:
-        """The source, if it is a single scene."""
+        """The scene, if it is the only source."""
         source_set = self.source_set
         return (
             source_set.scenes.get(source_set.files[0])
@@ -188,7 +188,7 @@ def has_several_outputs(scene: Scene) -> bool:
 
 
 def check_outline(outline: Outline) -> None:
-    """Refuse invalid outputs before anything is read; report all faults at once."""
+    """Check all outputs before anything is read; raise all faults together."""
     source_set, has_several = outline.source_set, len(outline.outputs) > 1
     _check_count(len(source_set.files), outline.outputs[0].options)
     faults = duplicate_outputs(outline)
@@ -236,7 +236,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
 
 
 def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
-    """Refuse an invalid output before anything is read.
+    """Raise the faults of one output before anything is read.
 
     Args:
         entry: The output.
@@ -265,7 +265,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
 
 
 def check_settings(entry: OutputEntry) -> None:
-    """Refuse unknown formats and options that exclude each other."""
+    """Raise an error for an unknown format or options that exclude each other."""
     path, options = entry.path, entry.options
     if not entry.is_stage:
         writer = take_writer(path)
@@ -282,7 +282,7 @@ def check_settings(entry: OutputEntry) -> None:
 
 
 def take_name(options: BakeOptions, source: Path) -> str:
-    """Return the name of a source in a clip library."""
+    """Return the name that a source's take has in a clip library."""
     from animtool.usd.layers.names import legal_name
 
     return legal_name(options.take or source_stem(source))
@@ -302,7 +302,7 @@ def _check_count(count: int, options: BakeOptions) -> None:
 
 
 def _check_systems(outline: Outline) -> None:
-    """Refuse systems in outputs that are clip libraries or not USD."""
+    """Raise an error if a scene in a clip library writes systems (SCN062)."""
     if len(outline.source_set.files) == 1:
         return
     for scene in outline.source_set.scenes.values():

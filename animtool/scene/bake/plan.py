@@ -1,4 +1,4 @@
-"""Planning of a bake: open the sources and prepare each output."""
+"""Planning of a bake: opens the sources and prepares each output."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
 
 
 def _shared_streams(stream: TakeStream, count: int) -> list[TakeStream]:
-    """Return several streams of one take, which is read only once."""
+    """Return copies of a stream that share one read of the source."""
     motions: list[Motion] = []
 
     def blocks() -> Iterator[Motion]:
@@ -139,7 +139,7 @@ def _plan_output(
     notices: list[Fault],
     names: tuple[str, ...] = (),
 ) -> OutputPlan:
-    """Return the plan of an output from open sources."""
+    """Return the plan of one output from opened sources."""
     scene = entry.scene
     if not entry.is_stage:
         writer = take_writer(entry.path)
@@ -161,7 +161,7 @@ def _planned_file(
     writer: Writer,
     notices: list[Fault],
 ) -> FilePlan:
-    """Return the plan of a take in a format other than USD."""
+    """Return the plan of one take in a format other than USD."""
     from animtool.scene.bake.files import FilePlan
 
     options, omitted_items = entry.options, []
@@ -194,7 +194,7 @@ def _with_other_takes(
     notices: list[Fault],
     names: tuple[str, ...],
 ) -> FilePlan:
-    """Return the plan of a file that holds several named takes of one rig."""
+    """Return the plan of a file that stores several named takes of one rig."""
     from animtool.scene.bake.library import in_joint_order
 
     writer = take_writer(plan.path)
@@ -220,7 +220,7 @@ def _with_other_takes(
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
-    """Return the plan of an output of a scene without a source."""
+    """Return the plan of an output with systems only, for a scene without a source."""
     from animtool.scene.systems.bake import plan_systems
 
     assert entry.scene is not None
@@ -247,7 +247,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
 
 
 def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
-    """Return the plan of a take together with the systems of its scene."""
+    """Return the plan of a take with the systems of its scene added."""
     if not scene.systems:
         return plan
     if plan.form is LayerForm.LIBRARY:
@@ -328,7 +328,7 @@ def plan_takes(
 
 
 def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
-    """Return the opened rig of a rig layer; None without one."""
+    """Return the rig of an opened rig layer; None if there is no rig layer."""
     if rig_layer is not None:
         from animtool.usd.rigs.target import open_target
 
@@ -339,7 +339,7 @@ def _target(rig_layer: Path | None, prim_path: str | None) -> RigTarget | None:
 
 
 def _check_props(plan: BakePlan) -> None:
-    """Refuse props that the output cannot hold."""
+    """Raise an error for props that the output format cannot store."""
     tracks = [take.stream.tracks for take in plan.takes]
     if not any(tracks):
         return
@@ -367,7 +367,7 @@ def _reorient_to_stage(
     options: BakeOptions,
     notices: list[Fault],
 ) -> list[TakeStream]:
-    """Return takes with a common up axis, with or without their placement."""
+    """Return takes rotated to one up axis, with their placement kept or dropped."""
     keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
         notices += placement_notice(stream.rig, str(source), is_kept=keeps_placement)
@@ -383,7 +383,7 @@ def _map_to_rig_layer(
     options: BakeOptions,
     notices: list[Fault],
 ) -> tuple[list[TakeStream], list[RigJointMap]]:
-    """Return takes in the space of a rig layer, with their joint maps."""
+    """Return the takes in the space of a rig layer, and the joint map of each."""
     from animtool.usd.takes.over_rig import convert_over_rig
 
     notices += target.notices
@@ -455,7 +455,7 @@ def _rate_warning(target: RigTarget | None, fps: Fraction) -> list[Fault]:
 def start_of(
     options: BakeOptions, target: RigTarget | None, stream: TakeStream, source: Path
 ) -> Fraction:
-    """Return the first frame from options, shot, source or project; else 1.
+    """Return the first frame from options, shot, source or project; the default is 1.
 
     A source that starts between the frames of its stage starts at the frame of the same
     time: time code 960.96 at 24 fps is frame 1001 at 25 fps.

@@ -58,7 +58,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class PointStream:
-    """Computes the deformed points of a character, block by block."""
+    """Computes the deformed points of a character block by block."""
 
     character: DeformedCharacter
     meters_per_unit: float  # unit of the output [m]
@@ -95,7 +95,7 @@ class PointStream:
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[DeformedFrames]:
-        """Yield frames of a mesh that shapes or strands displace."""
+        """Yield frames of a mesh with its points replaced by displaced ones."""
         surfaces = self.character.surfaces
         surface = surfaces[mesh] if mesh < len(surfaces) else None
         times = codes / self.rate if self.velocities else None
@@ -112,7 +112,7 @@ class PointStream:
         deformed_blocks: Iterator[DeformedFrames],
         written_frames: slice,
     ) -> Iterator[Block]:
-        """Yield the written frames of a piece, without neighbours, in float32."""
+        """Yield float32 blocks of the frames to write, without neighbouring frames."""
         frames_done = 0
         start_time = time.perf_counter()
         for deformed_block in deformed_blocks:
@@ -161,7 +161,7 @@ class PointStream:
 def _is_static(
     mesh: CharacterMesh, weights: FloatArray | None, world: WorldTransforms
 ) -> bool:
-    """Return whether a mesh has the same points in all frames."""
+    """Return whether a mesh has the same points in every frame."""
     if weights is not None and (weights != weights[:1]).any():
         return False
     skin = mesh.mesh.skin
@@ -193,12 +193,12 @@ def _repeat_first_frame(
 
 @dataclass(frozen=True, slots=True)
 class PointPrims:
-    """Deformed meshes and strands of a character as prims."""
+    """Prims of the deformed meshes and strands of a character."""
 
     character: DeformedCharacter
 
     def author(self, draft: BakeState) -> None:
-        """Author the prims; with chunks, also write the chunk files."""
+        """Author the prims; if chunks are requested, also write the chunk files."""
         plan, (run,) = draft.plan, draft.runs
         stream, timed_take = run.plan.stream, run.open()
         job, character, spaces = _job(plan, self.character, timed_take.frames)
@@ -265,7 +265,7 @@ class ChunkFiles:
 def _author_props(
     layer: Any, plan: BakePlan, job: CacheJob, run: BakedTake, up: UpAxis
 ) -> list[str]:
-    """Write the props of the take to a layer; return their prims."""
+    """Author the props of the take in a layer and return their prim paths."""
     assert run.props is not None
     joint_map = plan.takes[0].mapping
     placements = build_prop_placements(
@@ -284,7 +284,7 @@ def _author_props(
 def _job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
-    """Return the writer's job: meshes and their placement."""
+    """Return the writer's settings, the character, and the space of each mesh."""
     if plan.target is not None:
         return _layer_job(plan, character, span)
     paths, unit = plan.paths, plan.meters_per_unit

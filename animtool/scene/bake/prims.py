@@ -108,18 +108,18 @@ class TakeReport:
 
     @property
     def resampled(self) -> bool:
-        """Whether samples are not exactly the source's frames."""
+        """Whether the rate or the number of samples differs from the source's."""
         counts = self.source_frames, self.written.samples
         return self.source_fps != self.fps or counts[0] != counts[1]
 
     @property
     def relative_error(self) -> float:
-        """Largest joint displacement by rounding, over the rig's size [1]."""
+        """Largest joint displacement by rounding, relative to the rig's size [1]."""
         return self.written.rounding.error / (self.size or math.inf)
 
     @property
     def in_library(self) -> TakeReport | None:
-        """This report if the take is in a library, else None."""
+        """This report if the take is part of a library, else None."""
         return self if self.written.name else None
 
     @property
@@ -179,12 +179,12 @@ class BakeReport:
 
     @property
     def only(self) -> TakeReport | None:
-        """The take, if there is only one."""
+        """Report of the take, if there is exactly one."""
         return self.takes[0] if len(self.takes) == 1 else None
 
     @property
     def library(self) -> list[TakeReport]:
-        """The takes, if there are several."""
+        """Reports of the takes, if there are several."""
         return [] if len(self.takes) == 1 else self.takes
 
     @property
@@ -194,7 +194,7 @@ class BakeReport:
 
     @property
     def unit_assumed(self) -> bool:
-        """Whether a source has no stated unit."""
+        """Whether the length unit of any source is assumed, not stated."""
         return any(take.unit_assumed for take in self.takes)
 
     @property
@@ -204,12 +204,12 @@ class BakeReport:
 
     @property
     def named(self) -> list[Path]:
-        """Written files, as reports of solves list them; none for stdout."""
+        """Written files, as in the reports of solves; empty for stdout."""
         return self.files
 
     @property
     def channels(self) -> None:
-        """Empty: a layer has no key channels."""
+        """None: a USD layer has no keyed channels."""
         return None
 
     @property
@@ -226,7 +226,7 @@ class BakeReport:
 
     @property
     def megabytes_per_second(self) -> float | None:
-        """Read rate of the sources [MB/s]; None without motion files."""
+        """Read rate of the sources [MB/s]; None if there are no motion files."""
         if not self.source_bytes:
             return None
         return round(self.source_bytes / 1e6 / self.seconds["total"], 3)
@@ -243,17 +243,17 @@ class BakeReport:
 
     @property
     def worst(self) -> TakeReport:
-        """The take with the largest rounding displacement."""
+        """Report of the take with the largest rounding displacement."""
         return max(self.takes, key=lambda take: take.written.rounding.error)
 
     @property
     def scores(self) -> list[PassScores]:
-        """Scores of the passes of every source."""
+        """Scores that the passes gave to the take of every source."""
         return [score for take in self.takes for score in take.scores]
 
     @property
     def files(self) -> list[Path]:
-        """Every written file, the requested one last."""
+        """Every written file, with the requested file last."""
         return self.result.outputs
 
     @property
@@ -298,7 +298,7 @@ class BakePlan:
 
     @property
     def meters_per_unit(self) -> float:
-        """Length unit below the character's model [m]."""
+        """Length of a unit below the character's model prim [m]."""
         unit = self.options.to_units
         if self.target is not None or unit is None:
             return self.rig.meters_per_unit
@@ -364,10 +364,10 @@ class OneFile:
 
 
 class Growth(Protocol):
-    """Frames that are computed while their layer is written."""
+    """Frames that are computed while their layer is being written."""
 
     def save(self, layer: Any, path: Path) -> int:
-        """Write a layer and its frames; return the bytes."""
+        """Write a layer with its computed frames; return the number of bytes."""
 
     def complete(self, draft: BakeState) -> None:
         """Add the computed frames to the report."""
@@ -375,7 +375,7 @@ class Growth(Protocol):
 
 @dataclass(slots=True)
 class BakeState:
-    """State of a running bake: a layer in memory and its report so far."""
+    """State of a running bake: the layer in memory and the report so far."""
 
     plan: BakePlan
     progress: Progress  # progress after the takes are read
@@ -398,7 +398,7 @@ class BakeState:
 
 
 class OutputPrims(Protocol):
-    """Prims of one kind in a bake: joints, points or systems."""
+    """Prims of one kind in a bake: joints, point caches or systems."""
 
     def author(self, draft: BakeState) -> None:
         """Author the prims into a bake; the first kind creates the layer."""

@@ -1,4 +1,4 @@
-"""Progress, prefetching and cost of work that runs block by block."""
+"""Progress, prefetching and cost of work that is done block by block."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Progress: TypeAlias = Callable[[float], None] | None
 
 
 def _unit_weight(_: object) -> int:
-    """Return the weight of an item that counts as one."""
+    """Return 1, the weight of every item."""
     return 1
 
 
@@ -35,7 +35,7 @@ def with_progress(
     progress: Progress,
     size: Callable[[Item], int] = _unit_weight,
 ) -> Iterator[Item]:
-    """Yield items and report the fraction that has been yielded."""
+    """Yield items, and report the fraction of them that has been yielded."""
     finished_size = 0
     if progress is not None:
         progress(0.0)
@@ -114,7 +114,7 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
 
 
 def part_progress(progress: Progress, i: int, count: int) -> Progress:
-    """Return the progress callback of one of several tasks."""
+    """Return the progress callback for one of several equal tasks."""
     if progress is None or count == 1:
         return progress
     progress_of_all = progress
@@ -201,7 +201,7 @@ class ProgressPhases:
 
 
 class TimeProgress:
-    """Progress of simulations that advance in time together."""
+    """Progress of simulations that advance in time simultaneously."""
 
     def __init__(self, show: Callable[[float], None], last: float) -> None:
         """Start at 0.
@@ -250,7 +250,7 @@ class PeakMemory:
         self.base_bytes = self._peak_bytes()
 
     def peak_since_last_call(self) -> int | None:
-        """Return the peak since the last call [byte]; None where unknown."""
+        """Return the memory peak since the last call [byte]; None if unknown."""
         if self.base_bytes is None:
             return None
         peak = self._peak_bytes()
@@ -268,7 +268,7 @@ class PeakMemory:
 
 
 def _status_peak() -> int | None:
-    """Return the peak that Linux reports [byte]; None on other systems."""
+    """Return the peak memory reported by Linux [byte]; None on other systems."""
     try:
         with open(_STATUS_PATH, "rb") as file:  # noqa: PTH123
             for line in file:
@@ -280,7 +280,7 @@ def _status_peak() -> int | None:
 
 
 def _process_peak() -> int | None:
-    """Return the peak of the process so far [byte]; None where unknown."""
+    """Return the peak memory of this process so far [byte]; None if unknown."""
     if sys.platform == "win32":
         return None
     import resource
@@ -292,7 +292,7 @@ def _process_peak() -> int | None:
 
 @dataclass(slots=True)
 class StageCost:
-    """Cost of a stage."""
+    """Time and memory of one stage."""
 
     name: str  # name of a source's file, or of a pass
     where: str  # its entry in the scene
@@ -307,7 +307,7 @@ class StageCost:
 
 @dataclass(frozen=True, slots=True)
 class OutputCost:
-    """Cost of an output."""
+    """Time, memory and size of one output."""
 
     name: str  # the file
     seconds: float | None  # as in `StageCost`; None is unknown
@@ -319,7 +319,7 @@ class OutputCost:
 
 @dataclass(frozen=True, slots=True)
 class BakeStats:
-    """Cost of stages and outputs."""
+    """Costs of all stages and outputs of a bake."""
 
     stats: list[StageCost | OutputCost]
 
@@ -338,7 +338,7 @@ class Meter:
     _memory: PeakMemory = field(default_factory=PeakMemory)
 
     def start(self) -> None:
-        """Begin to measure memory."""
+        """Start the memory measurement."""
         self._memory.begin()
 
     def stage(self, name: str, where: str) -> StageCost:

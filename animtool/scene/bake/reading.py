@@ -44,7 +44,7 @@ Source: TypeAlias = "Path | str | Scene | OpenTake"
 
 
 def source_file(source: Source) -> Path:
-    """Return the file of a source."""
+    """Return the path of a source, which is a file or a loaded scene."""
     return Path(source) if isinstance(source, Path | str) else source.path
 
 
@@ -61,17 +61,17 @@ class SourceSet:
 
     @property
     def inputs(self) -> list[Path]:
-        """Every input file that is named."""
+        """Every input file: the sources and the files that scenes refer to."""
         paths = [path for scene in self.scenes.values() for path in scene.inputs]
         return [*self.files, *paths]
 
     @property
     def unused(self) -> list[Fault]:
-        """Warnings about ignored bake options of scenes that become library takes."""
+        """Warnings about bake options of scenes that are ignored in a library."""
         return [] if len(self.files) == 1 else _unused_options(self.scenes)
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
-        """Open every source; report the faults of all at once."""
+        """Open every source, or raise the faults of all sources together."""
         streams: list[TakeStream] = []
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
@@ -97,7 +97,7 @@ class SourceSet:
     def _open_one(
         self, path: Path, options: BakeOptions, source_progress: Progress
     ) -> TakeStream:
-        """Open a source; drop a placement that the joints of a rig cannot store."""
+        """Open a source, without a placement that the joints of a rig cannot store."""
         try:
             return self._open_path(path, options, source_progress)
         except FormatError as error:
@@ -131,7 +131,7 @@ class SourceSet:
 
 
 def with_takes(sources: SourceSet, options: BakeOptions) -> SourceSet:
-    """Return one source per take if there is a single file with several takes.
+    """Return one source per take of a file, if it is the only file and has several.
 
     Otherwise, or if the options choose a take, the sources are unchanged.
     """
@@ -216,7 +216,7 @@ def check_options(
 
 
 def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return the options that a rig layer excludes, and whether each is set."""
+    """Return conflicts of options with a rig layer: whether each occurs, and text."""
     reasons = (option.over_layer for option in changed_options(options).values())
     return [
         (
@@ -234,14 +234,14 @@ def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _library_clashes(
     options: BakeOptions, *, to_stdout: bool
 ) -> list[tuple[bool, str]]:
-    """Return the options that a library excludes, and whether each is set."""
+    """Return conflicts of options with a library: whether each occurs, and text."""
     flags = [argument("output", "-")] if to_stdout else []
     flags += refused_options(options, "library")
     return [(True, f"a take of a library cannot use {flag}") for flag in flags]
 
 
 def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return the options that a placed shot excludes, and whether each is set."""
+    """Return conflicts of options with a placed shot: whether each occurs, and text."""
     shot = options.shot
     if shot is None or not shot.places_media or shot.fps is None:
         return []
@@ -264,7 +264,7 @@ def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
 def _chunk_clashes(
     options: BakeOptions, *, to_stdout: bool, simulated: bool
 ) -> list[tuple[bool, str]]:
-    """Return the options that chunks exclude, and whether each is set."""
+    """Return conflicts of options with chunks: whether each occurs, and text."""
     if options.chunk is None:
         return []
     if not (options.deform or simulated):
@@ -285,7 +285,7 @@ def _chunk_clashes(
 
 
 def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return the options that point caches exclude, and whether each is set."""
+    """Return conflicts of options with caches: whether each occurs, and text."""
     if not options.deform:
         return []
     joints = f"{argument('deform', True)} writes points, not joints"
@@ -328,14 +328,14 @@ def default_output(source: Path) -> Path:
 
 
 def form_of(options: BakeOptions) -> LayerForm:
-    """Return the form of the output."""
+    """Return the form of the output layer that the options request."""
     return LayerForm(
         options.form or (LayerForm.LAYER if options.rig_layer else LayerForm.STAGE)
     )
 
 
 def check_package(path: Path, options: BakeOptions) -> None:
-    """Refuse a package whose layers are written to several files (OUT004)."""
+    """Raise OUT004 for a package if the options write several files or add to one."""
     form = form_of(options)
     refused_forms = {
         LayerForm.SPLIT: argument("form", "split"),
@@ -354,7 +354,7 @@ def check_package(path: Path, options: BakeOptions) -> None:
 def output_files(
     path: Path, options: BakeOptions, *, simulated: bool = False
 ) -> list[Path]:
-    """Return the files to write, including existing chunks that may be replaced.
+    """Return the files to write, including existing chunk files that may be replaced.
 
     simulated: whether systems are written.
     """

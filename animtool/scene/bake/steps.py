@@ -1,4 +1,4 @@
-"""The steps of a bake: the input, result and losses of each."""
+"""The steps of a bake, each with its input, its result and the data it drops."""
 
 from __future__ import annotations
 
@@ -89,7 +89,7 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
 
 @dataclass(frozen=True, slots=True)
 class _TakeState:
-    """What is known about a take between two steps."""
+    """What is known about a take before or after a step."""
 
     rig: Rig  # joints, shapes and controls
     moving: frozenset[TakePart]  # parts with values
@@ -102,7 +102,7 @@ class _TakeState:
 
     @staticmethod
     def of(stream: TakeStream) -> _TakeState:
-        """Return the state of an open take, which is read completely."""
+        """Return the state of an opened take, which is read completely."""
         take = stream.collect()
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
@@ -129,7 +129,7 @@ class _TakeState:
 
 
 def _static_tracks(motion: Motion) -> Iterator[str]:
-    """Yield texts about channels that are static in all or some joints."""
+    """Yield a text for each channel that is static for all or some of its entries."""
     for name, noun in (
         ("translations", "translation"),
         ("rotations", "rotation"),
@@ -155,7 +155,7 @@ def _source_step(path: Path, key: str, state: _TakeState) -> PlanStep:
 
 
 def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
-    """Add the sources and passes of a scene; return the facts of the result."""
+    """Append the steps of a scene's sources and passes; return the resulting state."""
     if len(scene.sources) > 1:
         for source in scene.sources:
             source_stream = open_source(source.path, source.options)
@@ -179,13 +179,13 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
 
 
 def _system_names(entry: OutputEntry) -> list[str]:
-    """Return the systems that an output contains."""
+    """Return the names of the systems that an output contains."""
     systems = () if entry.scene is None else entry.scene.systems
     return [system.name for system in systems if system.written]
 
 
 def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
-    """Return the steps of an output's systems and those they depend on."""
+    """Return the steps of an output's systems and of the systems they depend on."""
     names = {
         system.name
         for entry in outputs
@@ -221,7 +221,7 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
 
 
 def _output_key(entry: OutputEntry) -> str:
-    """Return the key of an output in its scene; empty without a scene."""
+    """Return the key of an output in its scene file; "" without a scene."""
     return "" if entry.scene is None else entry.scene.outputs[0].location.where
 
 
@@ -256,7 +256,7 @@ def _drops_curves(entry: ScenePass) -> bool:
 
 
 def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
-    """Return the parts that a pass adds to a take."""
+    """Return the parts that a take has only after a pass."""
     return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
 
 
@@ -354,7 +354,7 @@ def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
 
 
 def _file_labels(files: list[Path]) -> list[str]:
-    """Return file names, existing ones marked; without files, stdout."""
+    """Return file names, with existing files marked; ``stdout`` if there are none."""
     return [f"{file} (exists)" if file.exists() else str(file) for file in files] or [
         "stdout"
     ]
@@ -363,7 +363,7 @@ def _file_labels(files: list[Path]) -> list[str]:
 def _omitted_parts(
     options: BakeOptions, form: LayerForm, state: _TakeState
 ) -> Iterator[str]:
-    """Yield the data of a take that USD does not store, each with the reason."""
+    """Yield the parts of a take that USD does not store, each with the reason."""
     yield from _omitted_rig_parts(options, form, state.rig)
     if state.curves and not options.deform:
         if not options.keep_curves:
@@ -387,7 +387,7 @@ def _omitted_parts(
 def _omitted_rig_parts(
     options: BakeOptions, form: LayerForm, rig: Rig
 ) -> Iterator[str]:
-    """Yield the data of a rig that USD does not store, each with the reason."""
+    """Yield the parts of a rig that USD does not store, each with the reason."""
     if options.deform:
         yield "skeleton and its animation: points are written instead"
         if not options.velocities:

@@ -47,7 +47,7 @@ class RigReport:
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of each part of a rig, by noun."""
+        """Number of joints, meshes, shapes and controls, by noun."""
         return {
             "joint": self.joints,
             "mesh/meshes": self.meshes,

@@ -134,7 +134,7 @@ def convert_with_passes(
 def _conversion_options(
     source_options: SourceOptions | None, *, overwrite: bool, strict: bool
 ) -> BakeOptions:
-    """Return bake options that change nothing but the format."""
+    """Return bake options that leave the take unchanged except for its format."""
     source_options = source_options or SourceOptions()
     return BakeOptions(
         source=source_options,

@@ -35,7 +35,7 @@ from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 @dataclass(frozen=True, slots=True)
 class EntryLocation:
-    """Location of an entry in a file."""
+    """Location of an entry in a scene file."""
 
     path: Path  # the file
     line: int  # 1-based
@@ -85,7 +85,7 @@ class EntryLocation:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """Attach this location to faults without a file that the block raises."""
+        """In a block, attach this location to faults that name no file."""
         try:
             yield
         except ToleranceError as error:
@@ -129,7 +129,7 @@ class SceneSource:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SceneProp(PropRequest):
-    """A prop of a scene: camera, object or attributes."""
+    """A prop of a scene: a camera, an object or attributes."""
 
     # Time code of its file at the first frame; None is the number of that frame.
     frame: Fraction | None
@@ -141,7 +141,7 @@ class SceneProp(PropRequest):
 
 @dataclass(frozen=True, slots=True)
 class ScenePass:
-    """One entry of a scene's passes."""
+    """One pass of a scene."""
 
     pass_: Pass  # the pass
     options: Any  # its options record
@@ -183,7 +183,7 @@ class SystemSetup:
 
     @property
     def joined(self) -> tuple[tuple[str, Location], ...]:
-        """Names of the joined systems, each with the location that names it."""
+        """Names of the systems joined to it, and the location of each name."""
         names = () if self.record is None else self.record.joined_systems
         return tuple(
             (name, (*self.location, *parse_location(key))) for name, key in names
@@ -191,12 +191,12 @@ class SystemSetup:
 
     @property
     def writes(self) -> tuple[str, ...]:
-        """Files written in addition to the output."""
+        """Files that the system writes in addition to the output."""
         return () if self.spec.save is None else (self.spec.save,)
 
     @property
     def files(self) -> tuple[Path, ...]:
-        """Files read in addition to the scene file."""
+        """Files that the system reads in addition to the scene file."""
         characters = (Path(character.file) for character in self.around.characters)
         resume = [self.resume] if self.resume else []
         return (*characters, *self.carriers, *self.around.followed, *resume)
@@ -215,7 +215,7 @@ class SystemSetup:
 
     @property
     def method(self) -> str:
-        """Integration method, or ``steps`` for a kind without methods."""
+        """Name of the integration method; ``steps`` for a kind without methods."""
         return str(getattr(self.spec, self.spec.method_key, STEPS_METHOD))
 
     @property
@@ -227,7 +227,7 @@ class SystemSetup:
 
 @dataclass(frozen=True, slots=True)
 class SceneSystem:
-    """One entry of a scene's systems."""
+    """One system of a scene."""
 
     name: str  # name of its prim
     kind: str  # key of `SYSTEM_KINDS`

@@ -28,7 +28,7 @@ ParsedT = TypeVar("ParsedT")
 
 @dataclass(frozen=True, slots=True)
 class KeyReader:
-    """Reads the values of keys and records their faults."""
+    """Reads the values of keys and records the faults in them."""
 
     document: Document
     roots: tuple[Path, ...]  # folders that may contain files
@@ -209,7 +209,7 @@ class OutputReader:
         return SceneOutput(path, bake, entry_location_, systems)
 
     def _file(self, location: Location, name: str) -> Path:
-        """Return a file to write."""
+        """Return the path of a file to write."""
         path = resolve_reference(
             self._document, location, name, self._roots, is_output=True
         )
@@ -218,7 +218,7 @@ class OutputReader:
     def _check_keys(
         self, location: Location, model: OutputModel, writer: Writer
     ) -> None:
-        """Refuse keys that do not apply to the file's format."""
+        """Record a fault for each key that does not apply to the file's format."""
         allowed_keys = {"file", "start", *writer.options}
         for name in sorted(model.model_fields_set - allowed_keys):
             message = f"{name} does not apply to a {writer.name} file"
@@ -226,7 +226,7 @@ class OutputReader:
             self._document.add("SCN039", (*location, name), message, hint)
 
     def _frames(self) -> FrameRange | None:
-        """Return the frames to write: a range, or the cut with its handles."""
+        """Return the frames to write: a range, or the cut and its handles."""
         shot, with_handles = self._model.shot, self._shot()
         location: Location = ("range",) if shot is None else ("shot", "cut")
         frame_ends = self._model.range if shot is None else shot.cut

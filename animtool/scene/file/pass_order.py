@@ -1,4 +1,4 @@
-"""Hints for passes that name parts of a rig to which a later pass retargets."""
+"""Hints for passes that use a name of a rig to which only a later pass retargets."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _FIRST_NAME = re.compile(r"'([^']+)'")
 def with_order_hints(
     passes: Sequence[ScenePass], entry: ScenePass, folder: Path
 ) -> Iterator[None]:
-    """Add a hint if a pass names something that only a later ``retarget`` provides.
+    """In a block, add a hint to faults about names that only a later pass provides.
 
     Args:
         passes: All passes of the scene.

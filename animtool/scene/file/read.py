@@ -149,7 +149,7 @@ _PRIM_PATH = re.compile(r"/?[A-Za-z_]\w*(/[A-Za-z_]\w*)*", re.ASCII)
 
 
 def _overlap(path: str, other_path: str) -> bool:
-    """Return whether one path is the other or below it."""
+    """Return whether two paths are equal or one is an ancestor of the other."""
     return f"{path}/".startswith(f"{other_path}/") or f"{other_path}/".startswith(
         f"{path}/"
     )
@@ -231,7 +231,7 @@ class _SceneReader:
         )
 
     def _times(self) -> SceneTimes:
-        """Return the frames per second, and the frames of the range."""
+        """Return the frame rate of the scene and the frames of its range."""
         try:
             rate = float(parse_rate(self.model.fps or DEFAULT_FPS))
         except ValueError:
@@ -256,12 +256,12 @@ class _SceneReader:
         return None
 
     def _raw_systems(self) -> Any:
-        """Return the unparsed entries of systems, also under an old key."""
+        """Return the unparsed system entries, also if they use an old key."""
         old_key = self.document.old_keys.get(("systems",), "systems")
         return self.document.value[old_key]
 
     def _check_simulated(self) -> None:
-        """Refuse keys that need a source, and outputs that are not USD."""
+        """Refuse keys that need a source and outputs that are not USD."""
         model = self.model
         for key in sorted({"rig", "passes", "shot", "props"} & model.model_fields_set):
             message = f"{key} needs a scene with a source"

@@ -38,7 +38,7 @@ class Tracks:
         return any(len(self.indices(kind)) for kind in TRACK_KINDS)
 
     def indices(self, kind: str) -> IntArray:
-        """Return the indices of one of `KINDS`."""
+        """Return the track indices of a kind, which is one of `TRACK_KINDS`."""
         indices: IntArray = getattr(self, kind)
         return indices
 
@@ -72,7 +72,7 @@ class UnknownTrack:
 def select_tracks(
     requested: TrackNames, names: NameMap
 ) -> tuple[Tracks, list[UnknownTrack]]:
-    """Return the common tracks of two rigs that match patterns; and unmatched ones.
+    """Return the tracks of two rigs that match patterns, and the unmatched patterns.
 
     Tracks driven by a selected control are selected too, since a motion stores their
     values.
@@ -117,7 +117,7 @@ def _add_driven(rig: Rig, selected: dict[str, set[int]]) -> None:
 
 
 def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
-    """Return the tracks of a motion that leave the rest pose."""
+    """Return the tracks of a motion that are animated or differ from the rest pose."""
     rest_on_rig = names.apply(rest_motion(motion_rig))
 
     def moving_indices(kind: str) -> IntArray:
@@ -155,7 +155,7 @@ def _defaults(rig: Rig) -> FloatArray:
 
 
 def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
-    """Return the tracks that both rigs of a name map have."""
+    """Return the selected tracks that exist in both rigs of a name map."""
     return Tracks(
         *(
             tracks.indices(k)[getattr(names, k)[tracks.indices(k)] >= 0]
@@ -165,7 +165,7 @@ def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
 
 
 def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
-    """Return a motion with some tracks replaced by those of another motion."""
+    """Return a motion in which the given tracks are replaced by another motion's."""
 
     def optional(
         name: str, indices: IntArray, neutral: float | FloatArray
@@ -200,7 +200,7 @@ def _constant_channel(template: Channel | None, value: float | FloatArray) -> Ch
 def _replace_entries(
     channel: Channel, replacement: Channel, indices: IntArray
 ) -> Channel:
-    """Return a channel with some entries replaced by those of another."""
+    """Return a channel with the entries at indices replaced by another channel's."""
     rest_values = channel.rest.copy()
     rest_values[indices] = replacement.rest[indices]
     kept_columns = ~np.isin(channel.animated, indices)

@@ -1,4 +1,4 @@
-"""Cycles of takes: find or measure one, and write its repetition."""
+"""Loops: find or measure the cycle of a take, and write its repetition."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.scene.sources.open import SourceOptions, open_checked
 
 @dataclass(frozen=True, slots=True)
 class LoopResult:
-    """The cycle of a take, its length and notices."""
+    """The cycle of a take, its length, and warnings."""
 
     source: Path
     output: Path | None

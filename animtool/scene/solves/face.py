@@ -64,7 +64,7 @@ class FaceJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """The output."""
+        """The output of the solve."""
         return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 
@@ -193,7 +193,7 @@ def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
 def _undistort(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
-    """Return the camera, and landmarks in its pixels without distortion."""
+    """Return camera intrinsics (None for positions) and undistorted landmarks."""
     if not capture.pixels:
         if job.camera is not None:
             message = "is for landmarks in pixels, but these are positions"
@@ -255,7 +255,7 @@ def _with_neutral_proportions(
 
 
 def _rotate_to_y_up(fit: FaceFit) -> FaceFit:
-    """Return a fit rotated from Z up to Y up."""
+    """Return a face fit rotated from Z up to Y up."""
     return replace(
         fit,
         rotations=multiply(_Y_UP, fit.rotations),
@@ -266,7 +266,7 @@ def _rotate_to_y_up(fit: FaceFit) -> FaceFit:
 def face_motion(
     fit: FaceFit, links: ShapeLinks, rig: Rig, head_mode: str
 ) -> tuple[Motion, list[Fault]]:
-    """Return weights and head pose as motion of a rig, with warnings.
+    """Return shape weights and head pose as motion of a rig, and warnings.
 
     Args:
         fit: The face over frames.
@@ -311,7 +311,7 @@ def face_motion(
 def _head_translations(
     fit: FaceFit, rig: Rig, joint: int, translations: Channel
 ) -> tuple[Channel, list[Fault]]:
-    """Return root translations that bring the head to its fitted position."""
+    """Return root translations that move the head to its fitted position."""
     root = rig.upwards(joint)[-1]
     if rig.joints[root].type is not JointType.FREE:
         message = (

@@ -94,7 +94,7 @@ class IkJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """The output."""
+        """The output of the solve."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)
@@ -124,7 +124,7 @@ class IkReport:
 
     @property
     def channels(self) -> Sequence[ChannelError] | None:
-        """Errors of the channels of a written clip."""
+        """Approximation errors of the channels of a written clip."""
         return None if self.written is None else self.written.channels
 
     @property
@@ -136,7 +136,7 @@ class IkReport:
 
     @property
     def moved(self) -> bool:
-        """Whether written frame numbers differ from the solved ones."""
+        """Whether the written frame numbers differ from the solved ones."""
         clock, span = self.solved.take.clock, self.span
         is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
         return self.written is not None and not is_same_clock
@@ -262,7 +262,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
 
 
 def _named_rig(rig: Path, output: Path | None) -> Path | None:
-    """Return the rig file if a clip at the output can refer to it, else None."""
+    """Return the rig file if a clip at the output path can refer to it, else None."""
     if output in {None, STDOUT}:
         return None
     is_in_project = any(
@@ -370,7 +370,7 @@ def open_start(
 
 
 def _crop_to_shot(take: Take, shot: Shot | None) -> Take:
-    """Return a take cropped to the samples that enclose the frames of a shot."""
+    """Return a take cropped to the samples that cover the frames of a shot."""
     if shot is None:
         return take
     clock = take.clock
@@ -391,7 +391,7 @@ MIN_COMMON = 0.25
 def _map_motion(
     take: Take, rig: Rig, path: Path, rig_path: Path
 ) -> tuple[Motion, list[Fault]]:
-    """Return the motion of common joints, and notices of the joints left out."""
+    """Return the motion of the joints common to both rigs, and notices of the rest."""
     names = map_names(rig, take.rig)
     transfer_hint = (
         f"first move it to this rig: animtool retarget {path.name} {flag('to')} "

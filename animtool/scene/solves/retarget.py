@@ -1,4 +1,4 @@
-"""Retargeting between files: a take, a rig, and the report."""
+"""Retargeting between files: a take, a target rig, and the report."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class RetargetJob:
 
     @property
     def target(self) -> SolvedOutput:
-        """The outputs, including the map."""
+        """The outputs, including the map file."""
         extra_files = (self.write_map,)
         return SolvedOutput.of(
             self.output, self.source, self.bake, self.rig, extra_files
@@ -88,7 +88,7 @@ class RetargetResult:
 
     @property
     def pairs(self) -> list[dict[str, object]]:
-        """Names of the mapped joints."""
+        """Names of each mapped pair of joints."""
         source_names, target_names = self.source_rig.names, self.target.names
         return [
             {
@@ -111,7 +111,7 @@ class RetargetResult:
 
     @property
     def score(self) -> RetargetReport:
-        """Score of the fit."""
+        """Report of how well the target follows the source."""
         return self.retargeting.report()
 
 

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SolveReport(Protocol):
-    """Report of a solve, to which writing adds the written output."""
+    """Base of solve reports; the written output is added to it."""
 
     notices: list[Fault]
     written: OutputReport | None
@@ -60,7 +60,7 @@ class SolvedOutput:
         ]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
-        """Refuse an invalid output before the work."""
+        """Check the output, and raise its faults before the solve."""
         if self.files:
             input_files = list(filter(None, inputs))
             check_outputs(self.files, input_files, overwrite=self.bake.overwrite)

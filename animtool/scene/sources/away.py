@@ -37,7 +37,7 @@ def no_frames_error(
 def range_distance(
     shot: Shot, first: int, last: int, length: Fraction
 ) -> tuple[str, str]:
-    """Return texts with the distance of a shot from its take, and with a hint.
+    """Return a text with the distance of a shot from its take, and a hint.
 
     Args:
         shot: Shot that places its media.
@@ -84,7 +84,7 @@ def _distance(seconds: Fraction) -> str:
 
 
 def _first_label(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
-    """Return the likely first time code of a take, a full hour; else a pattern."""
+    """Return the full hour that is likely the take's first time code, or a pattern."""
     clock = shot.timecode
     assert clock is not None
     label = clock.label(shot_seconds)

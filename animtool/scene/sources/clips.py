@@ -124,7 +124,7 @@ def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
 def _causing_channels(
     file: ClipFile, rig: Rig, target: str
 ) -> Iterator[tuple[int, ChannelModel]]:
-    """Yield the channels of a target, then channels of controls that drive it."""
+    """Yield the channels of a target, then the channels of controls that drive it."""
     targets = [target]
     for drive_target in targets:
         for i, channel in enumerate(file.model.channels):

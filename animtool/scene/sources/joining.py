@@ -1,4 +1,4 @@
-"""Several sources as one take with the rig, rate and frames of the first."""
+"""Joins several sources into one take with the rig, rate and frames of the first."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MAX_NAMED = 6
 
 @dataclass(frozen=True, slots=True)
 class JoinedSource:
-    """One of several sources to join."""
+    """A source to join, with the tracks that it sets."""
 
     stream: TakeStream
     tracks: TrackNames | None  # its tracks; None uses all moving ones
@@ -50,12 +50,12 @@ class JoinedSource:
 def join_sources(
     first: JoinedSource, other_sources: Sequence[JoinedSource]
 ) -> TakeStream:
-    """Return the first source with tracks replaced by those of other sources.
+    """Return the first source, with tracks replaced by those of the other sources.
 
-    The result has the rig, rate and frames of the first source. The others are mapped
-    to that rig by name. They start with the first source or at their time codes, and
-    hold their first and last frame. Notices report held frames, unmapped tracks and
-    duplicates; those about frames may appear only while blocks are read.
+    The result has the rig, rate and frames of the first source. The other sources are
+    mapped to that rig by name. They start with the first source or at their time codes,
+    and hold their first and last frame. Notices report held frames, unmapped tracks and
+    duplicate tracks; notices about frames may appear only while blocks are read.
     """
     layers: list[_Layer] = []
     faults: list[Fault] = []
@@ -75,7 +75,7 @@ def join_sources(
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """A source mapped to the rig of the first."""
+    """A source mapped to the rig of the first source."""
 
     source: JoinedSource  # its source
     take: Take  # its frames
@@ -85,7 +85,7 @@ class _Layer:
     notices: list[Fault]  # notices of its file
 
     def frames(self, rate: Fraction, first: int, count: int) -> Motion:
-        """Return its motion at frames of the first source, clamped to its range."""
+        """Return the motion at frames of the first source, clamped to the layer."""
         clock = self.take.clock
         if self.source.stream.curve is None:
             return sample_other_take(self.take, rate, first, count, self.delay * rate)
@@ -93,7 +93,7 @@ class _Layer:
         return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
 
     def sample(self, seconds: FloatArray) -> Motion:
-        """Return its motion at times from the first frame of the first source."""
+        """Return the motion at times after the first frame of the first source [s]."""
         clock, layer_seconds = self.take.clock, seconds - float(self.delay)
         if self.source.stream.curve is not None:
             return self._sample_curve(
@@ -113,7 +113,7 @@ class _Layer:
 
 
 def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
-    """Return a motion with the same animated entries as another."""
+    """Return a motion whose channels animate the same entries as another motion's."""
 
     def convert(channel: Channel, other_channel: Channel) -> Channel:
         return Channel(
@@ -201,7 +201,7 @@ def _delay(first: JoinedSource, other_part: JoinedSource) -> Fraction:
 
 
 def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fault]:
-    """Warn if a source without a track list sets tracks of a source above it."""
+    """Warn if a source without a track list sets tracks of an earlier source."""
     if layer.source.tracks is not None:
         return []
     rig = layer.take.rig
@@ -222,7 +222,7 @@ def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fau
 
 @dataclass(frozen=True, slots=True)
 class _JoinedTake:
-    """The first source and the layers over it."""
+    """The first source, and the sources layered over it."""
 
     base: TakeStream
     layers: list[_Layer]
@@ -272,13 +272,13 @@ class _JoinedTake:
         return motion
 
     def _base_at(self, times: FloatArray) -> Motion:
-        """Return the motion of the first source; the rest pose if it has no curve."""
+        """Return the first source at times; the rest pose if it cannot be evaluated."""
         if self.base.curve is not None:
             return self.base.curve(times)
         return rest_motion(self.base.rig).select(np.zeros(len(times), np.int64))
 
     def _control_curves(self) -> dict[str, Curves]:
-        """Return the curves of controls, each from the source that sets it."""
+        """Return the curve of each control from the source that sets the control."""
         merged_curves = dict(self.base.control_curves)
         for layer in self.layers:
             clock, curves = layer.take.clock, layer.source.stream.control_curves
@@ -294,12 +294,12 @@ class _JoinedTake:
         return merged_curves
 
     def _report_frames(self, count: int) -> None:
-        """Report missing and unused frames of each source."""
+        """Add notices of the missing and unused frames of each source."""
         for layer in self.layers:
             self.base.notices.extend(self._frame_messages(layer, count))
 
     def _frame_messages(self, layer: _Layer, count: int) -> Iterator[Fault]:
-        """Yield messages on the frames of a source."""
+        """Yield notices of missing and unused frames of a source."""
         clock, note = layer.take.clock, layer.source.note
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)

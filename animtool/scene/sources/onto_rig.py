@@ -62,7 +62,7 @@ class Notify(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class NameMap:
-    """Indices of one rig's joints, shapes and controls in another."""
+    """Index of each joint, shape and control of a rig in another rig; -1 if absent."""
 
     rig: Rig
     # Index in the other rig of each joint of this one; -1 if it lacks it ``(J,)``.
@@ -72,7 +72,7 @@ class NameMap:
     unmatched_joints: tuple[int, ...]  # joints of the other rig that this one lacks
 
     def apply(self, motion: Motion) -> Motion:
-        """Return a motion of the other rig on this one; missing tracks are at rest."""
+        """Return the other rig's motion on this rig, with unmapped tracks at rest."""
         rig, one_frame = self.rig, np.ones((len(self.rig.joints), 3))
         zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
@@ -87,7 +87,7 @@ class NameMap:
         )
 
     def _with_combined(self, weights: Channel | None) -> Channel | None:
-        """Return weights, adding those of combination shapes that only this rig has."""
+        """Return weights with those of unmapped combination shapes computed."""
         if weights is None:
             return None
         missing_shapes = np.flatnonzero(self.shapes < 0)
@@ -95,10 +95,10 @@ class NameMap:
 
 
 def map_names(rig: Rig, other_rig: Rig) -> NameMap:
-    """Return the indices of a rig's tracks in another rig, by name.
+    """Return the index of each track of a rig in another rig, matched by name.
 
-    A joint that was renamed on reading is found by either name. Of several joints with
-    one name, the one below the mapped parent is taken.
+    A joint that was renamed on reading is found by either name. If several joints have
+    the same name, the joint below the mapped parent is used.
     """
     indices_by_name: dict[str, list[int]] = {}
     for index, joint in enumerate(other_rig.joints):

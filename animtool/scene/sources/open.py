@@ -243,7 +243,7 @@ def is_usd(path: Path) -> bool:
 
 
 def motion_bytes(path: Path) -> int:
-    """Return the size of a motion file; 0 for a scene, which refers to others."""
+    """Return the size of a motion file [byte]; 0 for a scene."""
     # A file removed meanwhile is reported by the check of inputs.
     state = None if has_kind_suffix(path, "scene") else FileState.of(path)
     return 0 if state is None else state.size
@@ -273,10 +273,10 @@ def supports_option(path: Path, name: str) -> bool:
 def fitting_options(
     options: SourceOptions, path: Path, all_paths: Sequence[Path]
 ) -> SourceOptions:
-    """Return the options that apply to one of several files.
+    """Return the options that apply to one of the files of a command.
 
-    Options that its format does not support are left out if another file supports them.
-    The rig applies to all.
+    Options that the format of the file does not support are left out if another file
+    supports them. The option ``rig`` applies to all files.
 
     >>> walk, idle = Path("walk.bvh"), Path("idle.usda")
     >>> options = SourceOptions(up=UpAxis.Z, clamp=True)
@@ -376,7 +376,7 @@ def open_checked(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return a function to open the take of each Skeleton in a USD file, by path."""
+    """Return, by Skeleton path, a function that opens the take of that Skeleton."""
     from animtool.usd.takes.stage_takes import read_characters
 
     note_input(path)
@@ -388,7 +388,7 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def _drive_tracks(stream: TakeStream) -> TakeStream:
-    """Return a source with tracks evaluated that the rig's controls drive."""
+    """Return a source with the tracks that the rig's controls drive evaluated."""
     if not stream.rig.is_driven:
         return stream
     from animtool.motion.driving import drive_stream

@@ -77,7 +77,7 @@ def with_props(
     fps: Fraction | None,
     dropped: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
-    """Return a take with more props, sampled at its frames.
+    """Return a take with props added, sampled at the frames of the take.
 
     ``first`` is the number of the first frame; None is the take's own, or 1. ``fps`` is
     the output's rate; None is the take's. ``dropped`` is as in `TakeStream`.
@@ -112,7 +112,7 @@ def _metered_track(
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
-    """Return a track that measures its read time and reports shear."""
+    """Return a track whose reads are timed and whose shear is reported."""
     shear_reported = False
 
     def sample(times: FloatArray) -> Transforms:
@@ -139,13 +139,13 @@ class _TimedProp:
     step: Fraction  # time codes of its file per frame
 
     def times(self, first: int, count: int) -> FloatArray:
-        """Return its time codes at frames of the take ``(count,)``."""
+        """Return the time codes of the prop at frames of the take ``(count,)``."""
         return time_codes(self.begin + first * self.step, self.step, count)
 
     def track(
         self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
     ) -> Track:
-        """Return its track, relative to the take if the placement is dropped."""
+        """Return the prop's track, relative to the take if the placement is dropped."""
         track = self.open_prop.track
         if dropped is None or not track.follows_placement:
             return track
@@ -184,7 +184,7 @@ class _TimedProp:
 
 @dataclass(frozen=True, slots=True)
 class _PropStream:
-    """A take with its props."""
+    """A take with props added."""
 
     stream: TakeStream
     props: Sequence[_TimedProp]
@@ -207,7 +207,7 @@ class _PropStream:
         return replace(motion, track_times=_channel(times))
 
     def times_at(self, times: FloatArray) -> FloatArray:
-        """Return the times of the tracks at time codes of the take."""
+        """Return the time codes of every prop ``(F, N)`` at time codes of the take."""
         frames = (times - float(self._start)) / float(self.stream.step)
         begin_codes = np.array([float(prop.begin) for prop in self.props])
         steps = np.array([float(prop.step) for prop in self.props])
@@ -215,6 +215,6 @@ class _PropStream:
 
 
 def _channel(times: FloatArray) -> Channel:
-    """Return times ``(F, N)`` as a channel whose entries are all animated."""
+    """Return times ``(F, N)`` as a channel with every entry animated."""
     count = times.shape[1]
     return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])

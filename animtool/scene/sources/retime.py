@@ -84,7 +84,7 @@ def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeSt
 
 
 def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
-    """Return a take with its samples at their exact times in frames of a shot.
+    """Return a take with its sample times converted exactly to frames of a shot.
 
     No sample is resampled or dropped. The take is unchanged if the shot does not place
     its media. A shot that holds a pose repeats it in each frame.
@@ -102,7 +102,7 @@ def in_shot(stream: TakeStream, shot: Shot | None) -> TakeStream:
 def _retime_stream(
     stream: TakeStream, shot: Shot, start: Fraction, step: Fraction
 ) -> TakeStream:
-    """Return a take with its samples at other frames and its curves retimed."""
+    """Return a take with new frame numbers, and its curves retimed to match."""
     assert shot.fps is not None
     ratio = stream.fps * shot.speed / shot.fps
     curve, first_code = stream.curve, float(1 if stream.start is None else stream.start)

@@ -116,7 +116,7 @@ class _RotatedSheetMotion:
         return self.motion.triangles(t)
 
     def forget(self, t: float) -> None:
-        """Drop data before a time, which will not be sampled again [s]."""
+        """Discard data before a time; earlier times are not sampled again [s]."""
         self.motion.forget(t)
 
 
@@ -138,5 +138,5 @@ class _RotatedBodies:
         return _rotate_pose_rows(self._bodies.ends(t0, t1), self._rotation)
 
     def forget(self, t: float) -> None:
-        """Drop data before a time, which will not be sampled again [s]."""
+        """Discard data before a time; earlier times are not sampled again [s]."""
         self._bodies.forget(t)

@@ -63,7 +63,7 @@ class SystemPrims:
     displacement: Displacement | None = None
 
     def seconds(self, code: Fraction) -> float:
-        """Return the time of a time code on the clock of the systems [s]."""
+        """Return the simulation time of a time code [s]."""
         return float((code - self.start) / self.job.metadata.span.fps)
 
     def author(self, draft: BakeState) -> None:
@@ -159,7 +159,7 @@ class SystemFrames:
         self._end(layer)
 
     def save(self, layer: Any, path: Path) -> int:
-        """Write a layer; simulate the frames that are not in chunks into it."""
+        """Write a layer, and simulate the frames that are not in chunks into it."""
         if self.files:
             return save_layer(layer, path)
         with growing_layer(layer, path) as growing_file:
@@ -259,9 +259,10 @@ def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
 
 
 def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
-    """Return the plan of a scene's systems that are written with a take.
+    """Return the plan of systems that are written in the same layer as a take.
 
-    They are below the character's model, so they share its placement, unit and up axis.
+    The prims of the systems are below the character's model, so they share its
+    placement, unit and up axis.
     """
     unit, up = plan.meters_per_unit, plan.rig.up
     unit_and_up = (

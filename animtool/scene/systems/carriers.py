@@ -111,7 +111,7 @@ class OnPrim:
         return self.sample_poses()
 
     def sample_poses(self) -> Poses:
-        """Return the prim's poses over time, with a sample at 0 s."""
+        """Return the poses of the prim over time, with a sample at 0 s."""
         from animtool.usd.props.reader import open_prop
 
         prop = open_prop(PropRequest(self.file, self.prim, self.prim), UpAxis.Y)
@@ -130,7 +130,7 @@ class OnPrim:
 
 
 def keyed_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
-    """Return the poses of an entry with its translation and rotation keys applied."""
+    """Return the poses of an entry, moved by its translation and rotation keys."""
     if not model.moves and not model.turns:
         return entry_poses
     translation_keys = np.array(model.moves or [[0.0] * 4])

@@ -33,7 +33,7 @@ from animtool.systems.framework.fields import CharacterModel
 
 @dataclass(frozen=True, slots=True)
 class CharacterMotion:
-    """A character over F frames, y up; clamped to its first and last pose."""
+    """A Y-up character over F frames; held at its first and last pose outside them."""
 
     path: Path  # its file
     rig: Rig  # its rig
@@ -52,7 +52,7 @@ class CharacterMotion:
 
 @dataclass
 class CharacterMotions:
-    """Cache of characters by file; the scene's own character is stored by its file."""
+    """Cache of character motions by file, including the scene's own character."""
 
     by_path: dict[Path, CharacterMotion] = field(default_factory=dict)
 
@@ -185,7 +185,7 @@ class SkinMotion:
         return self._faces
 
     def forget(self, t: float) -> None:
-        """Drop data before a time, which will not be sampled again [s]."""
+        """Discard data before a time; earlier times are not sampled again [s]."""
 
 
 def character_colliders(

@@ -72,7 +72,7 @@ class Prototype:
     samples: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
-        """Return the mesh at each phase; a single one if it is static."""
+        """Return the mesh at each phase of the cycle; a single mesh if it is static."""
         sample_frame, span = (
             self._rig_sampler() if self.prim is None else self._stage_sampler()
         )
@@ -253,7 +253,7 @@ class SpecPartReader(EntryReader):
             return None
 
     def names(self, location: Location, entry: str | int) -> list[str | int]:
-        """Return a name or number, or those of an array; none if unreadable."""
+        """Return a name or number, or an array of them; empty if it is unreadable."""
         if not isinstance(entry, str) or ".npz" not in entry:
             return [entry]
         parent_keys = [step for step in location[:-2] if isinstance(step, str)]
@@ -329,7 +329,7 @@ class SpecPartReader(EntryReader):
         return BodyCarrier(model.system, model.body)
 
     def _checked_part(self, location: Location, part: Any, *, check: bool) -> Any:
-        """Return a parsed entry, with its own faults recorded if requested."""
+        """Return a parsed entry; if requested, record the faults that it reports."""
         self.sound &= part is not None
         for reason in part.faults() if check and part is not None else ():
             self.note(location, Fault("SIM020", reason))

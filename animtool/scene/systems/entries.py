@@ -1,4 +1,4 @@
-"""Readers of entries that several kinds of systems use; they record all faults."""
+"""Readers of entries that several system kinds share; faults are recorded."""
 
 from __future__ import annotations
 
@@ -86,7 +86,7 @@ class EntryReader:
             self.note((*location, *key), fault)
 
     def note_ranges(self, location: Location, model: FileModel) -> None:
-        """Record numbers of an entry that are out of range."""
+        """Record a fault for each number of an entry that is out of range."""
         for fault in range_faults(model, ENTRY_RANGE_MESSAGE):
             self.note((*location, fault.where or ""), fault)
 
@@ -148,7 +148,7 @@ class EntryReader:
     def around(
         self, location: Location, key: str, models: Iterable[Any]
     ) -> tuple[Any, ...]:
-        """Return the parsed colliders of one of the keys in `AROUND`."""
+        """Return the parsed colliders of a key in `COLLISION_KEYS`."""
         readers: Mapping[str, Callable[[Location, Any], Any]] = {
             "colliders": self.collider,
             "characters": self.character_collider,
@@ -174,7 +174,7 @@ class EntryReader:
         return self.named(location, entry, SHAPES, "shape", "SIM020")
 
     def force(self, location: Location, entry: NamedOptions) -> Force | None:
-        """Return a force, its numbers checked for their ranges."""
+        """Return a force, after checking the ranges of its numbers."""
         from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
@@ -437,7 +437,7 @@ class EntryReader:
 
 
 def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
-    """Return why an array is not usable in a system."""
+    """Return why a system cannot use an array; None if it can."""
     if not values.ndim:
         return "is a single number, not a list"
     if np.abs(values).max(initial=0.0) > MAX_NUMBER:

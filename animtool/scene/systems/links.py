@@ -18,7 +18,8 @@ from animtool.systems.framework.spec import Member
 def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     """Return groups of system indices in simulation order.
 
-    A system comes after those it depends on, otherwise in the scene's order.
+    A system comes after the systems it depends on; apart from that, the order is that
+    of the scene.
     """
     groups = joined_groups(systems)
     group_of = {i: k for k, group in enumerate(groups) for i in group}
@@ -38,7 +39,7 @@ def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[int]:
     """Return the indices of the systems that a joined group depends on.
 
-    They include indirect dependencies and the systems these are joined to.
+    This includes indirect dependencies and the systems that they are joined to.
     """
     groups = simulation_order(systems)
     needed_names = {name for i in group for name, _ in systems[i].setup.around.needs}
@@ -55,7 +56,7 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
 def with_dependencies(
     systems: Sequence[SceneSystem], requested: Sequence[int]
 ) -> list[int]:
-    """Return indices of systems, with those they are joined to or depend on."""
+    """Return the requested systems with all systems that they are joined to or need."""
     ordered_groups, included_indices = simulation_order(systems), {*requested}
     while True:
         groups = [
@@ -77,7 +78,7 @@ def with_dependencies(
 
 
 def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
-    """Return groups of indices of joined systems, ordered by their first member.
+    """Return the index groups of joined systems, ordered by their first member.
 
     Systems attached to the same rigid bodies are joined too.
     """
@@ -180,7 +181,7 @@ def _check_body(
     body: str,
     key_text: str,
 ) -> bool:
-    """Record a body that a rigid system lacks (SIM162); stages are checked later."""
+    """Record a fault if a rigid system lacks a body (SIM162)."""
     specs: list[Any] = [
         candidate.setup.spec for candidate in systems if candidate.name == name
     ]
@@ -249,7 +250,7 @@ def check_names(
     requested_names: Sequence[str],
     names: Sequence[str],
 ) -> None:
-    """Record unknown system names of an output."""
+    """Record a fault for each system name that an output requests but no system has."""
     known_names = sorted({*names})
     for i, name in enumerate(requested_names):
         if name not in names:
@@ -268,7 +269,7 @@ def _check_name(
     names: Sequence[str],
     capability: str,
 ) -> bool:
-    """Record a fault unless a name is that of another, suitable system."""
+    """Record a fault unless a name is that of a suitable other system."""
     self_name = None if system is None else system.name
     matching_systems = [
         other_system for other_system in systems if other_system.name == name

@@ -1,4 +1,4 @@
-"""Systems that do not fit their characters: far away, or out of scale."""
+"""Warnings about systems that are far from their characters or out of scale."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def _characters(system: SceneSystem) -> list[Path]:
 def _out_of_scale(
     system: SceneSystem, rig: Rig, length_unit: LengthUnit
 ) -> Iterator[Fault]:
-    """Yield the warning of a system that fits a character only in the rig's unit."""
+    """Yield a warning if a system fits its character only in the rig's length unit."""
     points = _start_positions(system)
     joint_size, bounds_size = _sizes(rig)
     scale = rig.meters_per_unit / length_unit.meters
@@ -121,7 +121,7 @@ def _out_of_scale(
 
 
 def _start_positions(system: SceneSystem) -> FloatArray:
-    """Return the stated positions of a system at 0 s ``(N, 3)`` [m]."""
+    """Return the positions that a system states for 0 s ``(N, 3)`` [m]."""
     positions: FloatArray | None = getattr(system.setup.record, "positions", None)
     if positions is not None:
         return positions
@@ -195,7 +195,7 @@ def _unit_hint(unit: str) -> str:
 
 
 def _sizes(rig: Rig) -> tuple[float, float]:
-    """Return the longest extent of the joints at rest, and with meshes [m]."""
+    """Return the longest extent of the resting joints, without and with meshes [m]."""
     points = rest_world(rig).positions[0]
     spans = [float(np.ptp(points, axis=0).max())]
     spans += [

@@ -1,4 +1,4 @@
-"""A run of systems through the frames, after a tear pre-pass."""
+"""Simulation of systems over the frames, after a tear pre-pass."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def last_states(
 ) -> Mapping[int, Any]:
     """Return the final states of the requested systems, by index.
 
-    The topology of a mesh that tears is constant: it has all its points from the first
-    frame on. So the final tears must be known before anything is written. Only the
-    requested systems and their dependencies are simulated.
+    The topology of a tearing mesh is constant: it has all its points from the first
+    frame on. Therefore the final tears must be known before anything is written. Only
+    the requested systems and their dependencies are simulated.
 
     ``times`` [s].
     """
@@ -332,7 +332,7 @@ class SystemRun:
 
 
 def _unusual_number_hint(system: SceneSystem) -> list[str]:
-    """Return a hint to check the number of a system with the most extreme exponent."""
+    """Return a hint to check the number whose exponent is the most extreme."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
     sizes = [*_number_sizes(values, ""), *_number_sizes(system.setup.parts, "")]
     exponents = [
@@ -345,7 +345,7 @@ def _unusual_number_hint(system: SceneSystem) -> list[str]:
 
 
 def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
-    """Yield sizes by key: numbers, lengths of vectors, and extents of arrays."""
+    """Yield the magnitude of each number, vector and array extent, with its key."""
     if isinstance(node, Mapping):
         for key, value in node.items():
             yield from _number_sizes(

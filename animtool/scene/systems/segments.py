@@ -90,7 +90,7 @@ def _view(entry_run: EntryRun, name: str) -> SpringView:
 
 
 def _particles(view: SpringView, name: str, particle: str) -> IntArray:
-    """Return the rows of a particle's predecessor and of the particle ``(2,)``."""
+    """Return the indices of a particle's predecessor and of the particle ``(2,)``."""
     body = view.body
     is_number = particle.strip().removeprefix("-").isdecimal()
     particles, faults = particle_indices(

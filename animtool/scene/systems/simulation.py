@@ -49,7 +49,7 @@ class SystemProgress:
 
 @dataclass
 class BuildContext:
-    """State shared by the systems of a scene while they are built."""
+    """State that the systems of a scene share while they are built."""
 
     last: float  # latest time that will be requested [s]
     # Characters in motion, each read once.
@@ -109,7 +109,7 @@ def build_entries(
 
 
 def _resume(run: SimulationRun, member: SceneSystem) -> None:
-    """Resume from a saved state."""
+    """Restore a saved state into a run."""
     path = member.setup.resume
     assert path is not None
     with open_states(path) as saved_states:
@@ -188,7 +188,7 @@ def open_systems(
     warnings: list[Fault] | None = None,
     main_rig: Rig | None = None,
 ) -> list[EntryRun]:
-    """Return systems at their start, in order; the first frame is at 0 s.
+    """Return the systems in their initial state, in order; the first frame is at 0 s.
 
     ``last`` is the last time [s]. Warnings about their initial state, and about their
     size and distance from a rig, are added to ``warnings``.

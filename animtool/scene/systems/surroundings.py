@@ -84,7 +84,7 @@ class _MeshMotion:
         return self._faces
 
     def forget(self, t: float) -> None:
-        """Drop data before a time, which will not be sampled again [s]."""
+        """Discard data before a time; earlier times are not sampled again [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class Surroundings:
 
     @property
     def needs(self) -> tuple[tuple[str, Location], ...]:
-        """Systems that it collides with or that carry it, and their locations."""
+        """Systems that this one collides with or that carry it, and their locations."""
         return (
             *(
                 (surface.system, location)
@@ -134,7 +134,7 @@ class Surroundings:
 
     @property
     def pushes(self) -> tuple[tuple[str, Location], ...]:
-        """Systems whose bodies it pushes or pulls, and their locations."""
+        """Systems whose bodies this system pushes or pulls, and their locations."""
         named_surfaces = self._collided_systems("two_way")
         pushed_names = (
             (surface.system, location)
@@ -145,7 +145,7 @@ class Surroundings:
 
     @property
     def _ties(self) -> tuple[tuple[str, Location], ...]:
-        """Rigid systems that carry its particles, and their locations."""
+        """Rigid systems that carry particles of the system, and their locations."""
         return tuple(
             (name, (*self.location, *parse_location(key_text)[:-1], "system"))
             for name, _, key_text in self.tied
@@ -153,19 +153,19 @@ class Surroundings:
 
     @property
     def carriers(self) -> list[str]:
-        """Distinct names of the rigid systems that carry its particles."""
+        """Distinct names of the rigid systems that carry particles of the system."""
         return list(dict.fromkeys(name for name, *_ in self.tied))
 
     def _collided_systems(
         self, key: str
     ) -> Iterator[tuple[SystemSurfaceModel, Location]]:
-        """Yield the systems it collides with, each with the location of a key."""
+        """Yield the systems this one collides with, each with the location of a key."""
         for i, surface in enumerate(self.systems):
             yield surface, (*self.location, "systems", i, key)
 
     @property
     def reads(self) -> list[str]:
-        """Descriptions of all colliders, for reports."""
+        """Descriptions of all colliders for reports."""
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
@@ -177,12 +177,12 @@ class Surroundings:
 
     @property
     def collided_systems(self) -> list[str]:
-        """Names of the systems that it collides with."""
+        """Names of the systems that this system collides with."""
         return [surface.system for surface in self.systems]
 
     @property
     def tied_bodies(self) -> list[str]:
-        """Distinct bodies that carry particles, as system.body."""
+        """Distinct bodies that carry particles, written as ``system.body``."""
         return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
 
     @property
@@ -198,7 +198,7 @@ class Surroundings:
     def build(
         self, characters: CharacterMotions, run_by_name: Mapping[str, EntryRun]
     ) -> Colliders:
-        """Return all colliders; read the characters.
+        """Read the characters and return all colliders.
 
         Args:
             characters: Characters in motion.

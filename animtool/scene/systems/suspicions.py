@@ -93,7 +93,7 @@ def _implausible_length(value: object) -> Iterator[float]:
 def _warn_of_matter(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn of a density in g/cm³, and of a viscosity that is one or in mm²/s."""
+    """Warn of a density in g/cm³, and of a viscosity in mm²/s or given as a density."""
     density, viscosity = values.get("density"), values.get("viscosity")
     if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
         message = f"density {density:g} is {density:g} kg/m³, lighter than foam"
@@ -111,7 +111,7 @@ def _warn_of_matter(
 def _warn_of_metres(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> bool:
-    """Warn of a rope or cloth in metres in a scene with a smaller unit."""
+    """Warn of a rope or cloth sized in metres if the scene uses a smaller unit."""
     mass = values.get("mass") or 0.0
     if values.get("start") and values.get("end"):
         length = math.dist(values["start"], values["end"])
@@ -154,7 +154,7 @@ def _warn_of_ratio(
 def _warn_of_forces(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn about gravity of a pass that pulls up or is in cm/s² (SIM200)."""
+    """Warn if the gravity of a pass points up or is in cm/s² (SIM200)."""
     gravity = values.get("gravity")
     if isinstance(gravity, int | float) and not 0 <= gravity <= MAX_GRAVITY:
         message = f"gravity {gravity:g} is {gravity:g} m/s²"
@@ -224,7 +224,7 @@ def _warn_of_grams(
 
 
 def shape_volume(shape: Mapping[str, Any]) -> float:
-    """Return the volume of a box, sphere or capsule; 0 for others [m³]."""
+    """Return the volume of a box, sphere or capsule; 0 for any other shape [m³]."""
     for name, values in shape.items():
         sizes = values if isinstance(values, Mapping) else {}
         radius = sizes.get("radius") or 0.0

@@ -1,4 +1,4 @@
-"""Warnings about angles of systems in radians, and quaternions of another length."""
+"""Warnings about system angles in radians, and quaternions that are not normalized."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def warn_of_radians(
 def warn_of_rotations(
     document: Document, at: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn once of a quaternion whose length is not 1 (RIG110)."""
+    """Warn once if a quaternion is not of unit length (RIG110)."""
     for location, key, value in stated_keys(at, values):
         if key in ROTATION_KEYS and _is_quaternion(value):
             warn_of_quaternion_length(document, location, value)
@@ -73,7 +73,7 @@ def _is_quaternion(value: object) -> bool:
 def _cones(
     at: Location, values: Mapping[str, Any]
 ) -> Iterator[tuple[Location, str, float]]:
-    """Yield cones whose angle is in the range of radians."""
+    """Yield cone angles that are plausible in radians, with location and key."""
     for key in ("emitters", "species"):
         for i, entry in enumerate(values.get(key) or ()):
             spread, vision = entry.get("spread"), entry.get("vision") or {}

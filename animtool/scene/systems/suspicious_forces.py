@@ -129,7 +129,7 @@ def _gravity_problem(gravity: Sequence[float], unit: float) -> tuple[str, str] |
 
 
 def _vector(value: object) -> list[float] | None:
-    """Return a vector of numbers; None for anything else."""
+    """Return a value as a vector of numbers; None if it is not one."""
     if not isinstance(value, list | tuple) or len(value) != 3:
         return None
     numbers = [number for number in value if isinstance(number, int | float)]
@@ -178,7 +178,7 @@ def _winds(
 def _speeds(
     entry_path: Location, values: _EntryValues, volume: Callable[[_EntryValues], float]
 ) -> Iterator[tuple[Location, float, float, str]]:
-    """Yield the location of each speed, the speed, its limit, and a reference."""
+    """Yield each speed with its location, the plausible maximum, and a comparison."""
     flying_bodies = "anything that is thrown or flies"
     for i, emitter in enumerate(values.get("emitters") or ()):
         # Charges move in fields, as fast as those make them.

@@ -29,7 +29,7 @@ _PINS = {"rope": "start", "cloth": "top_left"}
 
 
 class _Start(NamedTuple):
-    """Where an entry starts: points, and how far it reaches from them."""
+    """Start of an entry: points, and the radius of the entry around each of them."""
 
     location: Location
     label: str
@@ -40,7 +40,7 @@ class _Start(NamedTuple):
 def warn_of_layout(
     document: Document, systems: Sequence[SceneSystem], seconds: float
 ) -> None:
-    """Warn of systems that nothing holds, and of starts inside planes.
+    """Warn of systems in free fall, and of entries that start inside planes.
 
     Args:
         document: The scene (SIM200, SIM201, SIM202).
@@ -74,7 +74,7 @@ def warn_of_layout(
 
 
 def _fall(kind: str, spec: Any) -> float:
-    """Return the acceleration of a system that nothing but gravity acts on [m/s²]."""
+    """Return the acceleration of a system in free fall; 0 if it is held [m/s²]."""
     if kind in {"rope", "strands", "cloth", "volume"}:
         held = spec.pins or spec.air is not None or spec.settle
         return 0.0 if held else math.hypot(*spec.gravity)
@@ -93,7 +93,7 @@ def _fall(kind: str, spec: Any) -> float:
 
 
 def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
-    """Return the gravity of forces; 0 with any other force [m/s²]."""
+    """Return the gravity of forces; 0 if there is any other force [m/s²]."""
     total = np.zeros(3)
     for force in forces:
         ((name, options),) = force.items()
@@ -126,7 +126,7 @@ def _warn_of_upright(
     collider: Collider,
     fall: float,
 ) -> None:
-    """Warn of a floor that its rotation makes a wall (SIM201)."""
+    """Warn of a floor whose rotation makes it a wall (SIM201)."""
     if not isinstance(collider.shape, Box) or collider.container:
         return
     size, pose = np.asarray(collider.shape.size, np.float64), collider.poses.rows[0]
@@ -155,7 +155,7 @@ def _warn_of_planes(
     colliders: Sequence[Collider],
     key: str,
 ) -> None:
-    """Warn of entries that start wholly below a plane (SIM202)."""
+    """Warn of entries that start completely below a plane (SIM202)."""
     for c, collider in enumerate(colliders):
         if not isinstance(collider.shape, Plane):
             continue
@@ -200,7 +200,7 @@ def _warn_of_planes(
 
 
 def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:
-    """Yield where entries of a system start, without those of files and prims."""
+    """Yield the start of each entry, except entries from files and prims."""
     if kind == "rigid":
         for i, body in enumerate(spec.bodies):
             shape = body.shape
@@ -250,7 +250,7 @@ def _reach(shape: Mapping[str, Any]) -> float:
 
 
 def _warn_of_z_up(document: Document, at: Location, spec: Any) -> None:
-    """Warn of a crowd whose positions differ in y, but not in z (SIM200)."""
+    """Warn of a crowd whose positions vary in y but not in z (SIM200)."""
     ground = spec.ground
     if ground.shape is not None or ground.mesh is not None or ground.prim is not None:
         return

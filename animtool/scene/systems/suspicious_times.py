@@ -34,14 +34,14 @@ class SceneTimes:
         return (self.frames[1] - self.frames[0]) / self.rate
 
     def is_late_frame(self, t: float) -> bool:
-        """Return whether a time is after the end in seconds, but not in frames [s]."""
+        """Return whether a time [s] is after the scene's end but is a frame number."""
         if self.frames is None or t != round(t) or t < MIN_FRAMES:
             return False
         first, last = self.frames
         return self.length < t <= max(last, last - first) + 1
 
     def hint(self, frame: float) -> str:
-        """Return what a frame is in seconds."""
+        """Return a hint with the time of a frame in seconds."""
         first = self.frames[0] if self.frames else 0.0
         seconds = (frame - first if frame >= first else frame) / self.rate
         text = f"times are in seconds from the first frame: frame {frame:g} is "
@@ -82,7 +82,7 @@ def warn_of_times(
 def stated_keys(
     at: Location, values: Mapping[str, Any]
 ) -> Iterator[tuple[Location, str, Any]]:
-    """Yield the location, the key and the value of all keys, nested ones too."""
+    """Yield the location, name and value of every key, including nested keys."""
     for key, value in values.items():
         yield (*at, key), key, value
         entries = value if isinstance(value, list) else [value]

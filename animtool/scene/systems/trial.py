@@ -133,7 +133,7 @@ def _trial(
 
 
 def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
-    """Return the keys of a system that select a setting."""
+    """Return the keys that select a setting of a system, as scene text."""
     keys = ", ".join(
         f"{key}: {value:.6g}" if isinstance(value, float) else f"{key}: {value}"
         for key, value in changes.items()
@@ -149,7 +149,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
     options = {} if _is_fixed(spec_method) else {"tolerance": default}
 
     def settings() -> list[Setting]:
-        """Return each method with several steps or tolerances."""
+        """Return the settings to try: each method with several steps or tolerances."""
         known_settings: list[Setting] = []
         for method in (
             INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
@@ -169,7 +169,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         return known_settings
 
     def references() -> list[list[Setting]]:
-        """Return settings of ever finer steps of the exact method, else of the spec's.
+        """Return reference settings with decreasing steps of the exact method.
 
         If the exact method is unstable, use the file's method or far shorter steps.
         """
@@ -219,7 +219,7 @@ def _evaluation_limit(
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
-    """Return the result of a simulation at times ``(F,)`` [s]."""
+    """Simulate a run and return its points and errors at times ``(F,)`` [s]."""
     start_time = time.perf_counter()
     snapshots: list[Snapshot] = []
     energies, status, reason, stable = [], Status.OK, "", None
@@ -253,19 +253,19 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
 
 
 def _is_fixed(method: str) -> bool:
-    """Return whether a method takes steps of constant length."""
+    """Return whether a method has a constant step length."""
     is_known = method in INTEGRATORS
     return not is_known or find_integrator(method).control is StepControl.FIXED
 
 
 def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
-    """Return whether the number of points is constant."""
+    """Return whether all snapshots have the same number of points."""
     ids = [shot.ids for shot in snapshots if shot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
 
 def _snapshot(frame: Frame) -> Snapshot:
-    """Return the points of a frame that are compared."""
+    """Return the points of a frame that are compared with the reference."""
     if isinstance(frame, TransformsFrame):
         arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
         sizes = np.abs(frame.scales).max(initial=0.0)

@@ -73,7 +73,7 @@ def solve_trial(
     solve: Callable[[TakeOptions], TakeIk],
     scene_text: Callable[[TakeOptions], list[str]],
 ) -> Trial:
-    """Return the trial of targets: tolerances of one method, and each method.
+    """Return the trial of targets: several tolerances of one method, and all methods.
 
     Points of the effectors at the frames with targets are compared with the finest
     solution. Figures are distances from the targets.
@@ -126,7 +126,7 @@ def _point_label(solution: TakeIk, shot: int, point: int) -> str:
 
 
 def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
-    """Return the compared points: goal, joint and offset of each."""
+    """Return the goal, joint and offset of each point that is compared."""
     points = []
     for i, track in enumerate(solution.tracks.goals):
         goal, joint = track.goal, solution.take.rig.index(track.goal.joint)
@@ -139,7 +139,7 @@ def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
 
 
 def _outcome(solution: TakeIk) -> TrialOutcome:
-    """Return the positions of the effectors and their errors."""
+    """Return the effector positions of a solution and their errors."""
     take, compared_points = solution.take, _compared_points(solution)
     joints = [joint for _, joint, _ in compared_points]
     offsets = np.array([offset for _, _, offset in compared_points])

@@ -58,7 +58,7 @@ MAX_COMPARED_FRAMES = 100
 
 
 def simulates(scene: Scene) -> bool:
-    """Return whether a scene simulates anything."""
+    """Return whether a scene has systems or a ``simulate`` pass."""
     return bool(scene.systems) or any(
         entry.pass_.name == "simulate" for entry in scene.passes
     )
@@ -95,7 +95,7 @@ def _write_systems(
     setting: Setting,
     output: Path,
 ) -> None:
-    """Write a scene with another setting of some systems."""
+    """Write a scene in which the given systems use another setting."""
     assert trial.changes is not None
     changes = dict(trial.changes(setting))
     systems = list(scene.systems)
@@ -109,7 +109,7 @@ def _write_systems(
 def _write_pass(
     scene: Scene, pass_index: int, setting: Setting, output: Path, name: str
 ) -> None:
-    """Write a scene with another option of a pass."""
+    """Write a scene in which one pass uses another setting."""
     passes = list(scene.passes)
     options = replace(passes[pass_index].options, **{name: setting[name]})
     passes[pass_index] = replace(passes[pass_index], options=options)
@@ -129,7 +129,7 @@ def _write(scene: Scene, output: Path) -> None:
 def _compared_times(
     scene: Scene, options: BakeOptions
 ) -> tuple[FloatArray, CharacterMotion | None]:
-    """Return the compared times of systems [s], and the scene's character."""
+    """Return the times at which systems are compared [s], and the scene's character."""
     # Nothing is written, and chunks would need a file.
     first = scene.outputs[0]
     without_chunks = replace(first, bake=replace(first.bake, chunk=None))
@@ -143,7 +143,7 @@ def _compared_times(
 
 
 def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
-    """Return a take's times [s] in the range of an output."""
+    """Return the times of a take that are in the range of an output [s]."""
     frame_range = plan.options.frame_range
     if frame_range is None:
         return times
@@ -153,7 +153,7 @@ def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
 
 
 def _pass_trials(scene: Scene, instants: int) -> list[tuple[EntryLocation, Trial]]:
-    """Return the trials of a scene's spring and IK passes, with their entries."""
+    """Return the trials of the spring and IK passes of a scene, with their entries."""
     full_scene = scene
     measured_passes = [i for i, entry in enumerate(scene.passes) if _is_measured(entry)]
     scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])
@@ -196,13 +196,13 @@ def _is_spring_pass(entry: ScenePass) -> bool:
 def _attach_trial(
     scene: Scene, entry: ScenePass, take: Take, body: AttachedBody, instants: int
 ) -> Trial:
-    """Return the trial of a spring attachment, with more and fewer steps."""
+    """Return the trial of a spring attachment with larger and smaller steps."""
     clock = take.clock
     frame_positions = np.linspace(0, clock.count - 1, min(clock.count, instants))
     frames = np.unique(frame_positions.astype(np.int64))
 
     def run_pass(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
-        """Return the result of the pass on a motion, and its report."""
+        """Apply the pass to a motion; return the resulting motion and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
         changed_options = replace(entry.options, **options)
         passed_stream = scene.apply_entry(
@@ -262,7 +262,7 @@ def _error_figures(report: Mapping[str, Any]) -> dict[Figure, float]:
 
 
 def _attachment_points(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArray:
-    """Return the compared points of an attachment ``(F, N, 3)`` [m]."""
+    """Return the points of an attachment that are compared ``(F, N, 3)`` [m]."""
     if isinstance(body, SurfaceBody):
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)

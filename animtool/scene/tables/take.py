@@ -117,7 +117,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:
-    """Return the frames of a take that are in the range of the output."""
+    """Return the frames of a take that are inside the range of the output."""
     frames, clock = plan.options.frame_range, take.clock
     if frames is None:
         return take
@@ -144,7 +144,7 @@ def _in_range(take: Take, plan: BakePlan) -> Take:
 
 @dataclass(frozen=True, slots=True)
 class _ReferencePoints:
-    """Reference points of a take at some times [s]."""
+    """Reference points of a take at given times [s]."""
 
     rig: Rig
     seconds: FloatArray
@@ -171,7 +171,7 @@ class _ReferencePoints:
         return _ReferencePoints(take.rig, frames / float(clock.rate), snapshots)
 
     def where(self, shot: int, point: int) -> str:
-        """Return the joint of a point, and the time."""
+        """Return the joint of a point and the time of a snapshot, as text."""
         points_per_joint = len(self.snapshots[shot].points) // max(
             1, len(self.rig.joints)
         )
@@ -181,7 +181,7 @@ class _ReferencePoints:
 
 
 def _snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
-    """Return the points that joints carry, at each time."""
+    """Return, for each time, the points rigidly attached to the joints."""
     attached_offsets = attached_points(rig, SHELL_DISTANCE)
     return [
         Snapshot(
@@ -267,7 +267,7 @@ def _sample_trial(
 
 
 def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
-    """Return how a scene's output or a command selects a setting."""
+    """Return the text that selects a setting in a scene's output or a command."""
     if setting.method == RATE:
         key, value = "fps", str(rates[setting["fps"]])
     else:

@@ -50,7 +50,7 @@ class Tradeoffs:
 
 @dataclass(frozen=True, slots=True)
 class Pair:
-    """Two settings of a table as stages, for comparison by eye."""
+    """Two settings of a table, written as stages for visual comparison."""
 
     table: int  # index of the table
     settings: tuple[Setting, Setting]  # the current setting, and another
@@ -98,9 +98,9 @@ def suite_tradeoffs(
 ) -> Tradeoffs:
     """Measure animtool's own examples; see `measure_tradeoffs`.
 
-    They are comets with each integrator, a rope with each solver, a reaching arm with
-    each method, and a wave of the arm as samples and keys. Times are those of this
-    machine.
+    The examples are comets with each integrator, a rope with each solver, a reaching
+    arm with each method, and an arm wave as samples and as keys. Times are measured on
+    this machine.
     """
     tables: list[TrialTable] = []
     notices: list[Fault] = []
@@ -177,7 +177,7 @@ def _write_pairs(
     tables: Sequence[TrialTable],
     folder: Path,
 ) -> list[Pair]:
-    """Write two settings of each table as stages."""
+    """Write the chosen setting of each table and a setting to compare as stages."""
     stage_pairs = []
     for i, ((_, trial), table) in enumerate(zip(trials, tables, strict=True)):
         other_row = _row_to_compare(table)
@@ -193,7 +193,7 @@ def _write_pairs(
 
 
 def _row_to_compare(table: TrialTable) -> TrialRow | None:
-    """Return the setting to compare with the chosen one; None without any."""
+    """Return the setting to compare with the chosen one; None if there is none."""
     recommended_row = table.recommended
     if recommended_row is not None and not recommended_row.chosen:
         return recommended_row
@@ -204,7 +204,7 @@ def _row_to_compare(table: TrialTable) -> TrialRow | None:
 
 
 def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
-    """Return a warning for each table without a setting in the budget (SIM176)."""
+    """Return a warning for each table without a setting within the budget (SIM176)."""
     faults = []
     for table in tables:
         if table.budget is None or table.recommended is not None:

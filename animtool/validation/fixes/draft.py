@@ -18,11 +18,11 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 class FileDraft(Protocol):
-    """Content of a file under repair; a step returns a new draft."""
+    """Content of a file under repair; each step returns a new draft."""
 
     @property
     def checked(self) -> CheckedFile:
-        """The content, parsed for the rules to check."""
+        """The parsed content, as the subject of the rules."""
 
     @property
     def findings(self) -> Sequence[Fault]:
@@ -32,10 +32,10 @@ class FileDraft(Protocol):
         """Return the findings to fix in the next step."""
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
-        """Return the content with the findings of `batch` fixed."""
+        """Return a draft in which the findings of `batch` are fixed."""
 
     def finish(self, findings: Sequence[Fault], /) -> FixStep:
-        """Return the content with the deferred findings fixed."""
+        """Return a draft in which the deferred findings are fixed."""
 
     def fixable(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
@@ -44,10 +44,10 @@ class FileDraft(Protocol):
         """Return the changes as text."""
 
     def outputs(self) -> Sequence[Path]:
-        """Return new files written next to the content."""
+        """Return the new files to write next to the repaired file."""
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the content to a file, and return notices.
+        """Write the content to a file and return notices.
 
         Raises:
             OutputError: It cannot be written.
@@ -56,7 +56,7 @@ class FileDraft(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class FixStep:
-    """The result of one step."""
+    """Result of one repair step."""
 
     draft: FileDraft  # the content after the step
     fixed_findings: Sequence[tuple[Fault, str]] = ()  # fixed findings, and how
@@ -75,7 +75,7 @@ FIXES = {
 
 
 class NotFixedError(Exception):
-    """A finding that cannot be fixed safely; the text is the reason."""
+    """A finding cannot be fixed safely; the message states the reason."""
 
 
 @dataclass(frozen=True, slots=True)

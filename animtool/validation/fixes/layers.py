@@ -1,4 +1,4 @@
-"""USD layers fixed in memory, all findings of a code at once."""
+"""Fixes USD layers in memory, all findings of one code at once."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class LayerDraft:
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The content, parsed for the rules to check."""
+        """The parsed content, as the subject of the rules."""
         from animtool.usd.fixes.target import edited_layer
 
         with edited_layer(self.path, self.content):
@@ -51,7 +51,7 @@ class LayerDraft:
         return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
-        """Return the layer with findings fixed if they are local to it."""
+        """Return the layer with the findings fixed that concern only this layer."""
         from animtool.usd.fixes.target import edited_layer
 
         fixes: list[tuple[Fault, str]] = []
@@ -88,18 +88,18 @@ class LayerDraft:
         return "".join(f"{line}\n" for line in self.edits)
 
     def outputs(self) -> Sequence[Path]:
-        """Return new files next to the layer: none."""
+        """Return an empty list: fixing a layer writes no additional files."""
         return ()
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the layer to a file, and return other changes of the copy."""
+        """Write the layer to a file; return descriptions of other changes in it."""
         from animtool.usd.fixes.target import write_copy
 
         return write_copy(self.path, self.content, output)
 
 
 def _apply_fix(layer: EditedLayer, fault: Fault) -> tuple[str, str]:
-    """Apply the fix of a finding; return the reason for failure, or the change."""
+    """Apply the fix of a finding; return why it failed (or ""), and the change made."""
     from animtool.usd.fixes.target import NotFixableError
 
     prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "

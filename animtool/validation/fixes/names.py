@@ -1,4 +1,4 @@
-"""Renames entries that USD forbids or cannot distinguish, and references to them."""
+"""Renames entries with names that are illegal or equal in USD, and their references."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def files_naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
-    """Yield files that use a name of a rig, with the first such name.
+    """Yield the files that use a name of a rig, each with the first name found.
 
     A use is a key or value that is or contains the name, such as
     ``joint/NAME.rotation``, but not words in comments and texts. Rigs with separate
@@ -60,13 +60,13 @@ def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | 
 
 
 def _is_used(name: str, texts: Sequence[str]) -> bool:
-    """Return whether a name occurs in keys or values, or in part of one."""
+    """Return whether a name occurs in a key or value, or as a part of one."""
     pattern = re.compile(rf"(?:^|[/\[#,]){re.escape(name)}(?:$|[/.\]#,])")
     return any(pattern.search(text) for text in texts)
 
 
 def _keys_and_texts(value: Any) -> Iterator[str]:
-    """Yield every key and text of a document."""
+    """Yield every key and every text value of a document."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping):
@@ -85,7 +85,7 @@ def _other_documents(rig: Path) -> Iterator[Path]:
 
 
 def _may_refer_to(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
-    """Return whether names in a file may refer to a rig."""
+    """Return whether the names in a file may refer to a given rig."""
     rig_name = value.get("rig")
     if not isinstance(rig_name, str):
         return True
@@ -95,7 +95,7 @@ def _may_refer_to(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
 
 
 def _is_same_rig(other_path: Path, rig: Path) -> bool:
-    """Return whether a path is the rig, or a sidecar that may refer to it."""
+    """Return whether a path is the rig file, or a sidecar file that may refer to it."""
     if other_path == rig:
         return True
     if READERS.get(other_path.suffix.lower()) is not DOCUMENT:
@@ -133,7 +133,7 @@ _LIST_NAMES = {
 
 
 def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the file with every name of a list made legal for USD."""
+    """Return the edits that make every name of a list legal in USD."""
     rig = _complete_rig(checked)
     key = str(pointer_of(fault)[0])
     illegal_names = [
@@ -143,7 +143,7 @@ def make_names_legal(checked: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def make_name_unique(checked: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the file with one of two names renamed that are equal in USD.
+    """Return the edits that rename one of two names that are equal in USD.
 
     Renames the one that USD does not allow, or else the second.
     """
@@ -203,7 +203,7 @@ def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
 def rename_edits(
     value: Mapping[str, Any], key: str, new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
-    """Yield the edits that rename entries of a list, wherever a rig file names them."""
+    """Yield the edits that rename list entries and all references to them in a rig."""
     for path_pattern in NAME_PATHS[key]:
         for value_path, name in _names_at(value, tuple(path_pattern.split("/")), ()):
             if path_pattern.endswith("{}"):
@@ -238,7 +238,7 @@ def rename_edits(
 def _expression_edits(
     value: Mapping[str, Any], new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
-    """Yield the edits that rename joints in expressions of drivers."""
+    """Yield the edits that rename joints in driver expressions."""
     for path_pattern in EXPRESSION_PATHS:
         for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
             expression = parse_expression(text, coordinates=True)

@@ -85,7 +85,7 @@ def with_fixable(report: Report) -> Report:
 
 
 def is_layer(path: Path) -> bool:
-    """Return whether a file is a USD layer, which is fixed as a copy.
+    """Return whether a file is a USD layer, whose fix is written as a copy.
 
     >>> is_layer(Path("shot.usdc")), is_layer(Path("hero.rig.yaml"))
     (True, False)
@@ -127,7 +127,7 @@ def _untried_findings(
     options: ValidateOptions,
     known_unfixable: set[tuple[str, str | None, str]],
 ) -> Iterator[Fault]:
-    """Yield selected findings that have a fix and were not tried yet."""
+    """Yield selected findings that have a fix which was not tried yet."""
     for fault in faults:
         is_fixable = has_fix(fault.code) and options.selects(fault.code)
         if is_fixable and _fault_key(fault) not in known_unfixable:
@@ -139,7 +139,7 @@ def _fault_key(fault: Fault) -> tuple[str, str | None, str]:
 
 
 def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
-    """Return why a step is rejected: findings remain or appear; empty if accepted."""
+    """Return why a fix is rejected: findings remain or appear; "" if accepted."""
     if not step.fixed_findings:
         return ""
     old_counts = Counter(fault.code for fault in old_draft.findings)

@@ -25,7 +25,7 @@ from animtool.validation.run import Report, validate_files
 
 @dataclass(frozen=True, slots=True)
 class FixResult:
-    """Result of fixing files."""
+    """Result of fixing files: the fixes made and the remaining findings."""
 
     files: tuple[PlannedFix, ...]  # files with findings of codes that have a fix
     report: Report  # validation after the fixes
@@ -33,7 +33,7 @@ class FixResult:
 
     @property
     def unfixed_findings(self) -> tuple[tuple[Fault, str], ...]:
-        """Findings with a fix that remain, and why."""
+        """Findings that have a fix but remain, each with the reason."""
         return tuple(entry for file in self.files for entry in file.unfixed_findings)
 
 
@@ -133,7 +133,7 @@ def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
 
 
 def _with_fixes(report: Report, *, packages: bool = False) -> list[Path]:
-    """Return files, or packages, with fixable findings."""
+    """Return the files with fixable findings: either packages or other files."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable_files = (path for path in report.files if str(path) in named_paths)
     return [
@@ -144,7 +144,7 @@ def _with_fixes(report: Report, *, packages: bool = False) -> list[Path]:
 
 
 def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:
-    """Yield fixable findings of USD files that stay unchanged."""
+    """Yield a message for each unchanged USD file that has fixable findings."""
     if not paths:
         return
     fixable_faults = with_fixable(report).fixable

@@ -1,4 +1,4 @@
-"""Documents fixed in memory, one finding at a time, with all other text kept."""
+"""Fixes documents in memory, one finding at a time, and keeps all other text."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
 
 
 def remove_entry(checked: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the file without an entry, and without its list if that is empty then."""
+    """Return the edits that remove an entry, and its list if no entry remains."""
     if checked.document is None:
         raise NotFixedError("the file has no text")
     entries = checked.document.value["ignore"]
@@ -60,7 +60,7 @@ def remove_entry(checked: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the file with a joint's rest pose taken from its bind pose."""
+    """Return the edits that set a joint's rest pose to its bind pose."""
     rig: RigSubject = checked.subject
     pointer = pointer_of(fault)
     entry = rig.file_entries("joints")[pointer[1]]
@@ -71,7 +71,7 @@ def rest_from_bind(checked: CheckedFile, fault: Fault) -> FixEdits:
 
 
 def normalize_weights(checked: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the file with normalized weights in a new npz.
+    """Return the edits that store normalized skin weights in a new npz file.
 
     Every reader of the file normalises the weights anyway. Other rigs may use the
     current npz, so it stays unchanged.
@@ -130,7 +130,7 @@ class TextDraft:
 
     @cached_property
     def checked(self) -> CheckedFile:
-        """The text, parsed for the rules to check."""
+        """The parsed text, as the subject of the rules."""
         return open_document(document_of(self.text, self.path))
 
     @cached_property
@@ -139,7 +139,7 @@ class TextDraft:
         return findings_in(self.checked)
 
     def batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
-        """Return the first finding: its fix may move the others."""
+        """Return the first finding only, since its fix may move the other ones."""
         return findings[:1]
 
     def step(self, faults: Sequence[Fault]) -> FixStep:
@@ -162,7 +162,7 @@ class TextDraft:
         return FixStep(new_draft, [(fault, fix.description)])
 
     def finish(self, findings: Sequence[Fault]) -> FixStep:
-        """Return the text with those findings fixed that need new arrays."""
+        """Return the text with the findings fixed whose fixes write arrays."""
         text, fixes = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in findings:
@@ -238,7 +238,7 @@ class TextDraft:
 
 
 def _split_lines(text: str) -> list[str]:
-    r"""Return lines including their ends; only \n separates lines."""
+    r"""Split text into lines that keep their ends; only ``\n`` separates lines."""
     return [line + "\n" for line in text.split("\n")[:-1]] + [
         last_line for last_line in text.split("\n")[-1:] if last_line
     ]

@@ -35,7 +35,7 @@ _RepeatKey: TypeAlias = tuple[str | None, str, Severity]
 
 @dataclass(frozen=True, slots=True)
 class ShownFinding:
-    """A finding as printed."""
+    """A finding as it is printed."""
 
     fault: Fault
     repeats: int = 0  # number of equal findings in its file that are not shown
@@ -44,7 +44,7 @@ class ShownFinding:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The printed findings."""
+    """The findings to print."""
 
     shown: list[ShownFinding]
 
@@ -87,7 +87,7 @@ def text_report(
 
 
 def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
-    """Return the findings to print; without a line, only the first of a kind."""
+    """Return the findings to print; of those without a line, one per kind."""
     sources = SourceLineCache()
     counts = Counter(map(_repeat_key, report.findings))
     first_of_kind: dict[_RepeatKey, Fault] = {}
@@ -104,7 +104,7 @@ def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
 
 
 def _repeat_key(fault: Fault) -> _RepeatKey:
-    """Return the key that repeated findings of a file share."""
+    """Return a key that is equal for repetitions of a finding in one file."""
     return fault.path, fault.code, fault.severity
 
 

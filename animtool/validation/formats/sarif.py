@@ -31,7 +31,7 @@ _SARIF_LEVELS = {
 
 
 def sarif_report(report: Report) -> str:
-    """Return one run: the rules with findings, their pages, and results."""
+    """Return a SARIF log with one run: the violated rules, their pages, and results."""
     codes = sorted({fault.code for fault in report.findings})
     rules, _ = all_rules()
     sources = SourceLineCache()
@@ -104,7 +104,7 @@ def _region_object(fault: Fault, line: str | None) -> dict[str, Any]:
 
 
 def _file_uri(path: str) -> dict[str, str]:
-    """Return a file as a URI, relative if its path is."""
+    """Return the URI of a file, relative if the path is relative."""
     pure_path = PurePath(path)
     if pure_path.is_absolute():
         return {"uri": pure_path.as_uri()}
@@ -112,14 +112,14 @@ def _file_uri(path: str) -> dict[str, str]:
 
 
 def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
-    """Return an identity that survives inserted or removed lines above."""
+    """Return a fingerprint of a finding that does not depend on its line number."""
     parts = (fault.code, fault.path or "", line or fault.where or fault.message)
     digest = hashlib.sha256("\0".join(parts).encode("utf-8", "replace")).hexdigest()
     return {"animtool/v1": digest[:32]}
 
 
 def _number_duplicates(results: Sequence[dict[str, Any]]) -> None:
-    """Number results with equal fingerprints."""
+    """Make equal fingerprints unique by numbering them."""
     counts: dict[str, int] = {}
     for result in results:
         fingerprints = result["partialFingerprints"]

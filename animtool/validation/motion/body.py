@@ -36,8 +36,8 @@ def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
 def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     """Return the joints that move the complete body, from the first root to the hips.
 
-    Below a static root, or a root with the path of a walk, another joint carries the
-    body. Other children of these are targets and props.
+    Below a static root, or a root that only follows the path of a walk, another joint
+    carries the body. Other children of these joints are targets and props.
     """
     rig = subject.take.rig
     if not rig.roots:
@@ -63,12 +63,12 @@ def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
 
 
 def hips_of(subject: MotionSubject) -> int:
-    """Return the joint that carries the body; the first one without roots."""
+    """Return the joint that carries the body, usually the hips; 0 without roots."""
     return (body_carriers(subject) or (0,))[-1]
 
 
 def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
-    """Return the number of true values per subtree ``(J,)``.
+    """Return, for each joint, the number of true values in its subtree ``(J,)``.
 
     >>> values = np.array([True, False, True, True])
     >>> _subtree_counts(np.array([-1, 0, 1, 0]), values).tolist()
@@ -82,7 +82,7 @@ def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
 
 
 def limbs_of(parents: IntArray) -> IntArray:
-    """Return the first joint of each joint's limb; -1 for the trunk ``(J,)``.
+    """Return the topmost joint of the limb of each joint; -1 for the trunk ``(J,)``.
 
     >>> limbs_of(np.array([-1, 0, 1, 0, 3])).tolist()
     [-1, 1, 1, 3, 3]
@@ -98,7 +98,7 @@ def limbs_of(parents: IntArray) -> IntArray:
 
 
 def positioned_joints(subject: MotionSubject) -> BoolArray:
-    """Return the joints whose translation is a position, not a bone offset ``(J,)``.
+    """Return a mask of joints whose translation is a position, not a bone ``(J,)``.
 
     These are roots, joints that carry the body, and the children of these.
     """
@@ -110,7 +110,7 @@ def positioned_joints(subject: MotionSubject) -> BoolArray:
 
 
 def body_joints(subject: MotionSubject) -> BoolArray:
-    """Return the joints below the one that carries the body ``(J,)``."""
+    """Return a mask of the joints below the joint that carries the body ``(J,)``."""
     parents = subject.take.rig.parents
     is_body = np.zeros(len(parents), bool)
     is_body[hips_of(subject) : hips_of(subject) + 1] = True

@@ -1,4 +1,4 @@
-"""Detects ground contacts: foot joints, stance frames, and ground height."""
+"""Detects ground contacts: foot joints, frames of stance, and the ground height."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ class FootStances:
 
 
 def contacts_of(subject: MotionSubject) -> FootStances | None:
-    """Return the foot contacts; None if there are no feet or stance frames."""
+    """Return the foot contacts; None if there are no feet or no frames of stance."""
     feet = feet_of(subject.take.rig.names)
     if not len(feet) or subject.frames < MIN_CONTACTS:
         return None
@@ -120,7 +120,7 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
 
 
 def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:
-    """Return the most common height, and the fraction of values near it.
+    """Return the most common height, and the fraction of heights near it.
 
     >>> _common_height(np.array([0.0, 0.1, 0.2, 5.0]), 0.5)
     (0.1, 0.75)
@@ -138,7 +138,7 @@ def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]
 
 
 def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
-    """Return the lower of two heights near nearly all values; else infinity.
+    """Return the lower of one or two heights that nearly all values share; else inf.
 
     >>> _lower_ground_height(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
@@ -159,7 +159,7 @@ def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
 
 
 def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
-    """Return frames in which joints other than feet are near the ground ``(F,)``."""
+    """Return a mask of frames in which a joint other than a foot is near the ground."""
     parents = subject.take.rig.parents
     other_joints = body_joints(subject)
     leg_joints = set(feet.tolist())
@@ -192,7 +192,7 @@ def _frame_windows(values: NDArray[Scalar], half_width: float) -> NDArray[Scalar
 
 
 def _opposite_feet(subject: MotionSubject, feet: IntArray) -> IntArray:
-    """Return the opposite foot of each foot, or itself ``(E,)``."""
+    """Return the column of the opposite foot of each foot, or its own ``(E,)``."""
     columns = {int(joint): column for column, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
     return np.array(
@@ -211,7 +211,7 @@ def _is_at_opposite_height(
 def displacements_around(
     subject: MotionSubject, points: FloatArray, seconds: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return displacements of points ``(F, E, 3)`` around each frame, and their spans.
+    """Return displacements over an interval centred on each frame, and their length.
 
     seconds: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
     counts ``(F,)``.
@@ -223,7 +223,7 @@ def displacements_around(
 
 
 def _is_static(subject: MotionSubject, points: FloatArray) -> BoolArray:
-    """Return where points ``(F, E, 3)`` are nearly static ``(F, E)``."""
+    """Return a mask of where points ``(F, E, 3)`` are nearly at rest ``(F, E)``."""
     moves, frames = displacements_around(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than that interval.
     max_lengths = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS

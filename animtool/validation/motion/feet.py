@@ -1,4 +1,4 @@
-"""Foot slide while in contact."""
+"""Detects feet that slide while in contact with the ground."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ EVEN_ALONG, EVEN_AGAINST = 0.12, 0.2
 
 
 def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
-    """Return the ratio of hip travel to foot travel, if it is consistently wrong.
+    """Return the ratio of hip travel to foot travel if it is consistently not 1.
 
     Above 1 the feet are dragged along; below 1 they slip back.
     """
@@ -68,10 +68,10 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
 def _velocity_ratios(
     subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, FloatArray]:
-    """Return velocities of the stance foot relative to the hips ``(N,)``.
+    """Return ratios of stance-foot to hip velocity, and hip speeds [m/s] ``(N,)``.
 
-    These are the components along the hips' velocity, and the hips' speeds [m/s]. Of
-    the feet near the ground, the slowest one counts.
+    The ratios are the component of the slowest near-ground foot's velocity along the
+    hips' velocity, divided by the hip speed.
     """
     points = subject.ground_positions(np.append(contacts.feet, hips_of(subject)))
     travels, step_counts = displacements_around(subject, points, VELOCITY_SECONDS)
@@ -205,7 +205,7 @@ def _slowest_slides(
 
 
 def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
-    """Return whether a foot decelerates while landing, or accelerates while lifting.
+    """Return whether a foot decelerates as it lands, or accelerates as it lifts off.
 
     ``speeds`` [m/s] and ``heights`` [size], ``(N,)`` each.
 
@@ -231,7 +231,7 @@ def _is_skid(
     first: int,
     last: int,
 ) -> bool:
-    """Return whether feet decelerate after a flight, or accelerate before one.
+    """Return whether the feet decelerate after a flight or accelerate before one.
 
     ``speeds``: of the slowest foot ``(F,)`` [m/s].
     """
@@ -252,7 +252,7 @@ def _is_skid(
 def _slide_length(
     subject: MotionSubject, contacts: FootStances, first: int, last: int
 ) -> float:
-    """Return the shortest path of a foot near the ground over a run [m].
+    """Return the shortest path length among feet near the ground in a run [m].
 
     The run is extended by half the interval of its speeds, before and after.
     """
@@ -268,7 +268,7 @@ def _slide_length(
 def _travel_scale_fault(
     subject: MotionSubject, contacts: FootStances
 ) -> Iterator[Fault]:
-    """Yield a fault if root travel does not match the feet throughout."""
+    """Yield a fault if the root consistently travels farther or less than the feet."""
     scale = travel_scale(subject, contacts)
     if scale is None:
         return
@@ -284,7 +284,7 @@ def _travel_scale_fault(
 
 
 def _travel_size(subject: MotionSubject) -> float:
-    """Return the diagonal of the hips' path along the ground [m]."""
+    """Return the diagonal of the bounds of the hips' horizontal path [m]."""
     points = subject.ground_positions(np.array([hips_of(subject)]))[:, 0]
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
 
@@ -292,7 +292,7 @@ def _travel_size(subject: MotionSubject) -> float:
 def _foot_speeds(
     subject: MotionSubject, feet: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return ground speeds and slide speeds of feet, ``(F, E)`` each [m/s].
+    """Return the ground speeds and slide speeds of the feet ``(F, E)`` [m/s].
 
     The lower of the distances a short time before and after each frame counts, since a
     foot that reverses is not planted. Slides exclude rotation and lifting of the foot.

@@ -1,4 +1,4 @@
-"""Feet that penetrate the ground, or float above it."""
+"""Detects feet that penetrate the ground or float above it."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
-    """Yield a fault if all contacts are offset from the ground at 0."""
+    """Yield a fault if all contacts are at an equal distance from the ground at 0."""
     if not subject.has_rest:
         return
     contact_counts = contacts.is_static.sum(axis=0)
@@ -110,7 +110,7 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
 def _clearances(
     subject: MotionSubject, feet: IntArray
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Return the heights of foot joints above the ground in stance.
+    """Return the height range of foot joints above the ground during stance.
 
     Minimum and maximum ``(E,)`` [m], and whether the rig rests on 0 of the up axis.
     Legs that hang at rest define the height; for others only flat feet are assumed.
@@ -150,7 +150,7 @@ def _clearances(
 
 
 def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
-    """Return the joints of a foot's leg, from ankle up to thigh.
+    """Return the joints of the leg of a foot, from ankle to thigh.
 
     >>> _leg_joints([-1, 0, 1, 2, 3], {3, 4}, 0, 4)
     [3, 2, 1]
@@ -168,7 +168,7 @@ def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> lis
 def _is_hanging(
     rest_positions: FloatArray, heights: FloatArray, leg: list[int]
 ) -> bool:
-    """Return whether a leg hangs straight down at rest."""
+    """Return whether a leg hangs straight down in the rest pose."""
     bones = np.linalg.norm(np.diff(rest_positions[leg], axis=0), axis=1)
     return bool(
         heights[leg[-1]] - heights[leg[0]] > HANGING_FRACTION * bones.sum() > 0.0
@@ -176,7 +176,7 @@ def _is_hanging(
 
 
 def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
-    """Yield the foot that is deepest below the ground of its contacts."""
+    """Yield a fault at the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, has_ground = _foot_ground(subject, contacts)
     depths = (ground - heights) * has_ground
@@ -206,7 +206,7 @@ def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fau
 def _foot_ground(
     subject: MotionSubject, contacts: FootStances
 ) -> tuple[FloatArray, BoolArray]:
-    """Return the ground height per foot, and whether it is known ``(E,)``.
+    """Return the ground height of each foot, and a mask of known heights ``(E,)``.
 
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
@@ -227,7 +227,7 @@ def _foot_ground(
 
 
 def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
-    """Yield a fault if no joint is near the ground for longer than a jump."""
+    """Yield a fault if no joint is near the ground for longer than a jump takes."""
     has_floor = np.isfinite(contacts.floor)
     if not has_floor.any():
         return

@@ -1,4 +1,4 @@
-"""Detects pops: single-frame discontinuities of joints and roots."""
+"""Detects pops: discontinuities of joints and roots within one frame."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SHIFT_NOISE = 0.002
 
 @dataclass(frozen=True, slots=True)
 class _PopSteps:
-    """Steps with pops."""
+    """Steps between frames in which columns of a channel pop."""
 
     joints: IntArray  # joints of the columns ``(N,)``
     flags: BoolArray  # steps with a pop ``(S, N)``
@@ -31,7 +31,7 @@ class _PopSteps:
     unit: str  # ``rad`` or ``m``
 
     def worst(self) -> tuple[int, int]:
-        """Return step and column of the largest pop."""
+        """Return the step and the column of the largest pop."""
         amounts = np.where(self.flags, self.amounts, -1.0)
         step, column = np.unravel_index(int(amounts.argmax()), amounts.shape)
         return int(step), int(column)
@@ -61,7 +61,7 @@ def root_pops(subject: MotionSubject) -> Iterator[Fault]:
 def _find_pops(
     subject: MotionSubject, min_shift: float, *, roots: bool
 ) -> list[_PopSteps]:
-    """Return rotation and translation pops, of roots or of all other joints."""
+    """Return the rotation pops and translation pops of roots or of the other joints."""
     moving_joints = [*subject.take.rig.roots, *body_carriers(subject)]
     rotating_joints, translating_joints = (
         np.flatnonzero(np.isin(joints, moving_joints) == roots)
@@ -76,7 +76,7 @@ def _find_pops(
 def _pop_fault(
     subject: MotionSubject, code: str, all_pops: list[_PopSteps], hint: str
 ) -> Iterator[Fault]:
-    """Yield one fault for all pops of a kind, which names the largest."""
+    """Yield one fault that counts the pops of a kind and names the largest one."""
     all_pops = [pops for pops in all_pops if pops.flags.any()]
     if not all_pops:
         return
@@ -126,7 +126,7 @@ def _shift_pops(
 
 
 def _ignored_steps(subject: MotionSubject) -> BoolArray:
-    """Return cuts, and the first step if it leaves a reference pose."""
+    """Return a mask of the steps that are cuts, including the first step."""
     cuts = subject.cuts()
     cuts[:1] = True
     return cuts

@@ -1,4 +1,4 @@
-"""Lost, frozen, repeated and off-grid frames."""
+"""Detects lost, frozen, repeated and off-grid frames."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
 
 
 def off_frame(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if samples are off the frames (MOT216)."""
+    """Yield a fault if samples are not on whole frames (MOT216)."""
     codes = subject.codes
     if codes is None or len(codes) < 2:
         return
@@ -60,7 +60,7 @@ def off_frame(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def other_range(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if the range starts or ends without a sample (MOT217).
+    """Yield a fault if the frame range starts or ends without a sample (MOT217).
 
     Samples outside the range are reported as USD256.
     """
@@ -135,7 +135,7 @@ MAX_STATIC_FRACTION = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield steps as long as two or more in smooth motion (MOT205).
+    """Yield steps that cover two or more frames of smooth motion (MOT205).
 
     In a file with time codes a lost frame is a gap between them.
     """
@@ -159,7 +159,7 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield gaps between the time codes of samples."""
+    """Yield a fault for each gap between the time codes of samples."""
     if subject.codes is None or subject.reduced or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)
@@ -185,18 +185,18 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _animated_columns(subject: MotionSubject) -> IntArray:
-    """Return the animated joints, twice if they both rotate and translate."""
+    """Return the joint of each column of `_step_vectors`."""
     return np.concatenate([subject.rotating_joints, subject.translating_joints])
 
 
 def _step_vectors(subject: MotionSubject) -> FloatArray:
-    """Return rotation and translation steps ``(F - 1, N, 3)``, scaled to one unit."""
+    """Return rotation and translation steps in comparable units ``(F - 1, N, 3)``."""
     shifts = subject.translation_steps * (2.0 / subject.size)
     return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
 def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return each step's length in frames, and a mask of steps with loss ``(S,)``.
+    """Return the length of each step in frames, and a mask of steps with loss ``(S,)``.
 
     A loss is a step that is far from the prediction of a single step by its two
     neighbours on either side, and near their prediction of several steps.
@@ -276,10 +276,11 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
 
 
 def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
-    """Return rows in which joints of more than one limb are flagged ``(S,)``.
+    """Return a mask of steps in which joints of two or more limbs are flagged ``(S,)``.
 
-    A finger that jumps with its hand is no loss. A trunk that both rotates and moves as
-    far as in several steps counts as two limbs. ``is_flagged``: per column ``(S, N)``.
+    A finger that jumps with its hand is not a lost frame. A trunk that both rotates and
+    moves as far as in several steps counts as two limbs. ``is_flagged``: mask of
+    flagged columns ``(S, N)``.
     """
     limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
     is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
@@ -293,11 +294,11 @@ def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
 def _predicted_step(
     near_steps: FloatArray, far_steps: FloatArray, lost_count: int
 ) -> FloatArray:
-    """Return the predicted step over lost frames, from its neighbours.
+    """Return the step over lost frames, extrapolated from the neighbouring steps.
 
-    ``near_steps`` and ``far_steps`` ``(S, N, 3)``: means of the adjacent steps before
-    and after, and of the second ones. The prediction sums a parabola through these and
-    their mirror images.
+    ``near_steps`` and ``far_steps`` ``(S, N, 3)`` are the means of the first, and of
+    the second, steps before and after. The prediction integrates the symmetric parabola
+    through both.
     """
     near_position, far_position = 1.0 + 0.5 * lost_count, 2.0 + 0.5 * lost_count
     curvature = (far_steps - near_steps) / (far_position**2 - near_position**2)
@@ -309,14 +310,14 @@ def _predicted_step(
 
 
 def _squared_lengths(vectors: FloatArray) -> FloatArray:
-    """Return the squared lengths of vectors ``(S, N, 3)``."""
+    """Return the squared Euclidean norms of vectors ``(S, N, 3)``."""
     return np.asarray(np.einsum("snc,snc->sn", vectors, vectors))
 
 
 def _typical_squares(squares: FloatArray) -> FloatArray:
-    """Return the typical value around each row, per column ``(S, N)``.
+    """Return a local maximum of block medians for each row and column ``(S, N)``.
 
-    This is the largest median of its block of rows and the two neighbouring blocks.
+    The maximum is taken over the block of the row and the two neighbouring blocks.
     """
     count = len(squares)
     block_count = max(1, count // BLOCK_FRAMES)
@@ -335,7 +336,7 @@ def _typical_squares(squares: FloatArray) -> FloatArray:
 
 
 def _near_repeats(subject: MotionSubject) -> BoolArray:
-    """Return steps close to a repeated frame, where speed is unreliable."""
+    """Return a mask of steps near a repeated frame, where speeds are unreliable."""
     is_static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
     windows = sliding_window_view(
         np.pad(is_static, REPEAT_WINDOW), 2 * REPEAT_WINDOW + 1
@@ -344,7 +345,7 @@ def _near_repeats(subject: MotionSubject) -> BoolArray:
 
 
 def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
-    """Return steps that repeat a frame within motion; None if that is common."""
+    """Return a mask of steps without motion; None if most motion is like that."""
     if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < 2:
         return None
     speeds = subject.speeds
@@ -355,7 +356,7 @@ def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
 
 
 def _is_abrupt(speeds: FloatArray, typical_speed: float, first: int, last: int) -> bool:
-    """Return whether motion stops abruptly before a run of steps and resumes."""
+    """Return whether motion stops abruptly before a run of steps and resumes after."""
     if first == 0 or last == len(speeds) - 1:
         return False
     return bool(
@@ -364,7 +365,7 @@ def _is_abrupt(speeds: FloatArray, typical_speed: float, first: int, last: int) 
 
 
 def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
-    """Return the repeated frames within motion, and whether they are regular."""
+    """Return a mask of repeated frames, and whether they recur regularly."""
     is_static = _repeated_steps(subject)
     if is_static is None:
         return np.zeros(0, bool), False
@@ -385,7 +386,7 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield frames at which all motion stops abruptly and resumes (MOT206)."""
+    """Yield frames in which all motion stops abruptly and then resumes (MOT206)."""
     is_repeat, is_regular = _repeated_frames(subject)
     if (
         is_regular
@@ -409,7 +410,7 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if frames are repeated to reach a rate (MOT207)."""
+    """Yield a fault if frames are repeated to reach a higher rate (MOT207)."""
     is_repeat, is_regular = _repeated_frames(subject)
     if is_regular:
         rate = float(subject.take.clock.rate)
@@ -427,7 +428,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _is_multiple(ratio: float) -> bool:
-    """Return whether a positive ratio is an integer or the inverse of one.
+    """Return whether a positive ratio is an integer or the reciprocal of an integer.
 
     >>> _is_multiple(2.0), _is_multiple(1 / 3), _is_multiple(1.25)
     (True, True, False)
@@ -437,7 +438,7 @@ def _is_multiple(ratio: float) -> bool:
 
 
 def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if samples are even, but not on frames or simple subframes."""
+    """Yield a fault if samples are uniform but not on frames or simple subframes."""
     if subject.codes is None or subject.frames < MIN_FRAMES:
         return
     gaps = np.diff(subject.codes)

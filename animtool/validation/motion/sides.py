@@ -1,4 +1,4 @@
-"""Implausible values, and left and right sides that are swapped or static."""
+"""Detects implausible values, and left and right sides that are swapped or static."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ MIN_BONE_LENGTH = 0.02
 
 
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if nothing moves (MOT201)."""
+    """Yield a fault if no joint or shape moves (MOT201)."""
     motion = subject.take.motion
     if motion.frames < POSE_FRAMES:
         return
@@ -183,13 +183,13 @@ MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
-    """Return the joints with an opposite side, left first."""
+    """Return the index pairs of left and right joints."""
     partners = subject.sides.partners
     return [(left, int(partners[left])) for left in subject.sides.left]
 
 
 def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if left and right are swapped, in all or some frames (MOT210)."""
+    """Yield a fault if left and right are swapped in any or all frames (MOT210)."""
     subject = subject.without_first_pose
     pairs = _side_pairs(subject)
     if not pairs:
@@ -201,7 +201,7 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
 def _full_take_swap(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> Iterator[Fault]:
-    """Yield a fault if left joints are on the right of a body facing forward."""
+    """Yield a fault if left joints are on the right side of the body in all frames."""
     facing_direction = _facing_direction(subject)
     hips = _hip_pair(subject, pairs)
     if facing_direction is None or hips is None:
@@ -239,7 +239,7 @@ def _full_take_swap(
 
 
 def _facing_direction(subject: MotionSubject) -> FloatArray | None:
-    """Return the mean direction of the feet ``(F, 3)`` [m]; None without toes."""
+    """Return the mean direction of the feet ``(F, 3)``; None without toes."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     toe_joints = [i for i in feet if rig.joints[i].parent in feet]
@@ -258,7 +258,7 @@ def _facing_direction(subject: MotionSubject) -> FloatArray | None:
 def _hip_pair(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> tuple[int, int] | None:
-    """Return the pair of joints above the feet that is nearest to the root."""
+    """Return the left and right joint above the feet that are nearest to the root."""
     rig = subject.take.rig
     feet = set(feet_of(rig.names).tolist())
     partners = dict(pairs)
@@ -280,7 +280,7 @@ def _hip_pair(
 def _side_swaps(
     subject: MotionSubject, pairs: list[tuple[int, int]]
 ) -> Iterator[Fault]:
-    """Yield the step at which joints of two sides swap their motion."""
+    """Yield a fault at the step where the left and right joints swap their motion."""
     rotations = subject.take.motion.rotations
     moving_joints = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moving_joints.issuperset(pair)]
@@ -338,7 +338,7 @@ def _side_swaps(
 def _side_deviations(
     left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the deviation of sides from their own motion, and from each other's."""
+    """Return deviations from the motion of the same and of the opposite side [rad]."""
     same_side_deviations = np.minimum(
         _extrapolation_error(left, left), _extrapolation_error(right, right)
     )
@@ -348,10 +348,10 @@ def _side_deviations(
 
 
 def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> FloatArray:
-    """Return the angle of rotations from the extrapolation of others.
+    """Return the angle between rotations and the extrapolation of predictor rotations.
 
-    ``(F, P, 4)`` each, result ``(F - 1, P)`` [rad]. The others either stay or continue
-    to rotate as in the previous step: the smaller difference counts.
+    Both are ``(F, P, 4)``, the result is ``(F - 1, P)`` [rad]. Predictors either hold
+    still or repeat the rotation of the previous step: the smaller angle counts.
     """
     rotations_per_step = so3.multiply(predictors[1:-1], so3.conjugate(predictors[:-2]))
     predicted_side = predictors[:-1].copy()
@@ -363,7 +363,7 @@ def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> Float
 def _neighbor_moves(
     steps: FloatArray, deviation: FloatArray, reverse_deviation: FloatArray
 ) -> BoolArray:
-    """Return where the neighbor steps are continuous motion ``(F - 1, P)``.
+    """Return a mask of swaps between steps of continuous motion ``(F - 1, P)``.
 
     Held poses of a library, and alternating ones, swap sides intentionally.
     ``deviation`` is relative to the motion before each step, ``reverse_deviation`` to
@@ -381,7 +381,7 @@ def _neighbor_moves(
 
 
 def dead_side(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that never rotate while their opposites do (MOT211)."""
+    """Yield joints that never rotate although their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = {*subject.take.rig.roots, *body_carriers(subject)}
     # With a static root, parts were keyed one by one, and one arm may wave alone.

@@ -1,4 +1,4 @@
-"""Size and stance: units, up axis, bone lengths."""
+"""Checks the size and stance of bodies: units, up axis, bone lengths."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ MIN_FRAMES = 8
 
 
 def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield bones whose length changes by more than half (MOT212)."""
+    """Yield bones whose length changes by more than 50 % (MOT212)."""
     subject = subject.without_first_pose
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
@@ -103,7 +103,7 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _bone_factor(subject: MotionSubject) -> float | None:
-    """Return the ratio of animated to rest bones, if it is a unit conversion."""
+    """Return the ratio of animated to rest bone lengths if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
     bones = np.flatnonzero(~positioned_joints(subject))
     rest_lengths = np.linalg.norm(rig.rest_translations[bones], axis=1)
@@ -117,7 +117,7 @@ def _bone_factor(subject: MotionSubject) -> float | None:
 
 
 def _unit_factor(ratios: FloatArray) -> float | None:
-    """Return the unit conversion factor that most ratios are near."""
+    """Return the unit conversion factor that most of the ratios are close to."""
     if not len(ratios):
         return None
     for factor in (*UNIT_FACTORS, *(1.0 / factor for factor in UNIT_FACTORS)):
@@ -128,7 +128,7 @@ def _unit_factor(ratios: FloatArray) -> float | None:
 
 
 def other_units(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if motion, or all of the character, uses another unit (MOT213)."""
+    """Yield a fault if the motion or the character is in another unit (MOT213)."""
     subject = subject.without_first_pose
     factor = _bone_factor(subject) if subject.has_rest else None
     if factor is not None:
@@ -180,7 +180,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root that moves at many times its rest height, and the factor.
+    """Return a root whose height does not fit its rest height, and the unit factor.
 
     If the rig rests at its hips, their height is the length of its legs.
     """
@@ -208,10 +208,10 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
 
 def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the unit factor by which a root is too low, if its feet show that.
+    """Return the unit factor by which a root translation is too small, else None.
 
-    Multiplied by that factor, its translation puts the lowest joint on the ground,
-    however the body crouches or crawls.
+    Multiplying the translation by the inverse of that factor would put the lowest joint
+    on the ground in most frames, also of a crouching or crawling body.
     """
     body_positions = subject.positions[:, body_joints(subject)]
     lowest_joints = (body_positions @ subject.up).argmin(axis=1)
@@ -243,7 +243,7 @@ def _low_factor(subject: MotionSubject, root: int) -> float | None:
 
 
 def _height_factor(ratio: float) -> float | None:
-    """Return the unit conversion factor nearest to a height, if any.
+    """Return the unit conversion factor nearest to a height ratio; None if implausible.
 
     Crawling or climbing bodies are lower or higher than at rest, but never by such
     factors.
@@ -257,7 +257,7 @@ def _height_factor(ratio: float) -> float | None:
 
 
 def _is_character(subject: MotionSubject) -> bool:
-    """Return whether a rig has the feet and joints of a person or animal."""
+    """Return whether a rig has the feet and joint count of a person or animal."""
     rig = subject.take.rig
     return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
 
@@ -305,7 +305,7 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def body_axis(subject: MotionSubject) -> Stance | None:
-    """Return the stance of a body if it does not stand along the up axis."""
+    """Return the stance of a body that is not upright along the up axis; else None."""
     rig = subject.take.rig
     if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_JOINTS:
         return None
@@ -325,14 +325,14 @@ def body_axis(subject: MotionSubject) -> Stance | None:
 
 
 def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if quaternions look like the other order (MOT222)."""
+    """Yield a fault if quaternion components seem to be in the other order (MOT222)."""
     order = find_swapped_order(subject.take.rig, subject.take.motion)
     if order is not None and subject.has_rest:
         yield subject.fault("MOT222", None, None, order.message, ORDER_HINT)
 
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a body that is upright along an axis other than up (MOT214)."""
+    """Yield a body that is upright along another axis than the up axis (MOT214)."""
     rig, axis = subject.take.rig, body_axis(subject)
     if axis is None:
         return

@@ -79,7 +79,7 @@ class MotionSubject:
 
     @cached_property
     def interval(self) -> float:
-        """Typical time between two frames [s]."""
+        """Median time between two frames [s]."""
         if self.frames < 2:
             return 1.0 / float(self.take.clock.rate)
         return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
@@ -97,14 +97,15 @@ class MotionSubject:
 
     @property
     def translating_joints(self) -> IntArray:
-        """Indices of the joints that translate against their parents ``(B,)``."""
+        """Indices of the joints that move relative to their parents ``(B,)``."""
         return self.take.motion.translations.animated
 
     @cached_property
     def rotation_steps(self) -> FloatArray:
         """Rotation vectors from each frame to the next ``(F - 1, A, 3)`` [rad].
 
-        In the parent's space, and per typical interval if samples are uneven.
+        The rotations are in the parent's space, and scaled to the median interval if
+        samples are uneven.
         """
         values = self.take.motion.rotations.values
         vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
@@ -118,10 +119,10 @@ class MotionSubject:
 
     @cached_property
     def speeds(self) -> FloatArray:
-        """Total motion of all joints from each frame to the next ``(F - 1,)``.
+        """Combined motion of all joints from each frame to the next ``(F - 1,)``.
 
-        The root of the sum of squares of rotations [rad] and of translations [half the
-        size].
+        The square root of the sum of squared rotations [rad] and squared translations,
+        in units of half the size of the rig.
         """
         squared_rotations = np.einsum(
             "fjc,fjc->f", self.rotation_steps, self.rotation_steps
@@ -151,7 +152,7 @@ class MotionSubject:
 
     @cached_property
     def without_first_pose(self) -> MotionSubject:
-        """The take, without a first frame that is a reference pose."""
+        """The take without its first frame, if this frame is a reference pose."""
         if not len(self.joints_leaving_pose):
             return self
         clock = self.take.clock
@@ -240,7 +241,7 @@ class MotionSubject:
         return np.asarray(points - (points @ self.up)[..., None] * self.up)
 
     def cuts(self) -> BoolArray:
-        """Return the steps that rules ignore as cuts ``(F - 1,)``."""
+        """Return a mask of the steps that are intended cuts ``(F - 1,)``."""
         steps = max(self.frames - 1, 0)
         return (
             np.zeros(steps, bool)

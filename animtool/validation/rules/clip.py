@@ -1,4 +1,4 @@
-"""Rules on clips: keys, and curves between and beyond them."""
+"""Rules on clips: keys, and curves between and outside them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ NEAR_HALF_ROTATION = math.radians(178.0)
 
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield keys 180° from the previous one: the direction is ambiguous (CLIP202)."""
+    """Yield keys 180° from the previous key, an ambiguous rotation (CLIP202)."""
     for channel_index, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
@@ -68,7 +68,7 @@ CYCLE_TOLERANCE = 1e-3
 
 
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield curves that exceed limits between keys within them (CLIP205)."""
+    """Yield curves that exceed limits between two keys within the limits (CLIP205)."""
     times = np.array(subject.frames)
     for channel_index, channel in enumerate(subject.clip.channels):
         excess = _excess_function(channel, subject.rig)
@@ -96,7 +96,7 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
 def _excess_text(
     channel: ClipChannel, key: int, frames: FloatArray, excess: FloatArray
 ) -> str:
-    """Return text on the frames of a segment that exceed limits."""
+    """Return text on the frames in which a curve segment exceeds its limits."""
     largest = float(excess.max())
     is_angle = channel.target.endswith((".angle", ".rotation"))
     amount_text = (
@@ -113,7 +113,7 @@ def _excess_text(
 
 
 def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
-    """Return a function of how far a channel's values exceed its target's limits."""
+    """Return a function that computes by how much a channel exceeds its limits."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(
@@ -184,7 +184,7 @@ def _full_circle_text(channel: ClipChannel, key: int) -> str:
 
 
 def _unwrapping_hint(channel: ClipChannel, key: int, unit: float) -> str:
-    """Return how to write the next key so that rotation takes the short path.
+    """Return a hint with the value of the next key that gives the short rotation.
 
     unit: angle unit of the file [rad].
     """
@@ -209,7 +209,7 @@ def _value_distance(first: FloatArray, second: FloatArray) -> float:
 
 
 def _flip_keys(channel: ClipChannel) -> IntArray:
-    """Return the keys of a sampled curve after which angles wrap."""
+    """Return the keys of a densely sampled curve after which angles wrap."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
     candidates = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
@@ -222,7 +222,7 @@ def _flip_keys(channel: ClipChannel) -> IntArray:
 
 
 def _interpolated_keys(channel: ClipChannel) -> BoolArray:
-    """Return which keys, except the last, are not held until the next ``(K - 1,)``."""
+    """Return a mask of the keys that are not held until the next key ``(K - 1,)``."""
     interps = channel.interps[:-1]
     if Interp.STEP not in interps:
         return np.ones(len(interps), bool)
@@ -230,7 +230,7 @@ def _interpolated_keys(channel: ClipChannel) -> BoolArray:
 
 
 def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
-    """Return the keys after which an angle wraps, whatever the key spacing.
+    """Return the keys after which an angle wraps, at any key spacing.
 
     Intended rotations continue over full circles, or end on one; a spin keeps its speed
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
@@ -270,7 +270,7 @@ def _wraps_after(
     short_path: float,
     limits: RangeLimit | None,
 ) -> bool:
-    """Return whether an axis wraps after a key; ``short_path`` is its shortest step."""
+    """Return whether an angle wraps after a key; ``short_path`` is the short step."""
     values = channel.values[:, axis]
     first_value, second_value = float(values[key]), float(values[key + 1])
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
@@ -305,7 +305,7 @@ def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 def _nearer_angles(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
-    """Return the equivalent Euler angles of a rotation, if much nearer to another.
+    """Return the equivalent Euler angles of a rotation if much nearer to a reference.
 
     Two of three differ by half a revolution, and the middle one is mirrored; None for
     other differences.

@@ -1,4 +1,4 @@
-"""Rules on controls: their effect over their ranges."""
+"""Rules on controls: the effect of each control over its range."""
 
 from __future__ import annotations
 
@@ -34,23 +34,23 @@ _ZERO: FloatArray = np.zeros(1)
 
 @dataclass(frozen=True, slots=True)
 class _ControlSweep:
-    """Every control swept over its range, one after the other."""
+    """Sweep of every control over its range, one control after the other."""
 
     moving_controls: list[Control]  # the moving control of each frame ``(F,)``
     control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
     driven: DrivenValues  # resulting values
 
     def broadcast(self, values: FloatArray) -> FloatArray:
-        """Return a value for each frame ``(F,)``."""
+        """Broadcast values to all frames ``(F,)``."""
         return np.broadcast_to(values, len(self.moving_controls))
 
     def frame_text(self, frame: int) -> str:
-        """Return the control values of a frame."""
+        """Return the name and value of the control that moves in a frame."""
         name = self.moving_controls[frame].name
         return f"{name!r} at {float(self.control_values[name][frame]):g}"
 
     def worst_frames(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield controls with an excess, and their worst frame."""
+        """Yield each control whose frames exceed a limit, and its worst frame."""
         # Values that are not finite are a fault of the expression (RIG207).
         absolute_excess = self.broadcast(
             np.where(np.isfinite(excess), np.abs(excess), 0.0)
@@ -88,7 +88,7 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive another beyond its range (RIG206)."""
+    """Yield controls that drive another control beyond its range (RIG206)."""
     sweep = _sweep_controls(rig)
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
@@ -110,7 +110,7 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives without a value somewhere in a control's range (RIG207)."""
+    """Yield drives that are undefined at a value in their control's range (RIG207)."""
     sweep = _sweep_controls(rig)
     values = sweep.driven.controls
     for control in rig.rig.controls:
@@ -214,7 +214,7 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
-    """Return a sweep of each control with the others at their defaults."""
+    """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
     ranges = {control.name: _sampled_values(control) for control in controls}
     count = sum(map(len, ranges.values()))
@@ -261,7 +261,7 @@ def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
 
 
 def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
-    """Return whether rotations are too small to exceed swing and twist limits.
+    """Return whether rotations are too small to reach the swing and twist limits.
 
     Swing and twist are at most as large as the rotation. Most rotations are small, and
     the full computation is slow.
@@ -276,7 +276,7 @@ def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
 
 
 def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
-    """Return the drive of a control that affects a target, or the control."""
+    """Return the location of the drive that affects a target, else of the control."""
     location = rig.at("controls", control.name)
     for drive_index, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):
@@ -285,7 +285,7 @@ def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location
 
 
 def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
-    """Return weights of driven and combined shapes, in poses of all controls."""
+    """Return the weights of driven and combination shapes in poses of all controls."""
     rng = np.random.default_rng(0)
     keyed_values = {}
     for control in rig.rig.controls:

@@ -48,7 +48,7 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drivers without a value for some inputs (RIG224)."""
+    """Yield drivers that are undefined at a sample of their inputs (RIG224)."""
     for key, kind, elements in (
         ("joints", "joint", rig.rig.joints),
         ("shapes", "shape", rig.rig.shapes),
@@ -87,7 +87,7 @@ def _driver_values(rig: RigSubject, driver: Driver) -> FloatArray:
 
 
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
-    """Return sampled values of a driver's inputs: each over its range, then all."""
+    """Return sampled driver inputs: each over its range, then all at random."""
     rng = np.random.default_rng(0)
     names = driver.names
     samples = {}

@@ -25,7 +25,7 @@ PERPENDICULAR_COSINE = 0.1
 
 
 def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose limits exclude their rest pose (RIG201)."""
+    """Yield joints whose rest pose is outside their limits (RIG201)."""
     for joint in rig.rig.joints:
         location = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
@@ -75,7 +75,7 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
 
 
 def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
-    """Yield ball joints whose twist axis is across their bone (RIG203)."""
+    """Yield ball joints whose twist axis is perpendicular to their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
         bone = _bone_direction(rig, i)
@@ -95,7 +95,7 @@ def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
 
 
 def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield mimic joints that their source moves beyond their limits (RIG205)."""
+    """Yield mimic joints that their source drives beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -129,7 +129,7 @@ def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
 
 
 def _bone_direction(rig: RigSubject, joint_index: int) -> FloatArray | None:
-    """Return the direction of a joint's only bone in its rest frame, if it has one."""
+    """Return the direction of a joint's only bone in its rest frame, else None."""
     child_offsets = [
         rig.rig.joints[child].translation for child in rig.children[joint_index]
     ]
@@ -151,7 +151,7 @@ BIND_ROUNDING_ANGLE = math.radians(0.5)
 
 
 def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bind poses that differ from rest only by rounding (RIG216)."""
+    """Yield bind poses that differ from the rest pose only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
             continue
@@ -232,13 +232,13 @@ def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
-    """Return the left/right pairs of a rig, and a mask of mirror images."""
+    """Return the left/right joint pairs, and a mask of pairs that are mirror images."""
     pairs = _stated_pairs(rig)
     return pairs, _are_mirror_images(rig, pairs)
 
 
 def _stated_pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
-    """Return joints and their counterparts that were written separately."""
+    """Return the left/right joint pairs in which both joints are in the file."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
     return [
         (joint, rig.rig.joints[partner])
@@ -248,7 +248,7 @@ def _stated_pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
 
 
 def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:
-    """Return which pairs are mirror images in the most common plane ``(P,)``."""
+    """Return a mask of the pairs mirrored in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
     bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])

@@ -42,7 +42,7 @@ def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
 
 
 def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
-    """Yield lists with names that USD changes (RIG221)."""
+    """Yield lists with names that are changed to be legal in USD (RIG221)."""
     if "from" in rig.document.value:
         return
     for key in NAME_GROUPS:
@@ -66,7 +66,7 @@ def group_names(rig: RigSubject, key: str) -> list[str]:
 
 
 def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield each name equal to an earlier one in USD, with text on it."""
+    """Yield each name that equals an earlier one in USD, with an explanation."""
     first_by_usd_name: dict[str, str] = {}
     for name in names:
         usd_name = legal_usd_name(name)
@@ -120,7 +120,7 @@ def _has_effect(shape: Shape, archives: Archives) -> bool:
 
 
 def _skinned_meshes(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Location]]:
-    """Yield skinned meshes, their weights ``(V, I)``, and their locations."""
+    """Yield skinned meshes, their weight matrices ``(V, I)``, and their locations."""
     with Archives() as archives:
         for mesh in rig.rig.meshes:
             if mesh.skin is not None:
@@ -259,7 +259,7 @@ def _chain_joints(rig: RigSubject, chain: IkChain) -> list[int]:
 
 
 def _can_bend(rig: RigSubject, joint_index: int, tip: int) -> bool:
-    """Return whether a joint can bring the tip nearer to the chain's root."""
+    """Return whether rotating a joint can bring the chain's tip nearer to its root."""
     joint = rig.rig.joints[joint_index]
     if joint.type is JointType.FIXED:
         return False

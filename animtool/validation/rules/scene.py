@@ -24,7 +24,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that are also inputs (OUT003)."""
+    """Yield outputs that would overwrite inputs (OUT003)."""
     scene = subject.scene
     read_files = {*subject.read_files, *scene.inputs, scene.path}
     for location, output in subject.outputs:
@@ -40,7 +40,7 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene of the folder also writes (SCN204).
+    """Yield outputs that another scene in the folder writes too (SCN204).
 
     Several takes of one library are no conflict.
     """
@@ -66,7 +66,7 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _library_take(scene: Path, bake: BakeOptions) -> str:
-    """Return the library take that is written; empty for a complete file."""
+    """Return the name of the library take that is written; "" for a complete file."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
@@ -74,7 +74,7 @@ def _library_take(scene: Path, bake: BakeOptions) -> str:
 def _scene_outputs(
     path: Path, _changed: int, _size: int
 ) -> tuple[tuple[Path, str], ...]:
-    """Return the files and takes a scene writes, cached by scene version."""
+    """Return the files and takes that a scene writes; cached by state of the file."""
     try:
         document = read_document(path)
         resolve_variables(document, model_for(document.value), {})
@@ -91,7 +91,7 @@ def _scene_outputs(
 
 
 def _named_take(entry: dict[str, Any]) -> BakeOptions:
-    """Return the take key and name of an output entry."""
+    """Return bake options with the take key and name of an output entry."""
     form, take_key = entry.get("as"), entry.get("take")
     return BakeOptions(
         form="library" if form == "library" else None,
@@ -145,7 +145,7 @@ _KEEPS_POSE = frozenset({"root_motion"})
 
 
 def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change nothing (SCN201)."""
+    """Yield passes that leave the take unchanged (SCN201)."""
     for i in subject.idle_passes:
         name = subject.scene.passes[i].pass_.name
         if name in _DEFINES_RESULT:
@@ -163,7 +163,7 @@ def range_outside_take(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range without any frame to write (SCN211)."""
+    """Yield a frame range in which there is no frame to write (SCN211)."""
     yield from _range_faults(
         subject, "SCN211", "contains no frame of the take", completely=True
     )
@@ -172,7 +172,7 @@ def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
 def _range_faults(
     subject: SceneSubject, code: str, reason: str, *, completely: bool
 ) -> Iterator[Fault]:
-    """Yield a range that is completely or partly outside the take."""
+    """Yield a fault if a frame range is partly or completely outside the take."""
     scene, clock = subject.scene, subject.take.clock
     frame_range, start_code = scene.bake.frame_range, _output_start(subject)
     if frame_range is None or start_code is None:
@@ -221,7 +221,7 @@ def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change poses after `ik` reached its targets (SCN210)."""
+    """Yield passes that change poses after an `ik` pass reached its goals (SCN210)."""
     ik_pass = ""
     for i, pass_entry in enumerate(subject.scene.passes):
         if i in subject.ik_input_takes:

@@ -1,4 +1,4 @@
-"""Rules on targets: requested goals, and whether effectors can reach them.
+"""Rules on targets: the requested goals, and whether effectors can reach them.
 
 A targets file names no rig. The rules on reach use the scenes that name both.
 """
@@ -75,7 +75,7 @@ def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
 def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
-    """Yield keys or spans of a goal outside a frame range."""
+    """Yield the keys or spans of a goal that are outside a frame range."""
     for goal_kind, value in goal.values.items():
         if isinstance(value, Keyed):
             unused_keys = keys_without_effect(value.channel, first, last)
@@ -88,7 +88,7 @@ def _keys_outside(
 
 
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goals that request the same of an effector as another (TGT202)."""
+    """Yield goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
     by_effector: dict[tuple[object, ...], list[int]] = {}
     for second_index, goal in enumerate(goals):
@@ -199,7 +199,7 @@ FAR_SIZES, LIKELY_SIZES = 8.0, 2.0
 
 @dataclass(frozen=True, slots=True)
 class _SampledTargets:
-    """Targets of a scene, sampled over the frames of its take."""
+    """Targets of a scene, sampled at the frames of its take."""
 
     document: Document  # their file
     take: Take  # F frames
@@ -277,7 +277,7 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
-    """Return the joints that some goal may move."""
+    """Return the joints that at least one goal may move."""
     goal_joints: set[int] = set()
     for track in goals:
         joint = rig.index(track.goal.joint)
@@ -293,9 +293,9 @@ def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
 def _chain_joints(
     rig: Rig, goal: Goal, goal_joints: frozenset[int]
 ) -> list[int] | None:
-    """Return the joints from the topmost moving one to the effector.
+    """Return the chain of joints from the topmost movable joint to the effector.
 
-    None where its length has no bound, or nothing moves.
+    None if no joint moves or the chain has no maximum length.
     """
     root_path = [rig.index(goal.joint)]
     while rig.joints[root_path[-1]].parent >= 0:
@@ -319,7 +319,7 @@ def _slides_freely(joint: Joint) -> bool:
 def _chain_reach(
     rig: Rig, world: WorldTransforms, goal: Goal, chain: Sequence[int]
 ) -> tuple[FloatArray, FloatArray]:
-    """Return a chain's root positions ``(F, 3)``, and its maximum length ``(F,)``.
+    """Return the root positions ``(F, 3)`` and maximum length ``(F,)`` of a chain.
 
     The chain is straight, with every slide at its end; limits of joints may allow less.
     """
@@ -337,7 +337,7 @@ def _chain_reach(
 
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield targets whose points fit the rig in another unit (TGT206)."""
+    """Yield targets whose points would fit the rig in another length unit (TGT206)."""
     for sampled_targets in _sampled_targets(subject):
         size = rest_size(sampled_targets.take.rig)
         file_unit = sampled_targets.unit

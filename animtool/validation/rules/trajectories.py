@@ -30,7 +30,7 @@ BLOCK_FRAMES = 64
 
 
 def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield labelled markers missing from many frames (MKR201)."""
+    """Yield labelled markers that are missing from a large part of frames (MKR201)."""
     markers = subject.markers
     missing_fractions = 1.0 - markers.visible.mean(axis=0)
     often_missing = [
@@ -69,7 +69,7 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def unlabelled_points(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield a fault if many points have no label (MKR203)."""
+    """Yield a fault if a large part of the points has no label (MKR203)."""
     names, visible = subject.markers.names, subject.markers.visible
     is_unlabelled = np.array([name.startswith("*") for name in names], np.bool_)
     point_count = int(visible.sum())

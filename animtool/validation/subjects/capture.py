@@ -31,7 +31,7 @@ class TakeSubject:
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
-        """Return a fault of a joint at a frame; of the take at its root."""
+        """Return a fault of a joint at a frame; without a joint, of the root."""
         del frame
         return self.fault(code, joint or self.take.rig.names[0], message, hint)
 
@@ -43,7 +43,7 @@ class TakeSubject:
 
     @cached_property
     def _lines(self) -> dict[str, int]:
-        """Lines that declare joints, by name; none for generated names."""
+        """Line that declares each joint, by name; generated names have none."""
         lines: dict[str, int] = {}
         raw_file = open_input(self.path, None)
         with TextIOWrapper(BufferedReader(raw_file), "utf-8", "replace") as file:

@@ -46,9 +46,9 @@ class ClipSubject(DocumentSubject):
         return [float(time) for time in self.take.clock.times]
 
     def at(self, joint: str, frame: float) -> Location:
-        """Return the previous key of a joint's first channel at a frame.
+        """Return the location of the last key up to a frame in a joint's first channel.
 
-        Without a channel, the list of channels.
+        If the joint has no channel, this is the location of the list of channels.
         """
         for i, channel in enumerate(self.clip.channels):
             if channel.target.startswith(f"joint/{joint}."):
@@ -77,7 +77,7 @@ class ClipSubject(DocumentSubject):
         return cuts
 
     def previous_key(self, channel: int, frame: float) -> Location:
-        """Return a channel's last key up to a frame, or its first key."""
+        """Return the last key of a channel up to a frame, else the first key."""
         times = self.clip.channels[channel].times
         k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)
         return ("channels", channel, "keys", k)

@@ -144,7 +144,7 @@ def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
 
 
 def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
-    """Return the joints that influence points, and all joints outside skins.
+    """Return the joints that influence points, and the joints that no skin contains.
 
     Ancestors of joints that influence points influence them, too.
     """

@@ -1,4 +1,4 @@
-"""Opens files as subjects, by kind."""
+"""Opens files of every kind as subjects."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def open_batch(document: Document) -> CheckedFile:
 
 
 def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
-    """Return variables that batch files give scenes, by scene path.
+    """Return the variables that batch files set in scenes, by scene path.
 
     Faults of a batch are reported only for the batch.
     """

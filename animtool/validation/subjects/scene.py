@@ -59,12 +59,12 @@ class SceneSubject(DocumentSubject):
 
     @property
     def targets(self) -> set[str]:
-        """The targets files of its passes, as named in faults."""
+        """Names of the targets files of its passes, as faults spell them."""
         return {str(tracks.path) for _, tracks in self.sampled_targets}
 
     @cached_property
     def outputs(self) -> list[tuple[Location, SceneOutput]]:
-        """Output files, and their locations in the scene file."""
+        """Each output with its location in the scene file."""
         has_several = isinstance(self.document.value.get("output"), list)
         return [
             (("output", i) if has_several else ("output",), output)
@@ -108,7 +108,7 @@ def open_scene(
 
 
 def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return the errors of a bake, and warnings about initial states of systems."""
+    """Return errors of planning a bake, and warnings about initial system states."""
     from animtool.scene.bake.outline import create_outline  # loads USD
     from animtool.scene.bake.plan import planning_faults
 
@@ -150,7 +150,7 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
 
 
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
-    """Return a scene with its passes run, and their notices."""
+    """Run the passes of a scene; return its subject and the notices of the passes."""
     idle_passes: list[int] = []
     solved_takes: dict[int, Take] = {}
     with recorded_inputs() as inputs:
