@@ -101,7 +101,7 @@ class LayoutResult:
         layout: The layout to read; None if no layout fits.
         truncated: The layout with the fewest contradictions among those that need more
             bytes than the file has.
-        rivals: Layouts that the evidence cannot decide between.
+        ambiguous_layouts: Layouts that the evidence cannot decide between.
     """
 
     layout: Layout | None
