@@ -216,16 +216,24 @@ def _output_clashes(
             )
             if len(other_writers) > 1:
                 message += f", and for {len(other_writers) - 1} more"
-            hint = _separating_hint(second_item, first_item)
+            hint = _separating_hint(second_item, first_item, batch.items)
             yield Fault("OUT007", message, str(path), (), hint)
 
 
-def _separating_hint(item: Item, other_item: Item) -> str:
-    """Return a hint with the name that makes the outputs of two items distinct."""
+def _separating_hint(item: Item, other_item: Item, items: Sequence[Item]) -> str:
+    """Return a hint with the names that make the outputs of two items distinct.
+
+    Names that keep all ``items`` apart are preferred.
+    """
     if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
     if item.file != other_item.file:
         names, other_names = input_names(item.file), input_names(other_item.file)
+        every_names = [input_names(batch_item.file) for batch_item in items]
+        stems = {input_name["stem"] for input_name in every_names}
+        pairs = {(one["parent"], one["stem"]) for one in every_names}
+        if len(stems) < len(items) == len(pairs):
+            return "use {parent}/{stem} in the output to keep the inputs separate"
         for name in ("stem", "parent", "name"):
             if names[name] != other_names[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"

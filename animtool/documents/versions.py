@@ -120,6 +120,11 @@ def version_of(
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {kinds_in_file[0]} file; "
             hint += _WRONG_KIND_HINTS[kinds_in_file[0]]
+            if (kind, kinds_in_file[0]) == ("markers", "rig"):
+                hint = "it is a rig file: pass it with "
+                hint += f"{flag('rig')}; a template ends in .markers.yaml"
+            elif kind == "clip":
+                hint += "; a take is a clip, BVH, glTF, FBX or USD file"
             if kinds_in_file[0] == "scene" != path_kind:
                 hint += "; end its name in .scene.yaml"
         document.add("DOC009", (), message, hint)
