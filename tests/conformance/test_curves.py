@@ -43,7 +43,8 @@ def _hermite(case: Case) -> tuple[FloatArray, float]:
     if kind.startswith("tcb_"):
         ins, outs = tangents.tcb(times, values, case["tcb"], kind.removeprefix("tcb_"))
     else:
-        ins = outs = getattr(tangents, kind)(times, values)
+        slopes = {"secant": "secant_slopes", "nonuniform": "parabola_slopes"}
+        ins = outs = getattr(tangents, slopes.get(kind, kind))(times, values)
     curve = hermite_curve(times, case["v"], ins[:, 0], outs[:, 0])
     handles = np.abs([*curve.ins[:, 1], *curve.outs[:, 1]]).max()
     return evaluate(curve, case["times"])[0], max(np.abs(values).max(), handles)
