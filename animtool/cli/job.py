@@ -14,11 +14,11 @@ from animtool.cli.help import command
 from animtool.cli.options import (
     FILE,
     ParsedType,
-    PositiveNumber,
     bake_option,
     common_options,
     count_or_auto,
     format_option,
+    parse_positive,
 )
 from animtool.core.names import has_kind_suffix
 from animtool.report.text import Template
@@ -66,7 +66,7 @@ Examples:
 )
 @click.option(
     "--task-seconds",
-    type=PositiveNumber(),
+    type=ParsedType("number", parse_positive),
     default=120.0,
     show_default=True,
     metavar="SECONDS",

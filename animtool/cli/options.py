@@ -94,22 +94,6 @@ def names_of(text: str | None) -> tuple[str, ...]:
     return tuple(name.strip() for name in (text or "").split(",") if name.strip())
 
 
-class PositiveNumber(click.FloatRange):
-    """Click type of numbers above 0."""
-
-    def __init__(self) -> None:
-        super().__init__(0, min_open=True)
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> Any:
-        """Return the parsed number, or fail if it is not positive."""
-        try:
-            return super().convert(value, param, ctx)
-        except click.BadParameter:
-            self.fail(f"{value!r} is not a number above 0.", param, ctx)
-
-
 class Count(click.IntRange):
     """Click type of integers with a minimum."""
 
@@ -132,6 +116,17 @@ def _parse_integer(text: str) -> int:
         value = -1
     if value < 0:
         raise ValueError(f"{text!r} is not a whole number from 0 up")
+    return value
+
+
+def parse_positive(text: str) -> float:
+    """Parse a number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not value > 0:
+        raise ValueError(f"{text!r} is not a number above 0")
     return value
 
 

@@ -10,7 +10,7 @@ from importlib.machinery import ModuleSpec
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from types import ModuleType
 
 OLD_NAMES = {
@@ -134,6 +134,18 @@ def renamed_arguments(
         return call_with_new_names
 
     return decorate
+
+
+def old_object(module: str, name: str, objects: Mapping[str, type]) -> type:
+    """Return a class by its old name, with a warning; for `__getattr__` of a module.
+
+    Raises:
+        AttributeError: The name is not among the old names.
+    """
+    if name not in objects:
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+    _warn(f"{module}.{name}", objects[name].__name__)
+    return objects[name]
 
 
 def _warn(old_text: str, new_text: str) -> None:

@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import nearest
-from animtool.core.old_names import rename_attributes, renamed_arguments
+from animtool.core.old_names import old_object, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -303,8 +303,11 @@ _OLD_FIELDS = {
 }
 rename_attributes(Pass, **_OLD_FIELDS)
 setattr(Pass, "__init__", renamed_arguments(**_OLD_FIELDS)(Pass.__init__))  # noqa: B010
-# The old name of `FrameScope`, for plug-ins.
-Scope = FrameScope
+
+
+def __getattr__(name: str) -> Any:
+    """Return `FrameScope` by its old name, which plug-ins may import."""
+    return old_object(__name__, name, {"Scope": FrameScope})
 
 
 def find_pass(name: str) -> Pass:

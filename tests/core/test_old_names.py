@@ -23,3 +23,20 @@ def test_an_old_argument_is_the_new_one() -> None:
     old: dict[str, float] = {"extent": 3.0}
     with pytest.warns(DeprecationWarning, match="extent"):
         assert half(**old) == 1.5
+
+
+def test_old_names_of_passes_warn() -> None:
+    with pytest.warns(DeprecationWarning, match="FrameScope"):
+        from animtool.motion.passes import Scope
+    from animtool.motion.passes import FrameScope, Pass
+
+    assert Scope is FrameScope
+    with pytest.warns(DeprecationWarning, match="needs_preroll"):
+        made = Pass("x", "y", dict, FrameScope.CLIP, lambda *_: None, settles=True)
+    assert made.needs_preroll
+    with pytest.warns(DeprecationWarning, match="needs_preroll"):
+        assert made.settles
+    with pytest.raises(AttributeError):
+        import animtool.motion.passes as passes
+
+        _ = passes.Unknown

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import field, replace
 
@@ -26,7 +25,11 @@ from animtool.capture.solve.sampling import (
     typical_noise,
 )
 from animtool.capture.solve.swapped import swapped_side_notices
-from animtool.capture.templates.match import MarkerMatch, match_markers
+from animtool.capture.templates.match import (
+    MarkerMatch,
+    match_markers,
+    resembling_names,
+)
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
@@ -38,7 +41,6 @@ from animtool.core.errors import (
     listed,
     with_notices,
 )
-from animtool.core.names import most_similar
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
@@ -252,12 +254,10 @@ def solve_markers(
 
 def _renamed_hint(match: MarkerMatch) -> str | None:
     """Return a hint with unused names that resemble missing markers, or None."""
-    unused = {re.sub(r"[^a-z0-9]", "", name.lower()): name for name in match.unused}
-    renamed = []
-    for name in match.missing:
-        similar_name = most_similar(re.sub(r"[^a-z0-9]", "", name.lower()), unused)
-        if similar_name is not None:
-            renamed.append(f"{unused[similar_name]!r} for {name!r}")
+    renamed = [
+        f"{captured_name!r} for {name!r}"
+        for name, captured_name in resembling_names(match.missing, match.unused)
+    ]
     if not renamed:
         return None
     return f"is it {listed(renamed, 8)}? add such names to `aliases` in the template"

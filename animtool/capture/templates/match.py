@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 
 import numpy as np
@@ -133,6 +134,32 @@ def _marker_columns(
     return columns
 
 
+def resembling_names(
+    names: Sequence[str], captured_names: Sequence[str]
+) -> list[tuple[str, str]]:
+    """Return pairs of a template's and a capture's names that resemble each other.
+
+    Each is the most similar name of the other; subject prefixes, case and punctuation
+    do not matter. The captured names are returned without their prefix.
+
+    >>> resembling_names(["LASI", "RASI"], ["Ann:L_ASIS", "Ann:C7"])
+    [('LASI', 'L_ASIS')]
+    """
+    bare_names = {_letters(name): _split_prefix(name)[1] for name in captured_names}
+    names_by_letters = {_letters(name): name for name in names}
+    pairs = []
+    for letters, name in names_by_letters.items():
+        similar = most_similar(letters, bare_names)
+        if similar is not None and most_similar(similar, names_by_letters) == letters:
+            pairs.append((name, bare_names[similar]))
+    return pairs
+
+
+def _letters(name: str) -> str:
+    """Return the lower-case letters and digits of a name without its prefix."""
+    return re.sub(r"[^a-z0-9]", "", _split_prefix(name)[1].lower())
+
+
 def _unmatched_fault(
     template: MarkerTemplate, labelled_names: Sequence[str], names: Sequence[str]
 ) -> Fault:
@@ -142,11 +169,9 @@ def _unmatched_fault(
         message = f"none of the {counted(len(names), 'point')} has a label"
         hint = "animtool mocap label gives points their names"
         return Fault("SOL001", message, hint=hint)
-    bare_names = [_split_prefix(name)[1] for name in labelled_names]
     suggestions = [
-        f"{name!r} is near {guess!r}"
-        for name in template.names
-        if (guess := most_similar(name, bare_names))
+        f"{name!r} is near {similar_name!r}"
+        for name, similar_name in resembling_names(template.names, labelled_names)
     ]
     suggestions_text = ", ".join(suggestions[:MAX_LISTED_NAMES])
     hint = f"{suggestions_text}: rename them in the template, or add aliases"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import ClassVar
 
@@ -65,11 +64,10 @@ def loop_source(
         else:
             cycle = measure_cycle(take, options.first, options.last)
     seconds = (cycle.last - cycle.first) / float(take.clock.fps)
-    notices = [*stream.notices, *cycle_notices(cycle, take, options)]
-    result = LoopResult(source, output, cycle, seconds, notices)
     if output is None:
+        notices = [*stream.notices, *cycle_notices(cycle, take, options)]
         refuse_warnings(notices, strict=strict)
-        return result
+        return LoopResult(source, output, cycle, seconds, notices)
     report = convert_with_passes(
         source,
         output,
@@ -79,4 +77,4 @@ def loop_source(
         strict=strict,
         progress=progress,
     )
-    return replace(result, written=report, notices=report.notices)
+    return LoopResult(source, output, cycle, seconds, report.notices, written=report)

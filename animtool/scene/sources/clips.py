@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from fractions import Fraction
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -60,6 +61,8 @@ def clip_stream(
     """Return the frames of a clip, with notices located in its file."""
     path = file.document.path
     count = _frame_count(file, clip)
+    # Streams do not keep the text of their file: it is read again for the first notice.
+    reopened = cache(lambda: _reopen(path))
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
     reported_pairs: set[tuple[str, str]] = set()
@@ -69,7 +72,7 @@ def clip_stream(
             # A clip may be sampled again, at other times.
             if (note.fault.code, note.target) not in reported_pairs:
                 reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_fault_of(path, rig, note))
+                stream.notices.append(_fault_of(path, reopened(), rig, note))
         return sampled.motion
 
     def curve(times: FloatArray) -> Motion:
@@ -91,14 +94,17 @@ def clip_stream(
     return stream
 
 
-def _fault_of(path: Path, rig: Rig, notice: ClipNotice) -> Fault:
-    """Return the fault of a notice, located at the key or channel that causes it.
-
-    The file is read again, since streams do not keep its text.
-    """
+def _reopen(path: Path) -> ClipFile | None:
+    """Return a clip file that was read before; None if it cannot be read any more."""
     try:
-        file = open_clip(path)
+        return open_clip(path)
     except FormatError:
+        return None
+
+
+def _fault_of(path: Path, file: ClipFile | None, rig: Rig, notice: ClipNotice) -> Fault:
+    """Return the fault of a notice, located at the key or channel that causes it."""
+    if file is None:
         return replace(notice.fault, path=str(path))
     document = file.document
     for i, channel in _causing_channels(file, rig, notice.target):

@@ -13,11 +13,11 @@ from animtool.core.quantities import length_text
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.scene.file.entries import SceneSystem
+from animtool.scene.systems.suspicious_forces import EARTH_GRAVITY
 from animtool.sim.colliders import Box, Collider, Colliders, Plane
 
 # A system that falls freely by more leaves the picture [m].
 MIN_FALL = 2.0
-EARTH = 9.81  # [m/s²]
 # Entries that start deeper than their size, by more than this, do so by mistake [m].
 MIN_DEPTH = 0.05
 # Thickness over width of a slab, and the sine of its slope when it is upright.
@@ -99,7 +99,7 @@ def _gravity(forces: Sequence[Mapping[str, Any]]) -> float:
         ((name, options),) = force.items()
         if name != "gravity":
             return 0.0
-        total += (options or {}).get("acceleration", (0.0, -EARTH, 0.0))
+        total += (options or {}).get("acceleration", (0.0, -EARTH_GRAVITY, 0.0))
     return float(np.linalg.norm(total))
 
 
