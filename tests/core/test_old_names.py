@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from animtool.core.old_names import renamed_arguments
+from animtool.motion import passes
 from animtool.motion.motion import Channel
 
 
@@ -36,7 +37,5 @@ def test_old_names_of_passes_warn() -> None:
     assert made.needs_preroll
     with pytest.warns(DeprecationWarning, match="needs_preroll"):
         assert made.settles
-    with pytest.raises(AttributeError):
-        import animtool.motion.passes as passes
-
-        _ = passes.Unknown
+    with pytest.raises(AttributeError, match="Unknown"):
+        passes.Unknown  # noqa: B018

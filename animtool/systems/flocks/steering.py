@@ -11,7 +11,7 @@ from animtool.systems.flocks.spec import PathModel
 
 # Members in a block, so that their distances fit into the cache.
 BLOCK_SIZE = 4096
-ROUNDING = 1e-9  # of a sum of displacements, which is no excess of speed [1]
+ROUNDING = 1e-9  # relative rounding error of a displacement [1]
 _TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
 
