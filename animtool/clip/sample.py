@@ -12,6 +12,7 @@ from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
+from animtool.core.quantities import percent_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -239,7 +240,7 @@ def _range_notices(
             hint = None if clamp else _CLAMP_HINT
             value = float(values[worst_frame])
             if not clamp and control.high == 1 and MIN_PERCENT <= value <= 100:
-                hint = f"for {value:g}% write {value / 100:g}"
+                hint = percent_hint(value)
             fault = Fault("CLIP101", message, severity=Severity.WARNING, hint=hint)
             target = f"control/{control.name}"
             amount = float(abs(excess[worst_frame]))

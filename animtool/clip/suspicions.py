@@ -12,7 +12,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.clip.suspicious_positions import root_translations, warn_of_positions
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
-from animtool.core.quantities import length_text
+from animtool.core.quantities import length_text, percent_hint
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.documents.document import Document, Location
@@ -402,7 +402,7 @@ def _warn_of_scale(
             f"{channel.target!r} is {smallest:.4g} or more at all keys; the rig, which "
             f"is {length_text(size)} tall, is {length_text(size * smallest)} with it"
         )
-        hint = f"1 is the size at rest: for {smallest:.4g}% write {smallest / 100:.4g}"
+        hint = f"1 is the size at rest: {percent_hint(smallest)}"
         document.warn("CLIP113", (*_key_location(i, 0), "v"), message, hint)
         return
 
@@ -419,7 +419,7 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
         return
     name = channels[i].target.removeprefix("shape/")
     message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
-    hint = f"for {largest:.4g}% write {largest / 100:.4g}"
+    hint = percent_hint(largest)
     k = int(channels[i].values[:, 0].argmax())
     document.warn("CLIP121", (*_key_location(i, k), "v"), message, hint)
 

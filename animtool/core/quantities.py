@@ -174,6 +174,15 @@ def frames_hint(seconds: float, rate: float) -> str | None:
     return f"{seconds:g} frames at {rate:.6g} frames per second are {duration}"
 
 
+def percent_hint(value: float) -> str:
+    """Return how to write a fraction that was given in percent.
+
+    >>> percent_hint(60), percent_hint(2.5)
+    ('for 60% write 0.6', 'for 2.5% write 0.025')
+    """
+    return f"for {value:.4g}% write {value / 100:.4g}"
+
+
 def size_text(size: float, digits: int = 3) -> str:
     """Return a size in bytes, kB, MB or GB.
 

@@ -13,6 +13,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.quantities import percent_hint
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.edit.between import TakeSampler
@@ -312,7 +313,7 @@ def _percentage_warnings(
         f"{speed_option} plays {abs(speed):g} times as fast: "
         f"of {clock_before.count} frames {clock_after.count} remain"
     )
-    hint = f"for {speed:g}% write {speed / 100:g}"
+    hint = percent_hint(speed)
     return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.names import most_similar
+from animtool.core.quantities import percent_hint
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.maths.tangents import auto_clamped
 
@@ -130,6 +131,6 @@ def _check_weight(weight: float, bounded: bool) -> None:
     if not math.isfinite(weight):
         raise OptionError(Fault("SCN014", f"a weight is {weight}, which is not finite"))
     if bounded and not 0 <= weight <= 1:
-        hint = f"for {weight:g}% write {weight / 100:g}" if 1 < weight <= 100 else None
+        hint = percent_hint(weight) if 1 < weight <= 100 else None
         message = f"weight {weight:g} is not between 0 and 1"
         raise OptionError(Fault("SCN014", message, hint=hint))

@@ -6,7 +6,7 @@ import math
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity
-from animtool.core.quantities import length_text
+from animtool.core.quantities import length_text, percent_hint
 
 # Default tolerances, which cause no warning [m], [deg], [1].
 LENGTH_TOLERANCE, ANGLE_TOLERANCE, WEIGHT_TOLERANCE = 1e-5, 1e-3, 1e-5
@@ -58,7 +58,7 @@ def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
         f"{argument('weight_tolerance')} {tolerance:g} hides every difference: the "
         f"largest is {largest:.3g}, and weights are from 0 to 1"
     )
-    hint = f"for {tolerance:g}% write {tolerance / 100:g}, or inf to ignore weights"
+    hint = f"{percent_hint(tolerance)}, or inf to ignore weights"
     return [_warning(message, hint)]
 
 

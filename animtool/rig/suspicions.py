@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray
 from animtool.core.errors import counted
+from animtool.core.quantities import percent_hint
 from animtool.documents.document import Document, Location
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import Driver, split_coordinate
@@ -248,7 +249,7 @@ def warn_of_stretch_percent(
         f"stretch {stretch:.4g} lets the limb stretch to {1 + stretch:.4g} times its "
         "length"
     )
-    hint = f"for {stretch:.4g}% write {stretch / 100:.4g}"
+    hint = percent_hint(stretch)
     document.warn("RIG114", location, message, hint)
 
 

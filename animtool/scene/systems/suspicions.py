@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import length_text, plain_number
+from animtool.core.quantities import length_text, percent_hint, plain_number
 from animtool.documents.document import Document, Location
 from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
 
@@ -69,7 +69,7 @@ def warn_of_sizes(
     stretch = values.get("stretch")
     if isinstance(stretch, int | float) and stretch >= MAX_STRETCH:
         message = f"stretch {stretch:g} allows springs {1 + stretch:g} times as long"
-        hint = f"for {stretch:g}% write {stretch / 100:g}"
+        hint = percent_hint(stretch)
         document.warn("SIM200", (*location, "stretch"), message, hint)
 
 
@@ -145,7 +145,7 @@ def _warn_of_ratio(
         ratio = family.get("ratio")
         if isinstance(ratio, int | float) and ratio > MAX_RATIO:
             message = f"ratio {ratio:g} is {ratio:g} times critical damping"
-            hint = f"for {ratio:g}% write {ratio / 100:g}"
+            hint = percent_hint(ratio)
             inner = ("springs", key) if key else ()
             document.warn("SIM200", (*location, *inner, "ratio"), message, hint)
             return
@@ -207,7 +207,7 @@ def _warn_of_body(
     _warn_of_matter(document, location, body)
     if isinstance(friction, int | float) and friction > MAX_FRICTION:
         message = f"friction {friction:g} is {friction:g} times the normal force"
-        hint = f"for {friction:g}% write {friction / 100:g}"
+        hint = percent_hint(friction)
         document.warn("SIM200", (*location, "friction"), message, hint)
     volume, mass = shape_volume(body.get("shape") or {}), body.get("mass")
     if mass and volume > 0 and mass > MAX_DENSITY * volume:

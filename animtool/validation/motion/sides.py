@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed
-from animtool.core.quantities import plain_number
+from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
 from animtool.validation.motion.body import body_carriers, feet_of
 from animtool.validation.motion.subject import MotionSubject
@@ -88,7 +88,7 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     largest = float(np.abs(values).max())
     hint = "weights must be from 0 to 1"
     if largest > MIN_PERCENT_WEIGHT:
-        hint += f"; for {largest:.4g}% write {largest / 100:.4g}"
+        hint += f"; {percent_hint(largest)}"
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
 
