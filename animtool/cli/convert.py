@@ -155,7 +155,8 @@ def _resolve_output(
         raise click.UsageError("OUTPUT and -o both name the output: use one of them.")
     argument_or_option = output or output_option
     if argument_or_option is None:
-        raise click.UsageError("Missing argument 'OUTPUT'.")
+        context = click.get_current_context()
+        raise click.MissingParameter(None, context, None, "'OUTPUT'", "argument")
     refuse_swapped(source, argument_or_option, "SOURCE and OUTPUT")
     return argument_or_option
 

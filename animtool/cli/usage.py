@@ -96,6 +96,8 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
         misplaced := _misplaced_argument(error, context)
     ):
         text = misplaced
+    elif isinstance(error, click.MissingParameter):
+        text = _missing_text(error, context)
     elif choice := _CHOICE_MESSAGE.search(error.format_message()):
         names = re.findall(r"'([^']*)'", choice[2])
         param = getattr(error, "param", None)
@@ -116,7 +118,19 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
         )
     else:
         return error
-    return click.UsageError(text if text.endswith("?") else f"{text}.", context)
+    ends_sentence = text.endswith("?") or isinstance(error, click.MissingParameter)
+    return click.UsageError(text if ends_sentence else f"{text}.", context)
+
+
+def _missing_text(error: click.MissingParameter, context: click.Context) -> str:
+    """Return what a missing argument or option takes, with an example if it has one."""
+    param = error.param
+    text = " ".join(error.format_message().rstrip(".").split())
+    if isinstance(param, click.Option) and param.help:
+        text += f": {re.split('[.;(] | [(]', param.help)[0].rstrip('.')}"
+    lines = (context.command.epilog or "").splitlines()
+    example = next((line.strip() for line in lines if "animtool " in line), None)
+    return f"{text}; for example {example}" if example else text
 
 
 def _misplaced_argument(

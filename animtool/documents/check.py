@@ -16,10 +16,12 @@ from animtool.documents.document import Document, Location
 from animtool.documents.model_faults import (
     LocatedFaults,
     ModelFaults,
+    intended_choices,
     intended_key_hint,
     warn_renamed_key,
     wrong_values,
 )
+from animtool.documents.placeholders import set_value_at
 from animtool.documents.versions import MIGRATION_STEPS, newest, renamed_key, version_of
 
 if TYPE_CHECKING:
@@ -114,10 +116,17 @@ def record_of_options(
                 options[str(key)],
                 str(key),
             )
-    try:
-        return TypeAdapter(kind).validate_python(known_options), faults
-    except ValidationError as error:
-        wrong_options = wrong_values(known_options, error)
+    while True:
+        try:
+            return TypeAdapter(kind).validate_python(known_options), faults
+        except ValidationError as error:
+            choices = intended_choices(known_options, error)
+            if not choices:
+                wrong_options = wrong_values(known_options, error)
+                break
+            known_options = copy.deepcopy(known_options)
+            for location, choice in choices:
+                set_value_at(known_options, location, choice)
     return None, faults + [
         (
             (keys.get(str(location[0]), location[0]), *location[1:])

@@ -284,7 +284,10 @@ def with_position(fault: Fault) -> Fault:
 
 
 @expects_format(
-    "DOC007", DOCUMENT, "write the name of a file that ends in .yaml or .json"
+    "DOC007",
+    DOCUMENT,
+    "a file that ends in .yaml or .json is needed; animtool bake and "
+    "animtool.open_source read takes of other formats",
 )
 def read_document(path: Path) -> Document:
     """Read a YAML or JSON file."""
@@ -301,7 +304,7 @@ def document_of(text: str, path: Path) -> Document:
     try:
         value, marks = read_values(text, path)
     except FormatError as error:
-        raise FormatError(_first_faults(error.faults)) from error
+        raise FormatError(_first_faults(error.faults)) from None
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
         hint = f"start it with a line such as '{kind_of_name(path)}: animtool/1'"

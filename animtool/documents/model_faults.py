@@ -30,6 +30,7 @@ from animtool.documents.placeholders import (
 )
 from animtool.documents.value_faults import (
     expected_structures,
+    intended_choice,
     is_euler_angles,
     is_type_fault,
     value_hint,
@@ -71,6 +72,13 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
             (location, Fault("SCN002", values_message(faults), hint=hint))
         )
     return located_faults
+
+
+def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
+    """Return the values that are allowed apart from their case, with their location."""
+    groups = _group_by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
+    choices = [(key[0], intended_choice(faults)) for key, faults in groups.items()]
+    return [(location, choice) for location, choice in choices if choice is not None]
 
 
 def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
@@ -318,6 +326,10 @@ class ModelFaults:
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
         value = faults[0]["input"]
+        choice = intended_choice(faults)
+        if choice is not None:
+            set_value_at(self.value, location, choice)
+            return
         if self._record_wrong_entry(location, faults):
             return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":

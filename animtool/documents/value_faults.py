@@ -242,9 +242,7 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = re.findall(r"'([^']*)'", str(allowed))
             if _is_repeated(value, names):
                 return "name each axis once"
-            ignoring_case = next(
-                (name for name in names if name.lower() == value.lower()), None
-            )
+            ignoring_case = _name_ignoring_case(value, names)
             if ignoring_case is not None:
                 return f"write {ignoring_case}"
             word = value.lower().replace("_", "")
@@ -255,6 +253,28 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             if similar_name is not None:
                 return f"did you mean {similar_name!r}?"
     return None
+
+
+def intended_choice(faults: Sequence[Any]) -> str | None:
+    """Return the allowed value that differs from the given one in case only.
+
+    Euler orders are excluded, since some tools write extrinsic ones in lower case.
+    """
+    (fault, *other_faults) = faults
+    value, allowed = fault["input"], fault.get("ctx", {}).get("expected", "")
+    if (
+        other_faults
+        or fault["type"] not in _CHOICE_FAULTS
+        or not isinstance(value, str)
+    ):
+        return None
+    names = re.findall(r"'([^']*)'", str(allowed))
+    return None if "XYZ" in names else _name_ignoring_case(value, names)
+
+
+def _name_ignoring_case(value: str, names: Sequence[str]) -> str | None:
+    """Return the name that equals a value apart from case."""
+    return next((name for name in names if name.lower() == value.lower()), None)
 
 
 def _is_repeated(value: str, names: Sequence[str]) -> bool:

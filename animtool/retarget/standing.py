@@ -5,13 +5,13 @@ It is inferred from limbs, trunk and head, independent of names, and from motion
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
-from animtool.core.arguments import argument
+from animtool.core.arguments import ArgumentNamer, argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import length_text
@@ -334,10 +334,15 @@ def with_source_warnings(
     stream: TakeStream,
     up: UpAxis | None = None,
     unit: LengthUnit | None = None,
+    *,
+    namer: ArgumentNamer | None = None,
+    reported_codes: Collection[str] = (),
 ) -> TakeStream:
     """Return a stream with warnings about its rate, its size and its up axis.
 
-    ``unit`` and ``up`` are those that the user chose.
+    ``unit`` and ``up`` are those that the user chose. With a ``namer``, all notices of
+    the stream name arguments by it. Warnings about the rate are left out if the
+    reader's notices or ``reported_codes`` contain one.
 
     MOT214 is determined from the first block: a warning if the user chose the axis
     ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
@@ -350,13 +355,20 @@ def with_source_warnings(
     reader = reader_of(path)
     has_rate = reader is not None and "fps" in reader.options
     rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
-    if known_codes.isdisjoint({"BVH105", "TAKE009"}):
+
+    def add_notices(notices: Iterable[Fault]) -> None:
         stream.notices.extend(
-            replace(notice, path=str(path)) for notice in rate_warnings
+            notice if namer is None else notice.worded(namer) for notice in notices
         )
+
+    reader_notices = stream.notices[:]
+    stream.notices.clear()
+    add_notices(reader_notices)
+    if {*known_codes, *reported_codes}.isdisjoint({"BVH105", "TAKE009"}):
+        add_notices(replace(notice, path=str(path)) for notice in rate_warnings)
     file_format = stream.details.get("format")
     if unit is not None and "RIG217" not in known_codes and file_format != "markers":
-        stream.notices.extend(_size_warning(path, stream.rig, unit))
+        add_notices(_size_warning(path, stream.rig, unit))
     is_stated = up is None and file_format not in {"BVH", "markers"}
     severity = (
         Severity.NOTE if up is None and file_format == "BVH" else Severity.WARNING
@@ -366,10 +378,9 @@ def with_source_warnings(
         """Yield the blocks; check the first for its up axis."""
         for i, block in enumerate(stream.blocks):
             if i == 0 and file_format not in {"BVH", "markers"}:
-                stream.notices.extend(order_warning(stream.rig, block, str(path)))
+                add_notices(order_warning(stream.rig, block, str(path)))
             if i == 0 and not is_stated:
-                notices = lying_body_notices(path, stream.rig, block, severity, up)
-                stream.notices.extend(notices)
+                add_notices(lying_body_notices(path, stream.rig, block, severity, up))
             yield block
 
     return replace(stream, blocks=blocks())

@@ -9,6 +9,7 @@ from fractions import Fraction
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from animtool.core.arguments import file_key
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError
 from animtool.core.plugins import load_object
@@ -29,7 +30,7 @@ from animtool.scene.file.entries import (
     SceneSystem,
 )
 from animtool.scene.file.pass_order import with_order_hints
-from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.scene.sources.open import SourceOptions, open_checked, open_source
 from animtool.scene.sources.retime import Preroll, drop_first, in_shot, with_preroll
 
 if TYPE_CHECKING:
@@ -399,7 +400,7 @@ class Scene:
         """Return the stream of all sources, joined."""
         if len(self.sources) == 1:
             (source,) = self.sources
-            stream = open_source(source.path, source.options, progress=progress)
+            stream = self._open_source(source, progress)
             if progress is not None and stream.count:
                 blocks = with_progress(
                     stream.blocks, stream.count, progress, lambda block: block.frames
@@ -412,7 +413,7 @@ class Scene:
         faults: list[Fault] = []
         for source in self.sources:
             try:
-                stream = open_source(source.path, source.options)
+                stream = self._open_source(source)
             except AnimtoolError as error:
                 faults += map(source.location.locate, error.faults)
                 continue
@@ -433,6 +434,18 @@ class Scene:
                 join_sources(source_parts[0], source_parts[1:]), report_replaced=True
             )
         return replace(stream, blocks=_located_blocks(first.location, stream.blocks))
+
+    def _open_source(
+        self, source: SceneSource, progress: Progress = None
+    ) -> TakeStream:
+        reported_codes = {notice.code for notice in self.notices}
+        return open_checked(
+            source.path,
+            source.options,
+            namer=file_key,
+            reported_codes=reported_codes,
+            progress=progress,
+        )
 
     def _take(self, path: Path) -> Take:
         return open_source(path, SourceOptions(rig=self.rig)).collect()

@@ -86,6 +86,23 @@ def test_an_up_axis_that_the_body_contradicts(
     assert "MOT214" not in "".join(warnings(*words, "--up", right, *again))
 
 
+@pytest.mark.parametrize("right", ["Y", "Z"])
+def test_an_up_axis_of_a_scene_that_the_body_contradicts(
+    right: str, tmp_path: Path
+) -> None:
+    write_bvh(
+        reorient(open_source(WALK), UpAxis(right)).collect(), tmp_path / "walk.bvh"
+    )
+    scene, wrong = tmp_path / "a.scene.yaml", "Z" if right == "Y" else "Y"
+    text = "scene: animtool/1\nsource: {file: walk.bvh, up: %s}\noutput: a.usdc\n"
+    scene.write_text(text % wrong.lower(), "utf-8")
+    (line,) = [line for line in warnings("bake", scene) if "MOT214" in line]
+    assert f"stands along {right}, but up: {wrong} was given" in line
+    assert line.endswith(f"read it with up: {right}")
+    scene.write_text(text % right.lower(), "utf-8")
+    assert "MOT214" not in "".join(warnings("bake", scene, "--overwrite"))
+
+
 @pytest.mark.parametrize(("right", "along"), [("Z", "Z"), ("Y", "-Z")])
 def test_a_solve_whose_body_lies(right: str, along: str, tmp_path: Path) -> None:
     """A walk with one axis up, in a file of markers that is read with the other."""

@@ -28,6 +28,11 @@ class Square(FileModel):
     shown: bool = True
 
 
+class Turned(FileModel):
+    up: Literal["Y", "Z"] = "Y"
+    order: Literal["XYZ", "ZYX"] = "XYZ"
+
+
 class Box(FileModel):
     rig: str
     items: list[Annotated[Square | Round, Field(discriminator="type")]] = Field(

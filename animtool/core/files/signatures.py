@@ -168,11 +168,11 @@ def expects_format(
                 return read(path, *args, **options)
             except FormatError as error:
                 if error.code != "IO001" and expected != DOCUMENT and _is_empty(path):
-                    raise empty_error(error.code, path) from error
+                    raise empty_error(error.code, path) from None
                 fault = format_mismatch(code, path, expected, hint)
                 if fault is None:
                     raise
-                raise FormatError(fault) from error
+                raise FormatError(fault) from None
 
         return cast(_ReaderT, read_checked)
 

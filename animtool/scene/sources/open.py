@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from animtool.core.arguments import argument
+from animtool.core.arguments import ArgumentNamer, argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, note_input
 from animtool.core.names import has_kind_suffix
@@ -362,17 +362,31 @@ def open_source(
 
 
 def open_checked(
-    path: Path, options: SourceOptions | None = None, *, progress: Progress = None
+    path: Path,
+    options: SourceOptions | None = None,
+    *,
+    namer: ArgumentNamer | None = None,
+    reported_codes: Collection[str] = (),
+    progress: Progress = None,
 ) -> TakeStream:
     """Open a source like `open_source`, with warnings about its rate, size and up axis.
 
-    They are added to its notices, some of them when its first block is read.
+    They are added to its notices, some of them when its first block is read. With a
+    ``namer``, its notices name arguments by it. Warnings about the rate are left out if
+    ``reported_codes`` contain one.
     """
     from animtool.retarget.standing import with_source_warnings
 
     options = options or SourceOptions()
     stream = open_source(path, options, progress=progress)
-    return with_source_warnings(path, stream, options.up, options.unit)
+    return with_source_warnings(
+        path,
+        stream,
+        options.up,
+        options.unit,
+        namer=namer,
+        reported_codes=reported_codes,
+    )
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
