@@ -6,8 +6,17 @@ import numpy as np
 import pytest
 from support.attached import moved, sheet_rig, simulated, strands_rig, tail_rig, take_of
 
+from animtool.maths import so3
+from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
-from animtool.sim.colliders import Box, Capsule, Collider, Poses
+from animtool.sim.colliders import Box, Capsule, Collider, Poses, Sphere
+from animtool.systems.attach.settings import SimulateOptions
+from animtool.systems.attach.take_pass import simulate
+from animtool.systems.framework.meter import (
+    VISIBLE_DEPTH,
+    VISIBLE_STRAIN,
+    VISIBLE_STRAIN_99,
+)
 
 RADIUS = 0.01
 DOWN = (0.0, 0.0, -np.pi / 2)
@@ -55,3 +64,46 @@ def test_a_thin_rod_takes_what_hangs_along(kind: str, speed: float, shape: str) 
     lines = lines.swapaxes(0, 1) if kind == "cloth" else lines
     assert crossings(lines, height).min(initial=1.0) > 0.1
     assert points[7, :, 2].max() > 0.1
+
+
+# What is thrust at cloth, in the scale of the character.
+THRUST = {
+    "rod": Capsule(RADIUS, 1.0, (1.0, 0.0, 0.0)),
+    "bar": Box((1.0, 2 * RADIUS, 2 * RADIUS)),
+    "pebble": Sphere(RADIUS),
+    "ball": Sphere(5 * RADIUS),
+}
+# Where it begins and ends, and how it is turned [rad].
+PATHS = {
+    "through": ((0.15, -0.2, -0.2), (0.15, -0.2, 0.3), (0.0, 0.0, 0.6)),
+    "up": ((0.15, -0.5, -0.02), (0.15, -0.05, -0.02), (0.0, 0.7, 0.0)),
+    "along": ((-0.3, -0.2, 0.0), (0.5, -0.2, 0.0), (0.0, np.pi / 2, 0.0)),
+    "across": ((-0.1, -0.4, -0.2), (0.3, -0.1, 0.2), (0.3, 0.5, 0.4)),
+}
+
+
+@pytest.mark.parametrize("shape", THRUST)
+@pytest.mark.parametrize("speed", [5.0, 20.0])
+@pytest.mark.parametrize("path", PATHS)
+def test_cloth_that_a_fast_thin_object_hits_pierces_nothing(
+    path: str, speed: float, shape: str
+) -> None:
+    """Far corners of the faces that an object moves are tested against other faces.
+
+    With the near corners alone, 2 to 7 pairs pierced each other in five of these.
+    """
+    first, last, turn = PATHS[path]
+    places = np.array([first, last])
+    seconds = float(np.linalg.norm(places[1] - places[0])) / speed
+    turns = np.tile(so3.exp(np.array(turn)), (2, 1))
+    poses = Poses(np.array([0.1, 0.1 + seconds]), places, turns)
+    thrown = Collider(THRUST[shape], poses=poses, friction=0.3)
+    take = take_of(sheet_rig(10), 48, 0.3 + seconds)
+    options = SimulateOptions(("flag",), colliders=(thrown,), settle=0.3)
+    stream = simulate(TakeStream.of(take), options)
+    stream.collect()
+    (report,) = stream.simulated
+    assert report["pierced"]["value"] == 0
+    assert report["depth"]["value"] < VISIBLE_DEPTH
+    assert report["strain"]["value"] < VISIBLE_STRAIN
+    assert report["strain_99"]["value"] < VISIBLE_STRAIN_99
