@@ -66,20 +66,43 @@ def test_a_thin_rod_takes_what_hangs_along(kind: str, speed: float, shape: str) 
     assert points[7, :, 2].max() > 0.1
 
 
-# What is thrust at cloth, in the scale of the character.
+# Length of the sides of a sheet, in which the objects and paths below are given [m].
+SIDE = 0.3
+# What is thrust at cloth with cells of 3.3 cm, for a scale [1].
 THRUST = {
-    "rod": Capsule(RADIUS, 1.0, (1.0, 0.0, 0.0)),
-    "bar": Box((1.0, 2 * RADIUS, 2 * RADIUS)),
-    "pebble": Sphere(RADIUS),
-    "ball": Sphere(5 * RADIUS),
+    "rod": lambda scale: Capsule(RADIUS * scale, scale, (1.0, 0.0, 0.0)),
+    "bar": lambda scale: Box((scale, 2 * RADIUS * scale, 2 * RADIUS * scale)),
+    "pebble": lambda scale: Sphere(RADIUS * scale),
+    "ball": lambda scale: Sphere(5 * RADIUS * scale),
 }
-# Where it begins and ends, and how it is turned [rad].
+# Where it begins and ends [m], and how it is turned [rad]. What moves along the sheet
+# is a little beside its plane: pushed in its plane, a flat sheet has no side to go to.
 PATHS = {
     "through": ((0.15, -0.2, -0.2), (0.15, -0.2, 0.3), (0.0, 0.0, 0.6)),
-    "up": ((0.15, -0.5, -0.02), (0.15, -0.05, -0.02), (0.0, 0.7, 0.0)),
-    "along": ((-0.3, -0.2, 0.0), (0.5, -0.2, 0.0), (0.0, np.pi / 2, 0.0)),
+    "up": ((0.15, -0.5, -0.02), (0.15, -0.1, -0.02), (0.0, 0.7, 0.0)),
+    "along": ((-0.3, -0.2, 0.004), (0.5, -0.2, 0.004), (0.0, np.pi / 2, 0.0)),
     "across": ((-0.1, -0.4, -0.2), (0.3, -0.1, 0.2), (0.3, 0.5, 0.4)),
 }
+COUNT = 10
+
+
+def hit(path: str, speed: float, shape: str, scale: float = 1.0) -> dict[str, float]:
+    """Return the worst of all frames of a sheet that an object hits."""
+    first, last, turn = PATHS[path]
+    places = scale * np.array([first, last])
+    seconds = float(np.linalg.norm(places[1] - places[0])) / speed
+    turns = np.tile(so3.exp(np.array(turn)), (2, 1))
+    poses = Poses(np.array([0.1, 0.1 + seconds]), places, turns)
+    thrown = Collider(THRUST[shape](scale), poses=poses, friction=0.3)
+    take = take_of(sheet_rig(COUNT, side=SIDE * scale), 48, 0.3 + seconds)
+    options = SimulateOptions(
+        ("flag",), colliders=(thrown,), settle=0.3, radius=0.005 * scale
+    )
+    stream = simulate(TakeStream.of(take), options)
+    stream.collect()
+    (report,) = stream.simulated
+    measures = ("pierced", "depth", "strain", "strain_99")
+    return {name: report[name]["value"] for name in measures}
 
 
 @pytest.mark.parametrize("shape", THRUST)
@@ -90,20 +113,23 @@ def test_cloth_that_a_fast_thin_object_hits_pierces_nothing(
 ) -> None:
     """Far corners of the faces that an object moves are tested against other faces.
 
-    With the near corners alone, 2 to 7 pairs pierced each other in five of these.
+    With the near corners alone, 2 to 7 pairs pierced each other in five of these. One
+    side in a hundred was strained by 9 %, with two passes over strain and contact, and
+    cells of time that were repeated only above twice the strain limit.
     """
-    first, last, turn = PATHS[path]
-    places = np.array([first, last])
-    seconds = float(np.linalg.norm(places[1] - places[0])) / speed
-    turns = np.tile(so3.exp(np.array(turn)), (2, 1))
-    poses = Poses(np.array([0.1, 0.1 + seconds]), places, turns)
-    thrown = Collider(THRUST[shape], poses=poses, friction=0.3)
-    take = take_of(sheet_rig(10), 48, 0.3 + seconds)
-    options = SimulateOptions(("flag",), colliders=(thrown,), settle=0.3)
-    stream = simulate(TakeStream.of(take), options)
-    stream.collect()
-    (report,) = stream.simulated
-    assert report["pierced"]["value"] == 0
-    assert report["depth"]["value"] < VISIBLE_DEPTH
-    assert report["strain"]["value"] < VISIBLE_STRAIN
-    assert report["strain_99"]["value"] < VISIBLE_STRAIN_99
+    worst = hit(path, speed, shape)
+    assert worst["pierced"] == 0
+    assert worst["depth"] < VISIBLE_DEPTH
+    assert worst["strain"] < VISIBLE_STRAIN
+    assert worst["strain_99"] < VISIBLE_STRAIN_99
+
+
+@pytest.mark.parametrize("shape", ["rod", "ball"])
+@pytest.mark.parametrize("path", ["through", "up"])
+def test_a_small_character_is_hit_alike(path: str, shape: str) -> None:
+    """A tenth of the size, at a speed of as many cells a second."""
+    worst = hit(path, 2.0, shape, scale=0.1)
+    assert worst["pierced"] == 0
+    assert worst["depth"] < 0.1 * VISIBLE_DEPTH
+    assert worst["strain"] < VISIBLE_STRAIN
+    assert worst["strain_99"] < VISIBLE_STRAIN_99
