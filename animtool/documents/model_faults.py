@@ -214,6 +214,13 @@ class ModelFaults:
                 ):
                     where = location_text((*location, only_key))
                     return f"it is a key of {where}: write it there"
+        for absent_key in fields_at(self.model, self.value, mapping):
+            for steps in ((absent_key,), (absent_key, 0)):
+                annotation = annotation_at(self.model, self.value, (*mapping, *steps))
+                if absent_key not in node and any(
+                    key in fields_of(kind) for kind in models_of(annotation)
+                ):
+                    return f"it is a key of {absent_key!r}: write it there"
         return None
 
     def _record_unrecognised_entry(self, mapping: Location) -> bool:
