@@ -251,8 +251,8 @@ def _goals_by_name(
             faults.append(Fault("IK006", f"{name!r} has two goals"))
         by_name[name] = None if isinstance(goal, str) else goal
     chains = [chain.name for chain in rig.chains]
-    for name, goal in by_name.items():
-        names = rig.names if goal else [*chains, *rig.names]
+    for name, named_goal in by_name.items():
+        names = rig.names if named_goal else [*chains, *rig.names]
         faults += _unknown_joint_faults(rig, name, names)
     for name in joints:
         faults += _unknown_joint_faults(rig, name, rig.names)
