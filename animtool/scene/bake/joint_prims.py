@@ -260,7 +260,7 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
         plan.notices.append(
             Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
         )
-    first_code = float(Fraction(1) if stream.start is None else stream.start)
+    first_code = float(stream.first_frame)
     ratio = float(plan.fps / stream.fps)
     return {
         name: curves.with_linear_time(first_code, ratio, float(plan.start))

@@ -227,6 +227,6 @@ def _retarget(
     result = RetargetResult(
         job.source, job.rig, retargeting, joint_map, stream.rig, rig, notices, seconds
     )
-    result.start = Fraction(1) if stream.start is None else stream.start
+    result.start = stream.first_frame
     result.rate = stream.fps / stream.step
     return drive_stream(solved_stream), result
