@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -51,9 +51,6 @@ from animtool.usd.layers.sdf import layer_span
 from animtool.usd.props.placement import build_prop_placements
 from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import STRAND_WIDTH
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass
