@@ -165,7 +165,7 @@ def describe_targets(path: Path) -> TargetsDescription:
         path,
         "" if tracks.fps is None else rate_label(tracks.fps),
         float(clock.start),
-        float(clock.start + (clock.count - 1) * clock.step),
+        float(clock.span.last),
         goals,
         tracks.notices,
     )
