@@ -353,7 +353,7 @@ class BakeOptions:
         start: Any = self.start
         if not isinstance(start, Fraction | None):
             object.__setattr__(self, "start", _frame_option(start))
-        if self.frame_range is not None:
+        if not isinstance(self.frame_range, FrameRange | None):
             object.__setattr__(self, "frame_range", _range_option(self.frame_range))
         if self.shot is not None:
             if self.frame_range is None:

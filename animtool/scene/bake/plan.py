@@ -374,7 +374,9 @@ def _reorient_to_stage(
     if not keeps_placement:
         streams = [remove_placement(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up
-    return [reorient(stream, up) for stream in streams]
+    return [
+        stream if stream.rig.up is up else reorient(stream, up) for stream in streams
+    ]
 
 
 def _map_to_rig_layer(

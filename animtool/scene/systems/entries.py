@@ -221,7 +221,8 @@ class EntryReader:
         """
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
-        if entry_poses.faults():
+        has_keys = model.moves or model.turns or model.prim is not None
+        if not has_keys or entry_poses.faults():
             return entry_poses
         if model.prim is not None:
             return self._prim_poses(location, model, entry_poses, code)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 from animtool.core.quantities import length_text, percent_hint, plain_number
@@ -76,18 +76,15 @@ def warn_of_sizes(
 def _warn_of_length(
     document: Document, location: Location, key: str, values: Mapping[str, Any]
 ) -> None:
-    for length in _implausible_length(values.get(key)):
-        message = f"{key} {length:g} makes the surface {length_text(2 * length)} thick"
-        if key == "thickness":
-            message = f"thickness {length:g} is {length_text(length)}, in metres"
-        hint = f"for {length:g} mm write {length / 1000:g}"
-        document.warn("SIM200", (*location, key), message, hint)
-
-
-def _implausible_length(value: object) -> Iterator[float]:
-    """Yield a length without a unit, if it is implausible [m]."""
-    if isinstance(value, int | float) and value >= MAX_THICKNESS:
-        yield float(value)
+    length = values.get(key)
+    # Lengths with a unit are texts.
+    if not isinstance(length, int | float) or length < MAX_THICKNESS:
+        return
+    message = f"{key} {length:g} makes the surface {length_text(2 * length)} thick"
+    if key == "thickness":
+        message = f"thickness {length:g} is {length_text(length)}, in metres"
+    hint = f"for {length:g} mm write {length / 1000:g}"
+    document.warn("SIM200", (*location, key), message, hint)
 
 
 def _warn_of_matter(
