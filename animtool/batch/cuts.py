@@ -198,10 +198,8 @@ class _CutReader:
             edl = read_edl(self.path)
             if not edl.events:
                 return None
-            self.fps, self.is_drop_frame = (
-                edl_rate(edl, self.options.fps),
-                edl.is_all_drop_frame,
-            )
+            self.fps = edl_rate(edl, self.options.fps)
+            self.is_drop_frame = edl.is_all_drop_frame
             timeline, notices = edl_timeline(edl, self.fps)
         self.cuts.notices += notices
         return timeline
@@ -254,10 +252,8 @@ class _CutReader:
         media_file = self.find_media_file(clip, clip_text)
         if media_file is None:
             return
-        clip_metadata, settings = (
-            self.metadata(clip, clip_text),
-            find_config(self.path),
-        )
+        clip_metadata = self.metadata(clip, clip_text)
+        settings = find_config(self.path)
         context = CutContext(
             self.options, clip_metadata, self.timeline_metadata, settings
         )

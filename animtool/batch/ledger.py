@@ -53,9 +53,8 @@ MAX_MESSAGE = 10_000
 class Failures:
     """The failed items of earlier runs."""
 
-    reasons: dict[str, str] = field(
-        default_factory=dict
-    )  # failure of each item, by key
+    # Failure of each item, by key.
+    reasons: dict[str, str] = field(default_factory=dict)
     length: int = 0  # length of the readable part [bytes]
     damaged: tuple[Fault, ...] = ()  # warnings about unusable lines
 

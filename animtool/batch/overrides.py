@@ -76,10 +76,8 @@ def resolve_overrides(
         if not locations:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
-            file, location = (
-                None if path is None else str(path),
-                f"overrides[{i}].inputs",
-            )
+            file = None if path is None else str(path)
+            location = f"overrides[{i}].inputs"
             warning = Severity.WARNING
             notices.append(
                 Fault("BAT066", message, file, (), hint, warning, where=location)

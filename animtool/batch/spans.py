@@ -78,10 +78,8 @@ def span_of(shown_clip: ShownClip) -> Span:
     Backwards, a clip plays its range from the last frame to the first.
     """
     trimmed_range = shown_clip.clip.trimmed_range()
-    start, length = (
-        seconds_of(trimmed_range.start_time),
-        seconds_of(trimmed_range.duration),
-    )
+    start = seconds_of(trimmed_range.start_time)
+    length = seconds_of(trimmed_range.duration)
     rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown_clip.clip)
     visible_begin, visible_end = (
         (Fraction(0), length)

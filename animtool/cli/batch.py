@@ -307,10 +307,8 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     last_input, path = inputs[-1], Path(inputs[-1])
     readable_suffixes = (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     if path.is_dir():
-        is_output, state = (
-            any(matching_files(last_input, readable_suffixes)),
-            "has no file to bake",
-        )
+        is_output = any(matching_files(last_input, readable_suffixes))
+        state = "has no file to bake"
     else:
         is_output = (
             path.exists()

@@ -117,15 +117,13 @@ class Option:
     # Options that it excludes, with the message if it is not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
     goes_with: str = ""  # another option that it requires, if any
-    missing_message: str = (
-        ""  # message if that option is missing, if it is not the default
-    )
+    # Message if that option is missing, if it is not the default.
+    missing_message: str = ""
     scene: Key | None = None
     batch: Key | None = None
     help: str = ""  # help on the command line; empty if commands declare their own
-    metavar: str | None = (
-        None  # placeholder of the value in help; None uses that of its kind
-    )
+    # Placeholder of the value in help; None uses that of its kind.
+    metavar: str | None = None
     choices: tuple[str, ...] = ()  # on the command line; for a switch, off and on
     min_count: int = 0  # minimum of a count
     reason: str = ""  # why a source may not have it

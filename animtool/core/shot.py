@@ -166,10 +166,8 @@ class Shot:
         if self.fps is not None:
             text += f", {rate_label(self.fps)}"
         if self.places_media:
-            first_time, last_time = (
-                self.seconds_at(self.cut_in),
-                self.seconds_at(self.cut_out),
-            )
+            first_time = self.seconds_at(self.cut_in)
+            last_time = self.seconds_at(self.cut_out)
             text += (
                 f", {float(first_time):.6g} s to {float(last_time):.6g} s of its media"
             )
@@ -180,10 +178,8 @@ class Shot:
         """Media times and speed; empty without placed media."""
         if not self.places_media:
             return {}
-        first_time, last_time = (
-            self.seconds_at(self.cut_in),
-            self.seconds_at(self.cut_out),
-        )
+        first_time = self.seconds_at(self.cut_in)
+        last_time = self.seconds_at(self.cut_out)
         speed = float(self.speed)
         return {
             "media_in": float(first_time),

@@ -195,10 +195,8 @@ def _point_mismatch(first: PointSample, second: PointSample) -> str:
             return f"the second file has no point with the id {int(unmatched_ids[0])}"
     if first.prototype_indices is not None and second.prototype_indices is not None:
         ids, first_indices, second_indices = _matched_indices(first, second)
-        first_meshes, second_meshes = (
-            first.prototype_indices[first_indices],
-            second.prototype_indices[second_indices],
-        )
+        first_meshes = first.prototype_indices[first_indices]
+        second_meshes = second.prototype_indices[second_indices]
         (differing_rows,) = np.nonzero(first_meshes != second_meshes)
         if len(differing_rows):
             row = int(differing_rows[0])

@@ -320,11 +320,9 @@ def _with_goal_tolerances(job: IkJob) -> TakeOptions:
 
 def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     """Return the errors above which a goal counts as missed [m], [rad]."""
-    options, position_tolerance, angle_tolerance = (
-        job.options,
-        job.tolerance,
-        job.angle_tolerance,
-    )
+    options = job.options
+    position_tolerance = job.tolerance
+    angle_tolerance = job.angle_tolerance
     return (
         max(MISSED_LENGTH, options.tolerance)
         if position_tolerance is None

@@ -95,10 +95,8 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
             tied_first.setdefault(name, i) for name in system.setup.around.carriers
         ]
         for other_index in joined_indices:
-            old_group, new_group = (
-                max(group_of[i], group_of[other_index]),
-                min(group_of[i], group_of[other_index]),
-            )
+            old_group = max(group_of[i], group_of[other_index])
+            new_group = min(group_of[i], group_of[other_index])
             group_of = [
                 new_group if member == old_group else member for member in group_of
             ]

@@ -94,10 +94,8 @@ def _out_of_scale(
     rotation = up_from_up(UpAxis.Y, rig.up)
     if rotation is not None:
         joint_positions = so3.rotate(rotation, joint_positions)
-    distance, extent = (
-        _bounds_distance(points, joint_positions),
-        float(np.ptp(points, axis=0).max()),
-    )
+    distance = _bounds_distance(points, joint_positions)
+    extent = float(np.ptp(points, axis=0).max())
     fits_in_rig_unit = (
         _bounds_distance(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
     )

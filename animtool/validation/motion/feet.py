@@ -134,10 +134,8 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     long_slides = []
     for first_frame, end_frame in runs(is_sliding):
-        last_frame, seconds = (
-            end_frame - 1,
-            (end_frame - first_frame) * subject.interval,
-        )
+        last_frame = end_frame - 1
+        seconds = (end_frame - first_frame) * subject.interval
         if _is_landing(
             slowest_speeds[first_frame:end_frame], lowest_heights[first_frame:end_frame]
         ):

@@ -112,12 +112,10 @@ MIN_JOINT_FRACTION = 0.5
 # Joints that move at most this many steps contradict a loss. Their fraction, weighted
 # by squared steps, is limited; and if there are not few joints, so is the remaining
 # difference [1].
-CONTRADICTING_STEPS, MAX_CONTRADICTING_FEW, MAX_CONTRADICTING, GOOD_REMAINDER = (
-    1.25,
-    0.15,
-    0.4,
-    0.2,
-)
+CONTRADICTING_STEPS = 1.25
+MAX_CONTRADICTING_FEW = 0.15
+MAX_CONTRADICTING = 0.4
+GOOD_REMAINDER = 0.2
 # If hardly any difference remains, fast joints such as a landing foot may contradict,
 # and fewer joints must agree [1].
 CERTAIN_REMAINDER, CERTAIN_CONTRADICTING, CERTAIN_JOINTS = 0.04, 0.8, 0.4
@@ -207,10 +205,8 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     steps_before_2, steps_before_1, middle_steps, steps_after_1, steps_after_2 = (
         steps[i : count - 4 + i] for i in range(5)
     )
-    near_steps, far_steps = (
-        0.5 * (steps_before_1 + steps_after_1),
-        0.5 * (steps_before_2 + steps_after_2),
-    )
+    near_steps = 0.5 * (steps_before_1 + steps_after_1)
+    far_steps = 0.5 * (steps_before_2 + steps_after_2)
     predicted_step = _predicted_step(near_steps, far_steps, 0)
     deviations = _squared_lengths(middle_steps - predicted_step)
     squared_steps = _squared_lengths(predicted_step)

@@ -109,10 +109,8 @@ def _trim_to_keys(
         first_frame = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_frame < clock.count:
             return subject
-        codes, motion = (
-            clock.times[first_frame:],
-            take.motion.select(slice(first_frame, None)),
-        )
+        codes = clock.times[first_frame:]
+        motion = take.motion.select(slice(first_frame, None))
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
     return replace(subject, take=take, codes=codes, frame_range=frame_range)
