@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import field
 from fractions import Fraction
 from math import isfinite
+from pathlib import Path
 from typing import Any, TypeAlias
 
 from animtool.batch.timeline import (
@@ -15,7 +15,7 @@ from animtool.batch.timeline import (
     exact_rate,
     seconds_of,
 )
-from animtool.core.errors import excerpt
+from animtool.core.errors import Fault, Severity, excerpt
 from animtool.core.record import dataclass
 
 # Names of effects that change times although they are not a `TimeEffect`.
@@ -145,18 +145,16 @@ def transition_sides(shown_clip: ShownClip) -> tuple[Any, Any]:
     )
 
 
-NoticeCallback: TypeAlias = Callable[[str, str, bool], None]
-
-
 @dataclass(slots=True)
 class ClipVisitor:
     """Visits the clips on video tracks with the part of each that is visible."""
 
-    notify: NoticeCallback  # called with a code, a message, and whether it is a warning
+    path: Path  # the timeline
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
     # Why clips are not shots, by their names.
     skip_reasons: dict[str, str] = field(default_factory=dict)
+    notices: list[Fault] = field(default_factory=list)
 
     def visit_timeline(self, tracks: Any) -> None:
         """Visit the clips of a timeline's tracks."""
@@ -171,23 +169,28 @@ class ClipVisitor:
             name = track.name or f"track {number}"
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
-                self.notify("BAT043", f"{name}, of type {kind}, is skipped", False)
+                self._note("BAT043", f"{name}, of type {kind}, is skipped")
             elif not self._is_disabled(track, name):
                 self._visit_item(track, name, name, window, Fraction(0), tracks_speed)
 
     def _is_disabled(self, item: Any, item_text: str) -> bool:
         if getattr(item, "enabled", True):
             return False
-        self.skip_item(item, "BAT043", f"{item_text} is disabled", is_warning=False)
+        self.skip_item(item, "BAT043", f"{item_text} is disabled", Severity.NOTE)
         return True
 
     def skip_item(
-        self, item: Any, code: str, reason: str, *, is_warning: bool = True
+        self, item: Any, code: str, reason: str, severity: Severity = Severity.WARNING
     ) -> None:
         """Report why an item and its contents are not shots."""
         for name in _clip_names(item):
             self.skip_reasons.setdefault(name, reason)
-        self.notify(code, f"{reason}; it is skipped", is_warning)
+        self._note(code, f"{reason}; it is skipped", severity)
+
+    def _note(
+        self, code: str, message: str, severity: Severity = Severity.NOTE
+    ) -> None:
+        self.notices.append(Fault(code, message, str(self.path), severity=severity))
 
     def _visit_item(
         self,
@@ -208,7 +211,10 @@ class ClipVisitor:
             item_end = begin + duration_of(item)
             if not max(begin, window[0]) < min(item_end, window[1]):
                 self.skip_item(
-                    item, "BAT043", f"{item_text} is trimmed away", is_warning=False
+                    item,
+                    "BAT043",
+                    f"{item_text} is trimmed away",
+                    severity=Severity.NOTE,
                 )
                 return
             visible_part = (
@@ -252,14 +258,14 @@ class ClipVisitor:
                 )
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
-                    self.notify(
-                        "BAT043", f"{child_path}, of type {kind}, is skipped", False
+                    self._note(
+                        "BAT043",
+                        f"{child_path}, of type {kind}, is skipped",
                     )
                 elif not self._is_disabled(child, child_path):
-                    self.notify(
+                    self._note(
                         "BAT043",
                         f"{child_path} is nested; its clips become shots",
-                        False,
                     )
                     self._visit_item(
                         child, child_path, child_path, window, child_begin, speed
