@@ -227,9 +227,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         if frames:
             message = (
                 f"{prefix}the take does not have {description} "
-                f"{frame_spans(frames, frame_range.step)}"
+                f"{frame_spans(frames, frame_range.step)}; the nearest pose is held"
             )
-            message += "; the nearest pose is held"
             warning = Severity.WARNING
             cut_key = None if shot.places_media else key
             remedy = f"{hint}; change {key.partition('.')[2]}, or export longer media"
@@ -288,9 +287,8 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if times.first == frame_range.first and times.last == last:
         return []
     message = (
-        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} "
-        f"extends beyond the take; {float(times.first):g} to {float(times.last):g} "
-        "are written"
+        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} extends "
+        f"beyond the take; {float(times.first):g} to {float(times.last):g} are written"
     )
     return [Fault("SCN202", message, severity=Severity.WARNING)]
 

@@ -111,11 +111,10 @@ class IkReport:
     # Report of the written file; None if nothing was written.
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
-        "'ik' targets=solved.tracks.path outputs frames=solved.frames "
-        "first=span.first last=span.last fps=span.fps# "
-        "solved=solved.take.clock.span{first last fps#} joints=solved.problem.joints "
-        "degrees_of_freedom=solved.problem.degrees conditions=solved.problem.rows "
-        "statuses=solved.status_counts "
+        "'ik' targets=solved.tracks.path outputs frames=solved.frames first=span.first "
+        "last=span.last fps=span.fps# solved=solved.take.clock.span{first last fps#} "
+        "joints=solved.problem.joints degrees_of_freedom=solved.problem.degrees "
+        "conditions=solved.problem.rows statuses=solved.status_counts "
         "iterations=solved{mean=mean_iterations max=max_iterations} "
         "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
         "goals{effector=name joint residuals missed=spans} "
@@ -408,9 +407,8 @@ def _map_motion(
     if common < MIN_COMMON * min(len(rig.names), len(take.rig.names)):
         shared = [name for name in rig.names if name not in missing_joints]
         message = (
-            f"is a take of another skeleton: it has {common} of the "
-            f"{len(rig.names)} joints of {rig.name!r} ({listed(shared, 3)}); the "
-            "others stay at rest"
+            f"is a take of another skeleton: it has {common} of the {len(rig.names)} "
+            f"joints of {rig.name!r} ({listed(shared, 3)}); the others stay at rest"
         )
         severity = Severity.WARNING
         notices.append(Fault("TGT102", message, str(path), (), transfer_hint, severity))

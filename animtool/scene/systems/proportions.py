@@ -173,9 +173,8 @@ def _pin_warnings(
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain_number(distance, 4)} m from {description}, "
-        "but the joints "
-        f"of {rig.name!r} span {plain_number(joint_size)} m"
+        f"the pinned end is {plain_number(distance, 4)} m from {description}, but the "
+        f"joints of {rig.name!r} span {plain_number(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:

@@ -384,8 +384,8 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
         if seconds / step > MAX_STEPS:
             message = (
                 f"{plain_number(seconds)} s in steps of {plain_number(step)} s are "
+                f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             )
-            message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))
     if faults:

@@ -174,10 +174,9 @@ def _full_circle_text(channel: ClipChannel, key: int) -> str:
     return (
         f"{channel.target!r}{name} rotates by {angle:.4g}{DEGREE}, from "
         f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[key]:g} to "
-        f"{second_angles[axis]:.5g}{DEGREE} "
-        f"at frame {channel.times[key + 1]:g}, {angle / frames:.3g}{DEGREE} per frame; "
-        "the "
-        f"shortest path is {math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
+        f"{second_angles[axis]:.5g}{DEGREE} at frame {channel.times[key + 1]:g}, "
+        f"{angle / frames:.3g}{DEGREE} per frame; the shortest path is "
+        f"{math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
     )
 
 

@@ -117,9 +117,8 @@ def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
         else:
             message = (
                 f"targets another {listed(kind_names)} of {second_goal.name!r} than "
-                "the goal on "
+                f"the goal on line {first_goal.location[0]}: both are missed"
             )
-            message += f"line {first_goal.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault(
             "TGT202", ("goals", second_index, "effector"), message, hint
@@ -183,9 +182,8 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
                 span_first, span_last = span
                 message = (
                     f"{goal.name!r} is held from {span_first:g} to {span_last:g}, when "
-                    "it "
+                    "it is not active"
                 )
-                message += "is not active"
                 hint = "hold applies only inside the spans of during"
                 yield subject.fault("TGT204", ("goals", i, "hold"), message, hint)
 
@@ -393,8 +391,7 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
                 )
                 message = (
                     f"the {key} of {track.name!r} {frames_text} in no frame of the "
-                    "take,"
+                    f"take, which has {first_time:g} to {last_time:g}"
                 )
-                message += f" which has {first_time:g} to {last_time:g}"
                 hint = "frame numbers of targets are those of the take"
                 yield sampled_targets.fault("TGT207", goal_index, key, message, hint)

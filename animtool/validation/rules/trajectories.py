@@ -97,9 +97,8 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
         names = list(dict.fromkeys(spike.marker for spike in outliers))
         message = (
             f"{counted(len(outliers), 'spike')} of "
-            f"{listed(names, MAX_LISTED_MARKERS)}; the "
-            f"largest, {1000 * largest.size:.3g} mm, of {largest.marker} at frame "
-            f"{frame}"
+            f"{listed(names, MAX_LISTED_MARKERS)}; the largest, "
+            f"{1000 * largest.size:.3g} mm, of {largest.marker} at frame {frame}"
         )
         hint = "animtool mocap fill removes them"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
