@@ -41,14 +41,7 @@ from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    Severity,
-    counted,
-    excerpt,
-    listed,
-)
+from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 

@@ -9,12 +9,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from animtool.batch.timeline import (
-    MAX_DENOMINATOR,
-    MAX_SPEED,
-    exact_rate,
-    seconds_of,
-)
+from animtool.batch.timeline import MAX_DENOMINATOR, MAX_SPEED, exact_rate, seconds_of
 from animtool.core.errors import Fault, Severity, excerpt
 from animtool.core.record import dataclass
 
@@ -258,14 +253,10 @@ class ClipVisitor:
                 )
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
-                    self._note(
-                        "BAT043",
-                        f"{child_path}, of type {kind}, is skipped",
-                    )
+                    self._note("BAT043", f"{child_path}, of type {kind}, is skipped")
                 elif not self._is_disabled(child, child_path):
                     self._note(
-                        "BAT043",
-                        f"{child_path} is nested; its clips become shots",
+                        "BAT043", f"{child_path} is nested; its clips become shots"
                     )
                     self._visit_item(
                         child, child_path, child_path, window, child_begin, speed
@@ -289,10 +280,7 @@ def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]
     part_begin, part_end = (
         (Fraction(0), length) if visible_range is None else visible_range
     )
-    return (
-        first_time + part_begin * speed,
-        first_time + part_end * speed,
-    ), speed
+    return (first_time + part_begin * speed, first_time + part_end * speed), speed
 
 
 def duration_of(item: Any) -> Fraction:

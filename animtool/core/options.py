@@ -14,15 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
-from typing import (
-    Any,
-    ClassVar,
-    Literal,
-    TypeAlias,
-    TypeVar,
-    cast,
-    get_type_hints,
-)
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from animtool.core.arguments import argument, as_text
 from animtool.core.errors import Fault

@@ -155,9 +155,7 @@ def describe_targets(path: Path) -> TargetsDescription:
     clock = tracks.clock
     goals = tuple(
         GoalDescription(
-            track.name,
-            tuple(kind.name for kind in track.goal.kinds),
-            track.spans,
+            track.name, tuple(kind.name for kind in track.goal.kinds), track.spans
         )
         for track in tracks.goals
     )

@@ -121,10 +121,7 @@ MAX_LISTED_OUTPUTS = 3
 
 
 def check_outputs(
-    outputs: Sequence[Path],
-    inputs: Sequence[Path],
-    *,
-    overwrite: bool,
+    outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
     """Raise an error for outputs that cannot be written or must not be.
 

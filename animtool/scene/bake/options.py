@@ -87,8 +87,7 @@ class BakeOptions:
         "text",
         not_for=("file",),
         scene=Key(
-            "With `as: library`: name of the take. Default: name of the scene.",
-            "walk",
+            "With `as: library`: name of the take. Default: name of the scene.", "walk"
         ),
     )
     prim_path: str | None = option(

@@ -58,11 +58,7 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import map_names, open_rig
-from animtool.scene.sources.open import (
-    SourceOptions,
-    open_source,
-    supports_option,
-)
+from animtool.scene.sources.open import SourceOptions, open_source, supports_option
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError

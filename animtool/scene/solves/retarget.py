@@ -9,11 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.errors import Fault, OptionError, faults_in
-from animtool.core.files.output import (
-    atomic_outputs,
-    protect_inputs,
-    write_parts,
-)
+from animtool.core.files.output import atomic_outputs, protect_inputs, write_parts
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.values import template_values

@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    TypeAlias,
-    get_args,
-    get_origin,
-)
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_origin
 
 import numpy as np
 
@@ -127,10 +120,7 @@ class SpecPartReader(EntryReader):
     """
 
     def __init__(
-        self,
-        document: Document,
-        roots: Sequence[Path],
-        units: SceneUnits = METRES,
+        self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
     ) -> None:
         super().__init__(document, roots, units)
         self.carriers: list[Path] = []

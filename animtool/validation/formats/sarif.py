@@ -31,11 +31,7 @@ def sarif_report(report: Report) -> str:
     rules, _ = all_rules()
     sources = SourceLineCache()
     rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
-    driver = {
-        "name": "animtool",
-        "version": version("animtool"),
-        "rules": rule_objects,
-    }
+    driver = {"name": "animtool", "version": version("animtool"), "rules": rule_objects}
     rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
     results = [_result_object(fault, rule_index, sources) for fault in report.findings]
     _number_duplicates(results)
