@@ -18,12 +18,10 @@ from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
 from animtool.core.timecode import is_timecode, parse_timecode
 
-# Metadata for animtool in a timeline and its clips: ``metadata.animtool``.
-
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """Metadata of shots; values that are not stated are None."""
+    """The ``metadata.animtool`` of a timeline or clip; unstated values are None."""
 
     start_frame: int | None = None  # first frame of the shot, including the head handle
     cut_start: int | None = None  # first frame of the cut, after the head handle

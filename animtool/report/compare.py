@@ -251,8 +251,12 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
         [path for path in first if path not in first_matches],
         [path for path in second if path not in second_matches],
     )
+    equal = Difference(0.0, "", 0.0)
     total = TakeDifference(
-        *[Difference(0.0, "", 0.0)] * 4,
+        equal,
+        equal,
+        equal,
+        equal,
         ShapeDifference(),
         frames=0,
         joints=0,

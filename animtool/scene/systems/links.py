@@ -113,11 +113,13 @@ def check_links(
     valid_systems = len(systems) == len(names)
     for system in systems:
         setup = system.setup
-        named_systems = [(*entry, "weldable") for entry in setup.joined]
-        named_systems += [(*entry, "surface") for entry in setup.around.needs]
-        for named_system in named_systems:
+        named_systems = [
+            *((*entry, "weldable") for entry in setup.joined),
+            *((*entry, "surface") for entry in setup.around.needs),
+        ]
+        for name, location, capability in named_systems:
             valid_systems &= _check_name(
-                document, system, systems, names, *named_system
+                document, system, systems, names, name, location, capability
             )
         for entry in setup.around.pushes if valid_systems else ():
             valid_systems &= _check_name(

@@ -204,7 +204,8 @@ class Surroundings:
             characters: Characters in motion.
             run_by_name: Runs of the scene's systems, including those it depends on.
         """
-        capsules, skins = [], []
+        capsules: list[Collider] = []
+        skins: list[Sheet] = []
         if self.characters:
             capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []

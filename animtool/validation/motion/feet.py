@@ -19,8 +19,6 @@ from animtool.validation.motion.contacts import (
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# Body travel relative to foot travel.
-
 # Interval over which velocities are measured [s].
 VELOCITY_SECONDS = 0.1
 # Hips slower than this [size/s], or a shorter time [s], show no ratio. Feet that slide

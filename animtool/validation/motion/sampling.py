@@ -351,15 +351,6 @@ def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
     return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
 
-def _is_abrupt(speeds: FloatArray, typical_speed: float, first: int, last: int) -> bool:
-    """Return whether motion stops abruptly before a run of steps and resumes after."""
-    if first == 0 or last == len(speeds) - 1:
-        return False
-    return bool(
-        min(speeds[first - 1], speeds[last + 1]) > MIN_LOSS_PACE * typical_speed
-    )
-
-
 def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     """Return a mask of repeated frames, and whether they recur regularly."""
     is_static = _repeated_steps(subject)
@@ -370,7 +361,12 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     is_repeat = np.zeros(len(is_static), bool)
     starts = []
     for first, end in runs(is_static):
-        if _is_abrupt(speeds, typical_speed, first, end - 1):
+        # The motion stops abruptly before these steps, and resumes after.
+        if (
+            first
+            and end < len(speeds)
+            and min(speeds[first - 1], speeds[end]) > MIN_LOSS_PACE * typical_speed
+        ):
             is_repeat[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)

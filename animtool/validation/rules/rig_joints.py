@@ -227,19 +227,15 @@ def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
-    """Return the left/right joint pairs, and a mask of pairs that are mirror images."""
-    pairs = _stated_pairs(rig)
-    return pairs, _are_mirror_images(rig, pairs)
-
-
-def _stated_pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
-    """Return the left/right joint pairs in which both joints are in the file."""
+    """Return the left/right joint pairs in a file, and a mask of mirror images."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
-    return [
+    # A joint that is mirrored has its partner from the file's reader.
+    pairs = [
         (joint, rig.rig.joints[partner])
         for i, (joint, partner) in enumerate(zip(rig.rig.joints, partners, strict=True))
         if partner > i and not joint.mirror
     ]
+    return pairs, _are_mirror_images(rig, pairs)
 
 
 def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:

@@ -346,8 +346,8 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
         points = [
-            sampled_targets.points(goal_index)[0][sampled_targets.points(goal_index)[1]]
-            for goal_index in goal_indices
+            goal_points[is_active]
+            for goal_points, is_active in map(sampled_targets.points, goal_indices)
         ]
         all_points = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(all_points):
@@ -384,11 +384,8 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
                 track, first_time, last_time
             ):
                 frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
-                frames_text = (
-                    f"has a key at {outside_times[0]:g}, which is used"
-                    if are_keys
-                    else frames_text
-                )
+                if are_keys:
+                    frames_text = f"has a key at {outside_times[0]:g}, which is used"
                 message = (
                     f"the {key} of {track.name!r} {frames_text} in no frame of the "
                     f"take, which has {first_time:g} to {last_time:g}"
