@@ -370,7 +370,9 @@ def _reorient_to_stage(
     """Return takes rotated to one up axis, with their placement kept or dropped."""
     keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
-        notices += placement_notice(stream.rig, str(source), is_kept=keeps_placement)
+        rig = stream.rig
+        if rig.placement is not None or rig.has_animated_parents:
+            notices += placement_notice(rig, str(source), is_kept=keeps_placement)
     if not keeps_placement:
         streams = [remove_placement(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up

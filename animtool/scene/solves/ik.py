@@ -353,7 +353,9 @@ def open_start(
     """
     if options.rig is None and supports_option(path, "rig"):
         options = replace(options, rig=rig_path)
-    stream = reorient(open_source(path, options, progress=progress), rig.up)
+    stream = open_source(path, options, progress=progress)
+    if stream.rig.up is not rig.up:
+        stream = reorient(stream, rig.up)
     # What its blocks notice is known when all are read.
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
