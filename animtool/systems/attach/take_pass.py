@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, replace
-from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -300,7 +299,7 @@ def simulate(
         stream, world = build_colliders(
             stream, options, prepended_frames * frame_duration
         )
-    start = Fraction(1) if stream.start is None else stream.start
+    start = stream.first_frame
     simulation = AttachSimulation(
         stream.rig,
         bodies,
