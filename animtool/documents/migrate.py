@@ -228,10 +228,8 @@ def _replace_version(document: Document, text: str, kind: str, version: str) -> 
     """Return a text with only its version number replaced."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
-    before_version, after_version = (
-        lines[line - 1][: column - 1],
-        lines[line - 1][column - 1 :],
-    )
+    before_version = lines[line - 1][: column - 1]
+    after_version = lines[line - 1][column - 1 :]
     old_version: Any = document.value[kind]
     lines[line - 1] = before_version + after_version.replace(old_version, version, 1)
     return "".join(lines)

@@ -206,10 +206,8 @@ def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
     has_decimal_commas = has_decimal_commas and not any(b"." in text for text in texts)
     if has_decimal_commas:
         texts = [text.replace(b",", b".") for text in texts]
-    line_array, value_count_array = (
-        np.array(line_numbers, np.int64),
-        np.array(value_counts, np.int64),
-    )
+    line_array = np.array(line_numbers, np.int64)
+    value_count_array = np.array(value_counts, np.int64)
     return TextRows(
         texts,
         line_array,

@@ -324,11 +324,9 @@ class RowReader:
             raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
     def _add_notices(self) -> None:
-        declared_frames, count, path = (
-            self.source.declared_frames,
-            self._row_count,
-            self._path,
-        )
+        declared_frames = self.source.declared_frames
+        count = self._row_count
+        path = self._path
         if declared_frames != count:
             line = self._first_surplus_line or self.source.frames_line
             message = f"Frames states {declared_frames}, but there are {count} rows"

@@ -120,7 +120,6 @@ def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     )
     hint = (
         f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
-        "export "
+        "export degrees, or multiply the rotation channels by 57.2958"
     )
-    hint += "degrees, or multiply the rotation channels by 57.2958"
     return [Fault("BVH112", message, path, (), hint, Severity.WARNING)]

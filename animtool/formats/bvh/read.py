@@ -147,9 +147,8 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
     ]
     unit = stated_unit or LengthUnit.CM
     message = (
-        f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
-        "character in "
-        f"{unit}"
+        f"the skeleton spans {file_extent:.4g}, which is not plausible for a character "
+        f"in {unit}"
     )
     hint = f"set the unit with {argument('source.unit')}"
     if fitting_units:

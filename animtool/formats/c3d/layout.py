@@ -15,14 +15,12 @@ from animtool.formats.c3d.sections import BLOCK_BYTES
 # bytes before the first frame (SKIPPED), a count that no field states (UNSTATED), a
 # number of frames solved from the file size (FITTED), and other counts solved from it
 # (SOLVED).
-DIRTY_COST, TRAILING_COST, SKIPPED_COST, UNSTATED_COST, FITTED_COST, SOLVED_COST = (
-    0.75,
-    3.0,
-    1.0,
-    0.5,
-    1.0,
-    1.5,
-)
+DIRTY_COST = 0.75
+TRAILING_COST = 3.0
+SKIPPED_COST = 1.0
+UNSTATED_COST = 0.5
+FITTED_COST = 1.0
+SOLVED_COST = 1.5
 # Thresholds for positions: fraction of outliers, roughness of smooth motion, and
 # roughness of noise.
 MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
@@ -229,10 +227,8 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
         for points, analog, frames, count_cost, is_solved in _count_combinations(
             claims, *capacity
         ):
-            cost, needs_evidence = (
-                begin_cost + width_cost + count_cost,
-                contradicts_width or is_solved,
-            )
+            cost = begin_cost + width_cost + count_cost
+            needs_evidence = contradicts_width or is_solved
             yield Layout(
                 begin, width, points, analog, frames, 0, cost, needs_evidence, is_solved
             )
@@ -252,10 +248,8 @@ def _count_combinations(
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
         points, analog
     ):
-        numbers_per_frame, is_unclaimed = (
-            4 * point_count + analog_count,
-            analog_count not in claimed_values,
-        )
+        numbers_per_frame = 4 * point_count + analog_count
+        is_unclaimed = analog_count not in claimed_values
         for frame_count, frame_cost in frames:
             yield (
                 point_count,

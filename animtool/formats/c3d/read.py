@@ -265,10 +265,7 @@ def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatEr
     available_bytes = max(0, size - truncated.begin)
     message = (
         f"is truncated: it claims {truncated}, {truncated.end - truncated.begin} "
-        "bytes; "
-    )
-    message += (
-        f"it has {available_bytes}, "
+        f"bytes; it has {available_bytes}, "
         f"{available_bytes // (truncated.width * truncated.numbers_per_frame)} frames"
     )
     return file.error("C3D002", message, "copy or export it again")
@@ -307,10 +304,8 @@ def _point_scale(sections: Sections) -> float:
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
     """Warn about a scale that is missing or stated with two values."""
-    header_scale, parameter_scale = (
-        sections.header.scale,
-        sections.number("POINT", "SCALE"),
-    )
+    header_scale = sections.header.scale
+    parameter_scale = sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
     scales = [

@@ -201,10 +201,8 @@ def _read_parameters(sections: Sections, data: bytes, offset: int) -> None:
     for _ in range(MAX_PARAMETERS):
         if offset + 2 > len(data):
             break
-        name_length, group_id = (
-            _signed_byte(data[offset]),
-            _signed_byte(data[offset + 1]),
-        )
+        name_length = _signed_byte(data[offset])
+        group_id = _signed_byte(data[offset + 1])
         name_length = abs(name_length)  # below 0 is locked
         body_offset = offset + 2 + name_length
         if name_length == 0 or group_id == 0 or body_offset + 2 > len(data):

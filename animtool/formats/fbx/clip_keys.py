@@ -74,11 +74,9 @@ class _ClipBuilder:
     """Builds a clip's channels from curves or samples."""
 
     def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
-        self.fbx_rig, self.sampler, self.frames = (
-            fbx_rig,
-            sampler,
-            frames,
-        )
+        self.fbx_rig = fbx_rig
+        self.sampler = sampler
+        self.frames = frames
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
         self.errors = _SamplingErrors()
@@ -241,10 +239,8 @@ class _ClipBuilder:
         per_second = float(self.frames.fps)
         handles = []
         for handle_rows in (keys.ins, keys.outs):
-            times, values = (
-                handle_rows[:, :1] * per_second,
-                handle_rows[:, 1:] @ linear.T,
-            )
+            times = handle_rows[:, :1] * per_second
+            values = handle_rows[:, 1:] @ linear.T
             handles.append(np.concatenate([times, values], axis=1))
         count = len(keys.ticks)
         return ClipChannel(

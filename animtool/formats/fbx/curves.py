@@ -159,20 +159,16 @@ def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatAr
     has_weights = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
     if not len(has_weights):
         return u
-    s, a, b = (
-        fraction[has_weights],
-        weights[has_weights, 0],
-        1.0 - weights[has_weights, 1],
-    )
+    s = fraction[has_weights]
+    a = weights[has_weights, 0]
+    b = 1.0 - weights[has_weights, 1]
     lower, upper = np.zeros(len(s)), np.ones(len(s))
     x = s.copy()
     for _ in range(60):
         y = 1.0 - x
         residual = 3 * y * y * x * a + 3 * y * x * x * b + x**3 - s
-        lower, upper = (
-            np.where(residual <= 0, x, lower),
-            np.where(residual >= 0, x, upper),
-        )
+        lower = np.where(residual <= 0, x, lower)
+        upper = np.where(residual >= 0, x, upper)
         slope = 3 * y * y * a + 6 * y * x * (b - a) + 3 * x * x * (1 - b)
         newton_x = x - residual / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
         is_in_bounds = (newton_x > lower) & (newton_x < upper)

@@ -282,17 +282,13 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     cluster_sizes = [len(cluster.indices) for cluster in mesh.clusters]
     cluster_indices = np.repeat(np.arange(cluster_count), cluster_sizes)
     has_weight = weights > 0
-    points, weights, cluster_indices = (
-        points[has_weight],
-        weights[has_weight],
-        cluster_indices[has_weight],
-    )
+    points = points[has_weight]
+    weights = weights[has_weight]
+    cluster_indices = cluster_indices[has_weight]
     order = np.argsort(points, kind="stable")
-    points, weights, cluster_indices = (
-        points[order],
-        weights[order],
-        cluster_indices[order],
-    )
+    points = points[order]
+    weights = weights[order]
+    cluster_indices = cluster_indices[order]
     influence_counts = np.bincount(points, minlength=point_count)
     influence_count = max(1, int(influence_counts.max(initial=0)))
     starts = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])

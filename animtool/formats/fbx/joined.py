@@ -78,10 +78,8 @@ def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
         return None
     seconds = np.diff(ticks) / TICKS_PER_SECOND
     key_count, component_count = len(ticks), len(curves)
-    ins, outs = (
-        np.zeros((key_count, 1 + component_count)),
-        np.zeros((key_count, 1 + component_count)),
-    )
+    ins = np.zeros((key_count, 1 + component_count))
+    outs = np.zeros((key_count, 1 + component_count))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
     remaining_curves = iter(segmented_curves)
     for component, curve in enumerate(curves):

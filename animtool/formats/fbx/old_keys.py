@@ -59,9 +59,8 @@ def read_channel_curve(
     if keys.approximated_kinds:
         message = (
             f"tangents of kind {listed(sorted(map(repr, keys.approximated_kinds)))} "
-            "are "
+            "are read as automatic ones, between the keys"
         )
-        message += "read as automatic ones, between the keys"
         hint = "bake the curves before exporting, or export FBX 2011 or later"
         notes.warn("FBX120", element.where, message, hint)
     columns = list(zip(*rows, strict=True))

@@ -93,10 +93,8 @@ class NodeTransforms:
         for node in reversed(ancestors):
             model = self.models[node]
             translations, rotations, _ = self.local_transforms(node)
-            scale, ignores_parent_scale = (
-                self.local_scale(node),
-                model.scale_inheritance != INHERIT,
-            )
+            scale = self.local_scale(node)
+            ignores_parent_scale = model.scale_inheritance != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
             if ignores_parent_scale and model.parent >= 0:

@@ -210,10 +210,7 @@ def _joint_names(
     if added_names:
         message = (
             f"{counted(len(added_names), 'joint')} added above joints that do not "
-            "inherit "
-        )
-        message += (
-            "the non-uniform scale of their parent: "
+            "inherit the non-uniform scale of their parent: "
             f"{listed(added_names, MAX_LISTED_MESHES)}"
         )
         notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
@@ -323,10 +320,8 @@ def _build_skin(
         geometry, joint = binder.bind_node(node)
         joints = [joint]
         point_count = len(mesh.points)
-        indices, weights = (
-            np.zeros((point_count, 1), np.int64),
-            np.ones((point_count, 1)),
-        )
+        indices = np.zeros((point_count, 1), np.int64)
+        weights = np.ones((point_count, 1))
     names = binder.joint_names()
     skin = Skin(
         mesh.method if index >= 0 else "linear",

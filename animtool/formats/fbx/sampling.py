@@ -107,17 +107,13 @@ class FbxSampler:
         """Return translations, rotations, scales and weights at the first tick."""
         fbx_rig, joint_count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         transforms = NodeTransforms(self.scene, self.take, ticks)
-        translations, rotations = (
-            np.zeros((joint_count, 3)),
-            np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1)),
-        )
+        translations = np.zeros((joint_count, 3))
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1))
         scales = np.ones((joint_count, 3))
         for j, row in enumerate(fbx_rig.joint_rows):
             local = transforms.joint_transforms(row)
-            translations[j], rotations[j] = (
-                local[0][0] * fbx_rig.translation_factors[j],
-                local[1][0],
-            )
+            translations[j] = local[0][0] * fbx_rig.translation_factors[j]
+            rotations[j] = local[1][0]
             scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
         weights = [
             self.weight(row, ticks)[0] for row in range(len(fbx_rig.shape_channels))
@@ -196,12 +192,11 @@ def find_frame_range(
         count > MAX_FRAMES
         or count * max(values_per_frame, MIN_VALUES_PER_FRAME) > MAX_TAKE_VALUES
     ):
-        message = f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
-        message += (
+        message = (
+            f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
             f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
-            "above "
+            "above the limit"
         )
-        message += "the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
@@ -239,11 +234,9 @@ def off_frame_keys_notice(
     worst_joint = int(distances.max(axis=0).argmax())
     message = (
         f"{len(off_frame_keys)} of {len(keys)} key times fall between the frames at "
-    )
-    message += (
         f"{rate_label(frames.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
+        f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     )
-    message += f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)
     return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
@@ -271,9 +264,8 @@ def keys_outside_notice(
         return []
     message = (
         f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
-        f"{codes[0]:.6g} to "
-        f"{codes[-1]:.6g}, lie outside its frames {frames.first} to {last}, which are "
-        "read"
+        f"{codes[0]:.6g} to {codes[-1]:.6g}, lie outside its frames {frames.first} to "
+        f"{last}, which are read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
     severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE

@@ -116,10 +116,8 @@ def interpolate_tracks(
         track_ins = [
             track.ins[segment + 1] for track in tracks if track.ins is not None
         ]
-        out_slopes, in_slopes = (
-            np.stack(track_outs, axis=1),
-            np.stack(track_ins, axis=1),
-        )
+        out_slopes = np.stack(track_outs, axis=1)
+        in_slopes = np.stack(track_ins, axis=1)
         return _normalize_rotations(
             _hermite(
                 start_values, out_slopes, in_slopes, end_values, fraction, duration

@@ -65,9 +65,8 @@ def build_meshes(
     if empty_meshes:
         message = (
             f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
-            "lines, "
+            f"lines, or with no geometry, skipped: {listed(empty_meshes)}"
         )
-        message += f"or with no geometry, skipped: {listed(empty_meshes)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 

@@ -132,9 +132,8 @@ def _off_frame_fault(
     is_off_frame = _frame_distances(times, rate) > FRAME_TOLERANCE
     message = (
         f"{int(is_off_frame.sum())} of {len(times)} key times fall between the frames "
-        "at "
+        f"at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     )
-    message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
     return Fault(
         "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where

@@ -324,10 +324,8 @@ def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     padded = np.zeros((len(indices), width), np.int64)
     padded_weights = np.zeros((len(indices), width))
     kept_width = min(width, indices.shape[1])
-    padded[:, :kept_width], padded_weights[:, :kept_width] = (
-        indices[:, :kept_width],
-        weights[:, :kept_width],
-    )
+    padded[:, :kept_width] = indices[:, :kept_width]
+    padded_weights[:, :kept_width] = weights[:, :kept_width]
     weight_sums = padded_weights.sum(axis=1, keepdims=True)
     padded_weights = np.where(
         weight_sums > 0,

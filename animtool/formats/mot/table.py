@@ -320,10 +320,8 @@ def read_rows(
         if not len(bad_rows):
             break
         row = int(bad_rows[0])
-        line, is_short = (
-            int(rows.line_numbers[row]),
-            rows.cell_counts[row] < column_count,
-        )
+        line = int(rows.line_numbers[row])
+        is_short = rows.cell_counts[row] < column_count
         count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
         message = f"has {count} values instead of {column_count}"
         # The last row of a truncated file has no line end.

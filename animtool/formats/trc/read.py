@@ -291,9 +291,8 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         if len(bad_rows):
             message = (
                 f"the row has {int(rows.value_counts[row])} values, but frame, time "
-                "and "
+                f"and {counted(len(header.names), 'named marker')} take "
             )
-            message += f"{counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):

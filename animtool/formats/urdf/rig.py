@@ -158,20 +158,14 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
             mimic.gain * end + mimic.offset
             for end in (leader.limits.low, leader.limits.high)
         ]
-        lower, upper = (
-            follower.limits.low - LIMIT_TOLERANCE,
-            follower.limits.high + LIMIT_TOLERANCE,
-        )
+        lower = follower.limits.low - LIMIT_TOLERANCE
+        upper = follower.limits.high + LIMIT_TOLERANCE
         if min(follower_range) < lower or max(follower_range) > upper:
             message = (
                 f"where it mimics {leader.where}, it goes from "
-                f"{min(follower_range):.4g} to "
+                f"{min(follower_range):.4g} to {max(follower_range):.4g}, beyond its "
+                f"limits {follower.limits.low:.4g} to {follower.limits.high:.4g}"
             )
-            message += (
-                f"{max(follower_range):.4g}, beyond its limits "
-                f"{follower.limits.low:.4g} to "
-            )
-            message += f"{follower.limits.high:.4g}"
             hint = (
                 "make its limits wider, or those of the joint that it mimics narrower"
             )

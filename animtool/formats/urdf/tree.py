@@ -24,12 +24,11 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
                 _add_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
             first_joint = parents[joint.child]
-            message = f"link {excerpt(joint.child)} has two parents, "
-            message += (
+            message = (
+                f"link {excerpt(joint.child)} has two parents, "
                 f"{excerpt(first_joint.parent)} by joint {excerpt(first_joint.name)} "
-                "and "
+                f"and {excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             )
-            message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
