@@ -21,14 +21,7 @@ from typing import (
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import BeforeValidator, Field, create_model
 
-from animtool.core.options import (
-    FileKind,
-    Key,
-    OptionKind,
-    Range,
-    keys_of,
-    options_of,
-)
+from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
 from animtool.documents.check import FileModel, model_field
 from animtool.documents.other_words import AXES
 

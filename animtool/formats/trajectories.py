@@ -89,11 +89,7 @@ class MarkerFile:
             return LengthUnit(option)
         if stated_unit is None or not stated_unit.strip():
             message = f"the file states no unit; using {default}"
-            self.note(
-                "MKR104",
-                message,
-                f"set the unit with {argument('source.unit')}",
-            )
+            self.note("MKR104", message, f"set the unit with {argument('source.unit')}")
             return default
         unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
         if unit is None:

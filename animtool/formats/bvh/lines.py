@@ -361,12 +361,7 @@ class RowReader:
             message = f"{name}: {values_text} {problem}, on line {line_list}"
             self.notices.append(
                 Fault(
-                    code,
-                    message,
-                    self._path,
-                    tuple(lines[:10]),
-                    hint,
-                    Severity.WARNING,
+                    code, message, self._path, tuple(lines[:10]), hint, Severity.WARNING
                 )
             )
         if len(fault_lines) > MAX_LISTED_CHANNELS:

@@ -16,10 +16,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable_error
 from animtool.core.files.signatures import expects_format
 from animtool.core.names import numbered_names
-from animtool.core.rates import (
-    FractionLike,
-    rate_option,
-)
+from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource

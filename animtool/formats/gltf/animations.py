@@ -22,14 +22,7 @@ from animtool.formats.gltf.animation_targets import (
     read_channel_target,
 )
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import (
-    I8,
-    I16,
-    U8,
-    U16,
-    MeshEntry,
-    check_bounds,
-)
+from animtool.formats.gltf.meshes import I8, I16, U8, U16, MeshEntry, check_bounds
 from animtool.formats.gltf.nodes import UNIT_TOLERANCE
 from animtool.maths import so3
 

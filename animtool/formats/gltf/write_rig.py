@@ -34,10 +34,7 @@ class RigIndices:
 
 
 def write_rig(
-    builder: GlbBuilder,
-    rig: Rig,
-    scales: FloatArray,
-    weights: dict[str, float],
+    builder: GlbBuilder, rig: Rig, scales: FloatArray, weights: dict[str, float]
 ) -> RigIndices:
     """Write a rig with Y up, in metres.
 
@@ -225,11 +222,7 @@ def _carrier_joint(
 
 
 def _write_skin(
-    builder: GlbBuilder,
-    rig: Rig,
-    surface: Surface,
-    skin: SurfaceSkin,
-    bind: FloatArray,
+    builder: GlbBuilder, rig: Rig, surface: Surface, skin: SurfaceSkin, bind: FloatArray
 ) -> int:
     """Write the skin of a mesh and return its index; equal skins are shared."""
     joints = [rig.index(name) for name in skin.joints]

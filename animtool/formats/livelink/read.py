@@ -110,13 +110,7 @@ def read_livelink(
         details["rig"] = str(rig)
         notices = [*target_rig.notices, *notices]
     return TakeStream(
-        target_rig,
-        frames.rate,
-        None,
-        Fraction(1),
-        iter([motion]),
-        notices,
-        details,
+        target_rig, frames.rate, None, Fraction(1), iter([motion]), notices, details
     )
 
 

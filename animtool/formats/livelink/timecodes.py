@@ -69,10 +69,7 @@ class TimecodeFrames:
 
 
 def row_frames(
-    labels: Sequence[str],
-    lines: IntArray,
-    path: str,
-    clock: Fraction | None = None,
+    labels: Sequence[str], lines: IntArray, path: str, clock: Fraction | None = None
 ) -> TimecodeFrames:
     """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
 
@@ -270,10 +267,7 @@ def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]
 
 
 def _repeated_notice(
-    is_first: BoolArray,
-    order: IntArray,
-    lines: IntArray,
-    path: str,
+    is_first: BoolArray, order: IntArray, lines: IntArray, path: str
 ) -> list[Fault]:
     repeats = sorted(lines[order[~is_first]].tolist())
     if not repeats:

@@ -54,10 +54,7 @@ MAX_RADIANS = 4 * np.pi
 
 
 def read_mot(
-    path: Path | str,
-    *,
-    rig: Path | str | None = None,
-    fps: FractionLike | None = None,
+    path: Path | str, *, rig: Path | str | None = None, fps: FractionLike | None = None
 ) -> TakeStream:
     """Open an OpenSim motion file (MOT, STO) as a take.
 

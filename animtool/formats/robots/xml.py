@@ -153,10 +153,7 @@ class _TreeBuilder:
         self, code: str, message: str, hint: str, at: tuple[int, int] | None = None
     ) -> NoReturn:
         parser = self._parser
-        line, column = at or (
-            parser.CurrentLineNumber,
-            parser.CurrentColumnNumber + 1,
-        )
+        line, column = at or (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
         line += self._skipped_lines
         fault = Fault(code, message, str(self._path), (line,), hint, column=column)
         raise FormatError(fault)
