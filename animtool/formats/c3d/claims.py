@@ -177,20 +177,12 @@ def _analog_samples_per_frame(
     analog_rate: float | None, point_rate: float | None
 ) -> int | None:
     """Return analogue samples per frame from the rates; None if not an integer."""
-    if (
-        not analog_rate
-        or not point_rate
-        or not math.isfinite(analog_rate)
-        or not point_rate > 0
-    ):
+    if not analog_rate or not point_rate or not point_rate > 0:
         return None
     ratio = analog_rate / point_rate
-    is_in_range = math.isfinite(ratio) and 0.5 < ratio < WORD_RANGE
-    return (
-        round(ratio)
-        if is_in_range and abs(ratio - round(ratio)) < 1e-3 * ratio
-        else None
-    )
+    is_in_range = 0.5 < ratio < WORD_RANGE
+    is_integer = is_in_range and abs(ratio - round(ratio)) < 1e-3 * ratio
+    return round(ratio) if is_integer else None
 
 
 def _frame_claims(sections: Sections) -> Iterable[Claim]:

@@ -121,7 +121,7 @@ def choose_layout(
         end_offsets: Byte offsets where the points may end; the last is the file size.
         measure_evidence: Returns the evidence for a layout.
     """
-    cheapest: dict[tuple[int, ...], Layout] = {}
+    cheapest: dict[tuple[float, ...], Layout] = {}
     truncated_layout: Layout | None = None
     padding = _count_padding(data)
     for layout in _combinations(claims, end_offsets[-1], padding):
@@ -136,13 +136,7 @@ def choose_layout(
             key=_sort_key,
         )
         candidate = _add_skipped_cost(candidate, claims.parameters_end, data)
-        key = (
-            candidate.begin,
-            candidate.width,
-            candidate.points,
-            candidate.analog,
-            candidate.frames,
-        )
+        key = _sort_key(candidate)[1:]
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
     candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_JUDGED_LAYOUTS]
@@ -150,9 +144,9 @@ def choose_layout(
         # All claims agree but the file is too small: it is truncated, unless other
         # claims match its size exactly.
         candidates = [
-            candidate_layout
-            for candidate_layout in candidates
-            if candidate_layout.trailing_bytes == 0 and not candidate_layout.is_solved
+            layout
+            for layout in candidates
+            if layout.trailing_bytes == 0 and not layout.is_solved
         ]
     if not candidates:
         return LayoutResult(None, truncated_layout)
@@ -250,19 +244,10 @@ def _count_combinations(
     ):
         numbers_per_frame = 4 * point_count + analog_count
         is_unclaimed = analog_count not in claimed_values
-        for frame_count, frame_cost in frames:
-            yield (
-                point_count,
-                analog_count,
-                frame_count,
-                point_cost + analog_cost + frame_cost,
-                is_unclaimed,
-            )
-        frame_counts = (
-            _solve_frame_counts(claims, -(-min_numbers // numbers_per_frame))
-            if numbers_per_frame and min_numbers > 0
-            else ()
-        )
+        frame_counts = [(count, cost, False) for count, cost in frames]
+        if numbers_per_frame and min_numbers > 0:
+            fitting_count = -(-min_numbers // numbers_per_frame)
+            frame_counts += _solve_frame_counts(claims, fitting_count)
         for frame_count, frame_cost, is_solved in frame_counts:
             yield (
                 point_count,
@@ -275,22 +260,14 @@ def _count_combinations(
         for point_count, point_cost in points if _can_solve(claims.analog) else ():
             analog_count = capacity // frame_count - 4 * point_count
             if analog_count >= 0:
-                cost = (
-                    point_cost
-                    + frame_cost
-                    + _claims_cost(claims.analog, analog_count)
-                    + SOLVED_COST
-                )
+                analog_cost = _claims_cost(claims.analog, analog_count)
+                cost = point_cost + frame_cost + analog_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
         for analog_count, analog_cost in analog if _can_solve(claims.points) else ():
             point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
             if point_count > 0 and remainder == 0:
-                cost = (
-                    analog_cost
-                    + frame_cost
-                    + _claims_cost(claims.points, point_count)
-                    + SOLVED_COST
-                )
+                point_cost = _claims_cost(claims.points, point_count)
+                cost = analog_cost + frame_cost + point_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
 
 
@@ -386,22 +363,13 @@ def _choose_by_evidence(
     measure_evidence: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the layout whose numbers look most like positions."""
-    layouts_with_evidence = [
-        (layout, measure_evidence(layout)) for layout in candidates
-    ]
-    min_outlier_fraction = min(
-        evidence.outlier_fraction for _, evidence in layouts_with_evidence
-    )
-    min_roughness = min(
-        (
-            evidence.roughness
-            for _, evidence in layouts_with_evidence
-            if evidence.roughness >= 0
-        ),
-        default=0.0,
-    )
+    all_evidence = [measure_evidence(layout) for layout in candidates]
+    min_outlier_fraction = min(evidence.outlier_fraction for evidence in all_evidence)
+    # NaN is not measured.
+    measured = [one.roughness for one in all_evidence if one.roughness >= 0]
+    min_roughness = min(measured, default=0.0)
     scored_layouts = []
-    for layout, evidence in layouts_with_evidence:
+    for layout, evidence in zip(candidates, all_evidence, strict=True):
         if layout.is_solved and layout.trailing_bytes:
             continue
         if layout.needs_evidence and not (

@@ -435,17 +435,13 @@ def _read_filled_group(
 ) -> BoolArray | None:
     is_filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(marker_columns.tolist())}
-    parameter_number = 1
-    while True:
-        key = "FILLED" if parameter_number == 1 else f"FILLED{parameter_number}"
-        rows = np.array(sections.numbers(ANIMTOOL_GROUP, key))
-        if not len(rows):
+    for value in sections.continued_values(ANIMTOOL_GROUP, "FILLED"):
+        if not isinstance(value, np.ndarray) or not value.size:
             break
-        for marker, first, last in rows[: len(rows) // 3 * 3].reshape(-1, 3):
+        for marker, first, last in value.ravel()[: value.size // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in columns:
                 begin = int(min(max(first, 0), len(visible)))
                 end = int(min(max(last + 1, 0), len(visible)))
                 is_filled[begin:end, columns[int(marker)]] = True
-        parameter_number += 1
     is_filled &= visible
     return is_filled if is_filled.any() else None

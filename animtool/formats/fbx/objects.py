@@ -62,7 +62,6 @@ class FbxFile:
     Attributes:
         path: Path of the file.
         version: Version such as 7400.
-        is_text: Whether the file is ASCII.
         root: The root element.
         objects: Objects by id, in file order.
         settings: Global properties.
@@ -73,7 +72,6 @@ class FbxFile:
 
     path: Path
     version: int
-    is_text: bool
     root: Element
     objects: dict[ObjectId, Object]
     settings: Object
@@ -188,7 +186,7 @@ def open_objects(path: Path | str) -> FbxFile:
             notes.warn("FBX106", element.where, message)
             continue
         objects[fbx_object.id] = fbx_object
-    file = FbxFile(path, version, is_text, root, objects, settings, notes)
+    file = FbxFile(path, version, root, objects, settings, notes)
     _connect_objects(file)
     return file
 

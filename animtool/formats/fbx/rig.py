@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import field
 
 import numpy as np
 
@@ -75,8 +75,6 @@ def build_rig(
     character: CharacterNodes,
     name: str,
     meters: float | None = None,
-    *,
-    read_surfaces: bool = True,
 ) -> FbxRig:
     """Return the rig of a character; the rest pose is the saved scene.
 
@@ -89,7 +87,6 @@ def build_rig(
         character: Nodes of the character.
         name: Name of the rig.
         meters: Size of the file's unit [m]; None is the stated unit.
-        read_surfaces: Whether to read meshes and shapes.
     """
     unit = scene.settings.meters if meters is None else meters
     joint_nodes = [
@@ -137,7 +134,7 @@ def build_rig(
     fbx_rig = FbxRig(
         rig, rows, joints, folded_scales, factors, is_folded, scales, [], {}, notices
     )
-    _add_shapes_and_meshes(scene, character, fbx_rig, read_surfaces=read_surfaces)
+    _add_shapes_and_meshes(scene, character, fbx_rig)
     fbx_rig.notices += _moved_meshes_notice(scene, character)
     return fbx_rig
 
@@ -193,20 +190,20 @@ def _joint_names(
     )
     names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{names_by_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
+        f"{names_by_model[row.model]}_unscaled"
         for row in rows
+        if row.kind is RowKind.OUTER
     ]
-    unique_names = numbered_names(
-        [*inner_names, *(name for name in outer_names if name)]
-    )
-    helper_names = iter(unique_names[len(inner_names) :])
+    added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
+    remaining_names = iter(added_names)
     names = [
-        next(helper_names) if name else names_by_model[row.model]
-        for name, row in zip(outer_names, rows, strict=True)
+        next(remaining_names)
+        if row.kind is RowKind.OUTER
+        else names_by_model[row.model]
+        for row in rows
     ]
     path = str(scene.path)
     notices = renamed_joints_notice("FBX113", renamed_joints, path)
-    added_names = unique_names[len(inner_names) :]
     if added_names:
         message = (
             f"{counted(len(added_names), 'joint')} added above joints that do not "
@@ -218,7 +215,7 @@ def _joint_names(
 
 
 def _add_shapes_and_meshes(
-    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, read_surfaces: bool
+    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig
 ) -> None:
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
@@ -240,10 +237,6 @@ def _add_shapes_and_meshes(
     fbx_rig.shape_channels += [
         (channel, _full_percent(channel)) for _, channel in channels
     ]
-    if not read_surfaces:
-        shapes = tuple(map(Shape, names))
-        fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
-        return
     shapes = tuple(
         _build_shape(
             name,
@@ -258,7 +251,6 @@ def _add_shapes_and_meshes(
         fbx_rig.rig,
         fbx_rig.joint_of_node,
         fbx_rig.folded_scales,
-        fbx_rig.remaining_scales,
         scene.bind_worlds(),
     )
     meshes = tuple(
