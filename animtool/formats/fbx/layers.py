@@ -97,6 +97,15 @@ class PropertyTrack:
     name: str
     layers: list[LayerValues] = field(default_factory=list)
 
+    def curves(self) -> list[FbxCurve]:
+        """Return the curves of all layers."""
+        return [
+            curve
+            for layer_values in self.layers
+            for curve in layer_values.curves
+            if curve is not None
+        ]
+
     def constant_value(self, base: FloatArray) -> FloatArray | None:
         """Return the property's values if they never change, else None."""
         for layer_values in self.layers:

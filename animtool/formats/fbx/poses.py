@@ -196,13 +196,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             tracks = [take.tracks[key] for key in keys if key in take.tracks]
             if not tracks:
                 continue
-            curves = [
-                curve
-                for track in tracks
-                for layer_values in track.layers
-                for curve in layer_values.curves
-                if curve
-            ]
+            curves = [curve for track in tracks for curve in track.curves()]
             times = np.unique(
                 np.concatenate([_REST_TICKS, *(curve.times for curve in curves)])
             )

@@ -149,8 +149,7 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
             continue
         object_id = scene.models[node].object.id
         is_animated = any(
-            track.object_id == object_id
-            and track.constant_value(scene.models[node].base_values[k]) is None
+            track.constant_value(scene.models[node].base_values[k]) is None
             for take in scene.takes
             for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
             for track in (take.tracks.get((object_id, name)),)

@@ -18,7 +18,7 @@ from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
-from animtool.formats.fbx.takes import AnimTake
+from animtool.formats.fbx.takes import AnimTake, find_track
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -87,8 +87,7 @@ class FbxSampler:
     def weight_track(self, row: int) -> PropertyTrack | None:
         """Return the track of a shape's weight; None if not animated."""
         channel = self.fbx_rig.shape_channels[row][0]
-        take = self.take
-        return None if take is None else take.tracks.get((channel.id, DEFORM_PERCENT))
+        return find_track(self.take, channel.id, DEFORM_PERCENT)
 
     def _is_animated(self, row: int) -> bool:
         track = self.weight_track(row)

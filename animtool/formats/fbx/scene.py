@@ -83,12 +83,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     }
     takes = read_takes(file)
     skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
-    skins_by_node = dict(
-        zip((i for i in meshes if meshes[i].clusters), skins, strict=True)
-    )
-    nodes = _build_nodes(
-        models, meshes, {i: skin_index for skin_index, i in enumerate(skins_by_node)}
-    )
+    nodes = _build_nodes(models, meshes)
     _add_driver_notice(file)
     default_index = find_default_take(file, takes)
     return FbxScene(
@@ -130,23 +125,23 @@ def _skin_entries(
 
 
 def _build_nodes(
-    models: list[Model], meshes: dict[int, FbxGeometry], skins: dict[int, int]
+    models: list[Model], meshes: dict[int, FbxGeometry]
 ) -> tuple[Node, ...]:
+    skinned_nodes = [i for i, mesh in meshes.items() if mesh.clusters]
+    skins = {node: skin for skin, node in enumerate(skinned_nodes)}
     children: list[list[int]] = [[] for _ in models]
     for i, model in enumerate(models):
         if model.parent >= 0:
             children[model.parent].append(i)
-    no_translation, unit_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
     return tuple(
         Node(
             model.name,
             model.parent,
             tuple(children[i]),
-            no_translation,
-            (0.0, 0.0, 0.0, 1.0),
-            unit_scale,
-            i if i in meshes else -1,
-            skins.get(i, -1),
+            *identity,
+            mesh=i if i in meshes else -1,
+            skin=skins.get(i, -1),
         )
         for i, model in enumerate(models)
     )

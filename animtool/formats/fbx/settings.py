@@ -61,7 +61,7 @@ class FbxSettings:
     fps: Fraction
 
 
-def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
+def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
     """Return the global settings of a file.
 
     ``up`` is the up axis of the file; None is the stated axis.

@@ -14,7 +14,6 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
-from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT_COMPONENT, Accessors, check_finite
 from animtool.formats.gltf.animation_targets import (
     ChannelTarget,
@@ -79,10 +78,6 @@ class GltfTrack:
         segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
-        return self.sample_segments(segment, times)
-
-    def sample_segments(self, segment: IntArray, times: FloatArray) -> FloatArray:
-        """Return values ``(F, W)`` at times, each interpolated in a given segment."""
         return interpolate_tracks([self], segment, times)[:, 0]
 
 
@@ -254,13 +249,12 @@ def _read_animation(
     times_by_accessor: dict[int, tuple[FloatArray, bool]] = {}
     ignored_targets: dict[str, None] = {}
     for channel in item.children("channels"):
-        resolved_target = read_channel_target(channel, nodes, meshes, ignored_targets)
+        target = read_channel_target(channel, nodes, meshes, ignored_targets)
         index = channel.index("sampler", len(samplers.items), "sampler")
         if index < 0:
             channel.fail_missing("sampler")
-        if resolved_target is None:
+        if target is None:
             continue
-        target = resolved_target
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
         if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
@@ -350,8 +344,6 @@ def _read_values(
         element_types = {"VEC3"}
     elif target.path is TargetPath.ROTATION:
         element_types, component_types = {"VEC4"}, {FLOAT_COMPONENT, *SMALL_INTEGERS}
-    elif target.path is TargetPath.WEIGHTS:
-        component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
     else:
         component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
     if (
@@ -426,7 +418,6 @@ def _check_unit_length(
         message = (
             f"rotation keys have lengths from {shortest**0.5:.6g} to {longest**0.5:.6g}"
         )
-        notes: FileNotices = samplers.items[index].notes
-        notes.warn(
+        channel.notes.warn(
             "GLT103", channel.pointer_to("sampler"), f"{message}: they are normalised"
         )
