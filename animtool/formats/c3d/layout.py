@@ -34,29 +34,19 @@ MIN_CLAIM_WEIGHT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Counts of points, analogue values and frames, and the start of the data.
+    """Counts of points, analogue values and frames, and the start of the data."""
 
-    Attributes:
-        begin: Offset of the first frame [byte].
-        width: Size of a number [byte].
-        points: Points per frame.
-        analog: Numbers after the points of a frame.
-        frames: Number of frames.
-        trailing_bytes: Bytes after the last frame, except zeros up to a full block.
-        cost: Total cost of contradicted claims.
-        needs_evidence: Whether to use it only if the numbers look like positions.
-        is_solved: Whether one of the counts is not stated by any field.
-    """
-
-    begin: int
-    width: int
-    points: int
-    analog: int
-    frames: int
+    begin: int  # offset of the first frame [byte]
+    width: int  # size of a number [byte]
+    points: int  # points per frame
+    analog: int  # numbers after the points of a frame
+    frames: int  # number of frames
+    # Bytes after the last frame, except zeros up to a full block.
     trailing_bytes: int = 0
-    cost: float = 0.0
+    cost: float = 0.0  # total cost of contradicted claims
+    # Whether to use it only if the numbers look like positions.
     needs_evidence: bool = False
-    is_solved: bool = False
+    is_solved: bool = False  # whether one of the counts is not stated by any field
 
     @property
     def numbers_per_frame(self) -> int:
@@ -79,31 +69,23 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Plausibility of a layout's numbers as positions over frames.
+    """Plausibility of a layout's numbers as positions over frames."""
 
-    Attributes:
-        outlier_fraction: Fraction of points that cannot be positions.
-        roughness: Mean step between frames, relative to the spread of all positions;
-            NaN if nothing moves or no two frames are consecutive.
-    """
-
-    outlier_fraction: float
+    outlier_fraction: float  # fraction of points that cannot be positions
+    # Mean step between frames, relative to the spread of all positions; NaN if nothing
+    # moves or no two frames are consecutive.
     roughness: float
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The layout to read, or the closest layouts if none fits the file.
+    """The layout to read, or the closest layouts if none fits the file."""
 
-    Attributes:
-        layout: The layout to read; None if no layout fits.
-        truncated: The layout with the fewest contradictions among those that need more
-            bytes than the file has.
-        ambiguous_layouts: Layouts that the evidence cannot decide between.
-    """
-
-    layout: Layout | None
+    layout: Layout | None  # the layout to read; None if no layout fits
+    # The layout with the fewest contradictions among those that need more bytes than
+    # the file has.
     truncated: Layout | None = None
+    # Layouts that the evidence cannot decide between.
     ambiguous_layouts: tuple[Layout, ...] = ()
 
 

@@ -56,17 +56,12 @@ _UP_CONVERSIONS = {
 
 @dataclass(frozen=True, slots=True)
 class ScreenAxes:
-    """Up axis of a file, and the axis permutation that converts positions to it.
+    """Up axis of a file, and the axis permutation that converts positions to it."""
 
-    Attributes:
-        up: The up axis of the converted positions.
-        order: File coordinates that become x, y and z; None without a conversion.
-        signs: Signs of the converted coordinates.
-    """
-
-    up: UpAxis
+    up: UpAxis  # the up axis of the converted positions
+    # File coordinates that become x, y and z; None without a conversion.
     order: IntArray | None = None
-    signs: FloatArray | None = None
+    signs: FloatArray | None = None  # signs of the converted coordinates
 
     def convert(self, positions: FloatArray) -> FloatArray:
         """Return positions ``(..., 3)`` rotated to the up axis."""

@@ -34,29 +34,19 @@ class FbxExtrapolation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxCurve:
-    """Keys of one scalar over time.
+    """Keys of one scalar over time."""
 
-    Attributes:
-        times: Times of the K keys, ascending ``(K,)`` [tick].
-        values: ``(K,)``.
-        modes: Interpolation from each key to the next ``(K,)``.
-        out_slopes: Slope after each key ``(K,)`` [1/s]; that of the segment if it is
-            linear.
-        in_slopes: Slope before the next key ``(K,)`` [1/s], likewise.
-        weights: Weights of the handles out of each key and into the next, as fractions
-            of the segment's duration ``(K, 2)``.
-        pre: Extrapolation before the first key.
-        post: Extrapolation after the last key.
-    """
-
-    times: IntArray
-    values: FloatArray
-    modes: IntArray
+    times: IntArray  # times of the K keys, ascending ``(K,)`` [tick]
+    values: FloatArray  # ``(K,)``
+    modes: IntArray  # interpolation from each key to the next ``(K,)``
+    # Slope after each key ``(K,)`` [1/s]; that of the segment if it is linear.
     out_slopes: FloatArray
-    in_slopes: FloatArray
+    in_slopes: FloatArray  # slope before the next key ``(K,)`` [1/s], likewise
+    # Weights of the handles out of each key and into the next, as fractions of the
+    # segment's duration ``(K, 2)``.
     weights: FloatArray
-    pre: FbxExtrapolation = FbxExtrapolation()
-    post: FbxExtrapolation = FbxExtrapolation()
+    pre: FbxExtrapolation = FbxExtrapolation()  # extrapolation before the first key
+    post: FbxExtrapolation = FbxExtrapolation()  # extrapolation after the last key
 
     def is_static(self) -> bool:
         """Return whether the value never changes."""

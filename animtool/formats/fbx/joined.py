@@ -33,25 +33,17 @@ _EXTRAPOLATIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedKeys:
-    """Keys of a property of D components.
+    """Keys of a property of D components."""
 
-    Attributes:
-        ticks: Times ``(K,)``.
-        values: ``(K, D)``.
-        interps: Interpolation of the segment after each key, K entries.
-        ins: Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
-        outs: Handles after the keys, likewise.
-        pre: Extrapolation before the first key.
-        post: Extrapolation after the last key.
-    """
-
-    ticks: IntArray
-    values: FloatArray
+    ticks: IntArray  # times ``(K,)``
+    values: FloatArray  # ``(K, D)``
+    # Interpolation of the segment after each key, K entries.
     interps: tuple[Interp, ...]
+    # Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
     ins: FloatArray
-    outs: FloatArray
-    pre: Extrapolation
-    post: Extrapolation
+    outs: FloatArray  # handles after the keys, likewise
+    pre: Extrapolation  # extrapolation before the first key
+    post: Extrapolation  # extrapolation after the last key
 
 
 def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:

@@ -42,35 +42,22 @@ _TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node of the scene, with its transform properties.
+    """A node of the scene, with its transform properties."""
 
-    Attributes:
-        object: Object of the node in the file.
-        parent: Index of the parent node; -1 for a root.
-        base_values: Translation, rotation [deg] and scale without animation ``(3, 3)``.
-        rotation_order: Rotation order, as in `euler.to_quaternion`.
-        pre_rotation: Pre-rotation ``(4,)``.
-        inverse_post_rotation: Inverse of the post-rotation ``(4,)``.
-        pivots: Offset and pivot of rotation, then of scaling ``(4, 3)``.
-        scale_inheritance: How the node inherits the scale of its parent.
-        geometric_transform: Transform of the node's own mesh only ``(4, 4)``.
-        has_outer_rotations: Whether rotation order, pre- and post-rotation apply.
-        outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
-        scale_source: Node whose scale, including inherited scale, it applies along its
-            own axes; -1 for none.
-    """
-
-    object: Object
-    parent: int
+    object: Object  # object of the node in the file
+    parent: int  # index of the parent node; -1 for a root
+    # Translation, rotation [deg] and scale without animation ``(3, 3)``.
     base_values: FloatArray
-    rotation_order: str
-    pre_rotation: FloatArray
-    inverse_post_rotation: FloatArray
-    pivots: FloatArray
-    scale_inheritance: int
-    geometric_transform: FloatArray
-    has_outer_rotations: bool
-    outer_angles: FloatArray
+    rotation_order: str  # rotation order, as in `euler.to_quaternion`
+    pre_rotation: FloatArray  # pre-rotation ``(4,)``
+    inverse_post_rotation: FloatArray  # inverse of the post-rotation ``(4,)``
+    pivots: FloatArray  # offset and pivot of rotation, then of scaling ``(4, 3)``
+    scale_inheritance: int  # how the node inherits the scale of its parent
+    geometric_transform: FloatArray  # transform of the node's own mesh only ``(4, 4)``
+    has_outer_rotations: bool  # whether rotation order, pre- and post-rotation apply
+    outer_angles: FloatArray  # angles of pre- and post-rotation ``(2, 3)`` [deg]
+    # Node whose scale, including inherited scale, it applies along its own axes; -1 for
+    # none.
     scale_source: int = -1
 
     @property

@@ -42,31 +42,21 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig with the nodes and channels that its joints and shapes come from.
+    """A rig with the nodes and channels that its joints and shapes come from."""
 
-    Attributes:
-        rig: J joints.
-        joint_rows: Node of each joint; trailing helper joints of meshes are omitted.
-        joint_of_node: Joint of each node; -1 for nodes that are not joints.
-        folded_scales: By node, the uniform scale that is folded into lengths below it
-            [1].
-        translation_factors: Factor of each joint's translations [m].
-        is_folded: Whether each joint's scale is folded into lengths ``(J,)``.
-        remaining_scales: Saved scales that are not folded ``(J, 3)`` [1].
-        shape_channels: Channel of each shape, and its percentage at weight 1 [%].
-        mesh_names: Name of the mesh that each node shows.
-        notices: Warnings about data that rigs cannot store.
-    """
-
-    rig: Rig
+    rig: Rig  # J joints
+    # Node of each joint; trailing helper joints of meshes are omitted.
     joint_rows: list[JointRow]
-    joint_of_node: IntArray
+    joint_of_node: IntArray  # joint of each node; -1 for nodes that are not joints
+    # By node, the uniform scale that is folded into lengths below it [1].
     folded_scales: FloatArray
-    translation_factors: FloatArray
-    is_folded: BoolArray
-    remaining_scales: FloatArray
+    translation_factors: FloatArray  # factor of each joint's translations [m]
+    is_folded: BoolArray  # whether each joint's scale is folded into lengths ``(J,)``
+    remaining_scales: FloatArray  # saved scales that are not folded ``(J, 3)`` [1]
+    # Channel of each shape, and its percentage at weight 1 [%].
     shape_channels: list[tuple[ShapeChannel, float]]
-    mesh_names: dict[int, str]
+    mesh_names: dict[int, str]  # name of the mesh that each node shows
+    # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
 

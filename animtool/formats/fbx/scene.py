@@ -26,32 +26,20 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of an FBX file.
+    """The contents of an FBX file."""
 
-    Attributes:
-        file: Objects of the file.
-        settings: Unit, axes and rate.
-        models: Nodes, parents first.
-        meshes: Meshes by index of the node that shows them.
-        takes: Takes in file order.
-        ignored_contents: Labels of contents that are not read.
-        default_take: Index of the take read by default; -1 for none.
-        nodes: The node tree, one node per model.
-        skins: One per skinned mesh that a node shows.
-        mesh_bind_worlds: World transform of each skin's mesh at bind time.
-    """
-
-    file: FbxFile
-    settings: FbxSettings
-    models: list[Model]
-    meshes: dict[int, FbxGeometry]
-    takes: list[AnimTake]
-    default_take: int
-    nodes: tuple[Node, ...]
-    skins: tuple[SkinEntry, ...]
+    file: FbxFile  # objects of the file
+    settings: FbxSettings  # unit, axes and rate
+    models: list[Model]  # nodes, parents first
+    meshes: dict[int, FbxGeometry]  # meshes by index of the node that shows them
+    takes: list[AnimTake]  # takes in file order
+    default_take: int  # index of the take read by default; -1 for none
+    nodes: tuple[Node, ...]  # the node tree, one node per model
+    skins: tuple[SkinEntry, ...]  # one per skinned mesh that a node shows
+    # World transform of each skin's mesh at bind time.
     mesh_bind_worlds: list[FloatArray]
     scenes: list[list[int]]
-    ignored_contents: tuple[str, ...] = ()
+    ignored_contents: tuple[str, ...] = ()  # labels of contents that are not read
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:

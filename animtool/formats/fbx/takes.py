@@ -68,25 +68,17 @@ MAX_LAYERS = 1000
 
 @dataclass(slots=True, eq=False)
 class AnimTake:
-    """A take with its tracks.
+    """A take with its tracks."""
 
-    Attributes:
-        name: Name in the file.
-        where: Location of the take's element in the file.
-        start_ticks: Start of the take's span [tick].
-        end_ticks: End of the take's span [tick].
-        layers: Names of the take's layers, from bottom to top.
-        tracks: Tracks by object id and property name.
-        has_animated_visibility: Whether visibility is animated.
-    """
-
-    name: str
-    where: str
-    start_ticks: int
-    end_ticks: int
+    name: str  # name in the file
+    where: str  # location of the take's element in the file
+    start_ticks: int  # start of the take's span [tick]
+    end_ticks: int  # end of the take's span [tick]
+    # Names of the take's layers, from bottom to top.
     layers: list[str] = field(default_factory=list)
+    # Tracks by object id and property name.
     tracks: dict[tuple[ObjectId, str], PropertyTrack] = field(default_factory=dict)
-    has_animated_visibility: bool = False
+    has_animated_visibility: bool = False  # whether visibility is animated
 
     def curves(self) -> list[FbxCurve]:
         """Return all animation curves of the take."""

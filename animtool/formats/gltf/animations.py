@@ -40,29 +40,19 @@ class SamplerInterpolation(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfTrack:
-    """Keys of one animated property.
+    """Keys of one animated property."""
 
-    Attributes:
-        node: The animated node; -1 if a mesh is animated.
-        mesh: The mesh whose weights are animated, on all nodes; -1 if a node is
-            animated.
-        path: The animated property.
-        weight_index: Index of a single animated weight; -1 for all weights.
-        interpolation: Interpolation between keys.
-        times: Key times, ascending ``(K,)`` [s].
-        values: ``(K, W)``; in the stored type if floats.
-        ins: Slopes into each key of cubic splines ``(K, W)`` [1/s].
-        outs: Slopes out of each key of cubic splines ``(K, W)`` [1/s].
-    """
-
-    node: int
+    node: int  # the animated node; -1 if a mesh is animated
+    # The mesh whose weights are animated, on all nodes; -1 if a node is animated.
     mesh: int
-    path: TargetPath
-    weight_index: int
-    interpolation: SamplerInterpolation
-    times: FloatArray
-    values: FloatArray
+    path: TargetPath  # the animated property
+    weight_index: int  # index of a single animated weight; -1 for all weights
+    interpolation: SamplerInterpolation  # interpolation between keys
+    times: FloatArray  # key times, ascending ``(K,)`` [s]
+    values: FloatArray  # ``(K, W)``; in the stored type if floats
+    # Slopes into each key of cubic splines ``(K, W)`` [1/s].
     ins: FloatArray | None = None
+    # Slopes out of each key of cubic splines ``(K, W)`` [1/s].
     outs: FloatArray | None = None
 
     def sample(self, times: FloatArray) -> FloatArray:

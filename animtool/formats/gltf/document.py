@@ -62,33 +62,19 @@ _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """The contents of a glTF file.
+    """The contents of a glTF file."""
 
-    Attributes:
-        path: Path of the file.
-        nodes: Nodes in file order.
-        skins: Skins in file order.
-        meshes: Meshes in file order.
-        animations: Animations in file order.
-        scenes: Root nodes of each scene.
-        default_scene: Index of the default scene; -1 if there is none.
-        accessors: Accessors of the file.
-        root: The JSON.
-        notes: Collects warnings and notes.
-        ignored_contents: Labels of contents that are not read.
-    """
-
-    path: Path
-    nodes: tuple[Node, ...]
-    skins: tuple[SkinEntry, ...]
-    meshes: tuple[MeshEntry, ...]
-    animations: tuple[Animation, ...]
-    scenes: list[list[int]]
-    default_scene: int
-    accessors: Accessors
-    root: JsonItem
-    notes: FileNotices
-    ignored_contents: tuple[str, ...]
+    path: Path  # path of the file
+    nodes: tuple[Node, ...]  # nodes in file order
+    skins: tuple[SkinEntry, ...]  # skins in file order
+    meshes: tuple[MeshEntry, ...]  # meshes in file order
+    animations: tuple[Animation, ...]  # animations in file order
+    scenes: list[list[int]]  # root nodes of each scene
+    default_scene: int  # index of the default scene; -1 if there is none
+    accessors: Accessors  # accessors of the file
+    root: JsonItem  # the JSON
+    notes: FileNotices  # collects warnings and notes
+    ignored_contents: tuple[str, ...]  # labels of contents that are not read
 
 
 @expects_format("GLT001", "a glTF file")

@@ -28,23 +28,16 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig with the nodes that its joints and shapes come from.
+    """A rig with the nodes that its joints and shapes come from."""
 
-    Attributes:
-        rig: J joints.
-        joint_of_node: Joint of each node of the file; -1 for nodes that are not joints.
-        folded_scales: By node, the uniform scale folded into the lengths below it
-            ``(N,)`` [1].
-        remaining_scales: Scales at rest that are not folded ``(J, 3)`` [1].
-        shape_sources: Node and morph target of each shape.
-        notices: Warnings about data that rigs cannot store.
-    """
-
-    rig: Rig
+    rig: Rig  # J joints
+    # Joint of each node of the file; -1 for nodes that are not joints.
     joint_of_node: IntArray
+    # By node, the uniform scale folded into the lengths below it ``(N,)`` [1].
     folded_scales: FloatArray
-    remaining_scales: FloatArray
-    shape_sources: tuple[tuple[int, int], ...]
+    remaining_scales: FloatArray  # scales at rest that are not folded ``(J, 3)`` [1]
+    shape_sources: tuple[tuple[int, int], ...]  # node and morph target of each shape
+    # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
 

@@ -65,27 +65,18 @@ _ANGLES_BY_LOWERCASE = {name.lower(): name for name in ANGLE_COLUMNS}
 
 @dataclass(slots=True)
 class Recording:
-    """The rows of a recording, in file order.
+    """The rows of a recording, in file order."""
 
-    Attributes:
-        path: Path of the file.
-        shapes: Name of each weight column, in ARKit's spelling if it is an ARKit shape.
-        angles: The `ANGLE_COLUMNS` in the file, in the order of ``rotations``.
-        labels: Time code of each row, as written.
-        lines: 1-based line number of each row ``(R,)``.
-        weights: Weights of the shapes ``(R, S)``; NaN if missing.
-        rotations: Angles [rad] ``(R, A)``; NaN if missing.
-        notices: Warnings about the file.
-    """
-
-    path: Path
+    path: Path  # path of the file
+    # Name of each weight column, in ARKit's spelling if it is an ARKit shape.
     shapes: tuple[str, ...]
+    # The `ANGLE_COLUMNS` in the file, in the order of ``rotations``.
     angles: tuple[str, ...]
-    labels: list[str]
-    lines: IntArray
-    weights: FloatArray
-    rotations: FloatArray
-    notices: list[Fault] = field(default_factory=list)
+    labels: list[str]  # time code of each row, as written
+    lines: IntArray  # 1-based line number of each row ``(R,)``
+    weights: FloatArray  # weights of the shapes ``(R, S)``; NaN if missing
+    rotations: FloatArray  # angles [rad] ``(R, A)``; NaN if missing
+    notices: list[Fault] = field(default_factory=list)  # warnings about the file
 
 
 @expects_format("LLF001", "a Live Link Face recording")

@@ -34,21 +34,13 @@ _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 @dataclass(frozen=True, slots=True)
 class TimecodeFrames:
-    """Frame rate, and the frame of each row.
+    """Frame rate, and the frame of each row."""
 
-    Attributes:
-        clock: Labels per second, exact.
-        step: Labels per frame.
-        rows: Indices of the rows that are used, sorted by time ``(N,)``.
-        frames: Frame of each used row, from 0, ascending ``(N,)``.
-        notices: Warnings about the timecodes.
-    """
-
-    clock: Fraction
-    step: int
-    rows: IntArray
-    frames: IntArray
-    notices: tuple[Fault, ...] = ()
+    clock: Fraction  # labels per second, exact
+    step: int  # labels per frame
+    rows: IntArray  # indices of the rows that are used, sorted by time ``(N,)``
+    frames: IntArray  # frame of each used row, from 0, ascending ``(N,)``
+    notices: tuple[Fault, ...] = ()  # warnings about the timecodes
 
     @property
     def rate(self) -> Fraction:

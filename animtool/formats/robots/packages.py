@@ -25,17 +25,11 @@ class OutsideError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PackageFolders:
-    """Folders in which a robot may refer to files.
+    """Folders in which a robot may refer to files."""
 
-    Attributes:
-        folder: Folder of the file, to which names are relative.
-        roots: Folders that names may lead into.
-        packages: Folders of the packages that contain the file, by name.
-    """
-
-    folder: Path
-    roots: tuple[Path, ...]
-    packages: dict[str, Path]
+    folder: Path  # folder of the file, to which names are relative
+    roots: tuple[Path, ...]  # folders that names may lead into
+    packages: dict[str, Path]  # folders of the packages that contain the file, by name
 
     @staticmethod
     def of(path: Path, codes: XmlCodes) -> PackageFolders:

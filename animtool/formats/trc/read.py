@@ -39,27 +39,16 @@ _NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """The values of the header lines of a TRC file.
+    """The values of the header lines of a TRC file."""
 
-    Attributes:
-        rate: DataRate [1/s]; None without a number.
-        unit: Units; None if missing.
-        frames: NumFrames; None without a number.
-        markers: NumMarkers; None without a number.
-        names: Marker names in column order, empty for unnamed markers.
-        axes: Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
-        begin: Index of the first row.
-        separator: Separator of cells in rows.
-    """
-
-    rate: float | None
-    unit: str | None
-    frames: float | None
-    markers: float | None
-    names: list[str]
-    axes: int
-    begin: int
-    separator: bytes
+    rate: float | None  # DataRate [1/s]; None without a number
+    unit: str | None  # Units; None if missing
+    frames: float | None  # NumFrames; None without a number
+    markers: float | None  # NumMarkers; None without a number
+    names: list[str]  # marker names in column order, empty for unnamed markers
+    axes: int  # number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing
+    begin: int  # index of the first row
+    separator: bytes  # separator of cells in rows
 
 
 def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
