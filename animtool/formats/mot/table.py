@@ -20,11 +20,11 @@ from animtool.formats.delimited import (
     read_lines,
     split_cells,
 )
+from animtool.formats.trajectories import FLOAT32_MAX
 
 # OpenSim headers have about ten lines; those of results may have a page of remarks.
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 10_000
-FLOAT32_MAX = float(np.finfo(np.float32).max)
 # OpenSim data types with one number per cell.
 _NUMBER_TYPES = {"", "double", "float", "real"}
 _UNSUPPORTED_TYPES = {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import project_roots
@@ -92,12 +91,9 @@ class PackageFolders:
         except (OSError, RuntimeError, ValueError) as error:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(real_path.is_relative_to(root) for root in self.roots):
-            raise OutsideError(f"it leads out of {_folder_list(self.roots)}")
+            roots = ", ".join(dict.fromkeys(map(str, self.roots)))
+            raise OutsideError(f"it leads out of {roots}")
         return real_path if exists(real_path) else None
-
-
-def _folder_list(roots: Sequence[Path]) -> str:
-    return ", ".join(dict.fromkeys(map(str, roots)))
 
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:

@@ -74,12 +74,16 @@ def _links_depth_first(
         rig_joints = (
             [] if joint is None else _build_rig_joints(joint, mimics.get(joint.name))
         )
-        link_surfaces = surfaces.get(name, [])
-        link = Link(
-            name, parent, rig_joints, solids=source.solids, surfaces=link_surfaces
+        links.append(
+            Link(
+                name,
+                parent,
+                rig_joints,
+                solids=source.solids,
+                surfaces=surfaces.get(name, []),
+                weight=source.weight,
+            )
         )
-        link.weight = source.weight
-        links.append(link)
         index = len(links) - 1
         stack += [
             (next_joint.child, index, next_joint)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from animtool.core.errors import cycle_text, excerpt, listed
 from animtool.core.names import nearest
 from animtool.formats.robots.notes import XmlNotes
@@ -59,7 +57,8 @@ def _check_roots(
 ) -> None:
     roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
-        message = f"{len(roots)} links have no parent: {listed(_quoted_names(roots))}"
+        names_text = listed([excerpt(name) for name in roots])
+        message = f"{len(roots)} links have no parent: {names_text}"
         hint = "a robot has one root: join the others to it by joints"
         second_root = file.links[roots[1]].element
         notes.add("URD012", second_root, message, hint)
@@ -88,10 +87,6 @@ def _check_roots(
         if not roots:
             message += "; every link has a parent, so there is no root"
         _add_fault(notes, "URD011", first_joint, message, "remove one of these joints")
-
-
-def _quoted_names(names: Iterable[str]) -> list[str]:
-    return [excerpt(name) for name in names]
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
