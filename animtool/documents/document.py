@@ -93,9 +93,8 @@ class Document:
         texts = [self.source_text((*location, i)) or "" for i in range(len(value))]
         positions = [self.position((*location, i)) for i in range(len(value))]
         numbers: list[str] = []
-        expected_position = (
-            None  # where the one before ends, if it may be followed by decimals
-        )
+        # Where the number before ends, if decimals may follow it.
+        expected_position = None
         for text, (line, column) in zip(texts, positions, strict=True):
             if expected_position == (line, column - 1) and text.isdigit():
                 numbers[-1] += f".{text}"
