@@ -7,16 +7,13 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import field
 
+from animtool.core.errors import cycle_text
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
-from animtool.rig.controls import (
-    Control,
-    ControlCycleError,
-    Drive,
-    evaluation_order,
-)
+from animtool.rig.controls import Control, Drive, evaluation_order
+from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.driver_entries import (
     check_no_interpolation,
     read_driver,
@@ -42,7 +39,7 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.rig.schema import ControlModel, DriveModel, RigModel
-from animtool.rig.shapes import ShapeCycleError, combination_order
+from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
 
 _LIST_KEYS = {
@@ -145,7 +142,7 @@ class PartReader:
             )
         try:
             combination_order(shapes)
-        except ShapeCycleError as error:
+        except DependencyCycleError as error:
             index = [shape.name for shape in shapes].index(error.cycle[0])
             message = f"shapes combine each other in a cycle: {error}"
             self.document.add("RIG026", ("shapes", index, "combine"), message)
@@ -177,9 +174,10 @@ class PartReader:
         )
         try:
             evaluation_order(controls)
-        except ControlCycleError as error:
-            first_in_file = next(name for name in error.cycle if name in entry_of_name)
-            message = f"controls drive each other in a cycle: {error}"
+        except DependencyCycleError as error:
+            cycle = error.cycle[::-1]
+            first_in_file = next(name for name in cycle if name in entry_of_name)
+            message = f"controls drive each other in a cycle: {cycle_text(cycle)}"
             self.document.add(
                 "RIG014", ("controls", entry_of_name[first_in_file]), message
             )
