@@ -160,7 +160,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         )
         chains = parts.read_chains(inherited.chains)
         colliders = parts.read_colliders(inherited.colliders)
-        masses = parts.masses(inherited.masses)
+        masses = parts.read_masses(inherited.masses)
         attachments = parts.read_attachments(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_w_last(document, model.joints)
