@@ -56,10 +56,8 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         control_names = [control.name for control in rig.controls]
         if name in control_names:
             return None
-        message, hint = (
-            f"unknown control {name!r}",
-            _suggestion_hint(name, control_names),
-        )
+        message = f"unknown control {name!r}"
+        hint = _suggestion_hint(name, control_names)
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"

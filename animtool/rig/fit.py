@@ -109,10 +109,8 @@ def measure_fit(
     joints_with_parents = matched_joints[
         (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
     ]
-    rig_bones, translations_of_both = (
-        rig.rest_translations[joints_with_parents],
-        take.rest_translations[source[joints_with_parents]],
-    )
+    rig_bones = rig.rest_translations[joints_with_parents]
+    translations_of_both = take.rest_translations[source[joints_with_parents]]
     sizes = np.array(
         [
             np.linalg.norm(bone_vectors, axis=1)

@@ -106,10 +106,8 @@ def read_joints(
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.is_mirrored:
-            source, parent_world = (
-                tree.indices[entry.source],
-                tree.world_at_rest(parent),
-            )
+            source = tree.indices[entry.source]
+            parent_world = tree.world_at_rest(parent)
             joint = mirror_joint(
                 tree.joints[source], tree.world_at_rest(source), parent, parent_world
             )
@@ -413,10 +411,8 @@ def _with_mimics(
         target = mimic.joint
         if entry.is_mirrored:
             target = joints[leader].mirror or target
-        unit, leader_unit = (
-            units.unit_of(JointType(model.type)),
-            units.unit_of(joints[leader].type),
-        )
+        unit = units.unit_of(JointType(model.type))
+        leader_unit = units.unit_of(joints[leader].type)
         mimic_of_joint = Mimic(
             target, mimic.gain * unit / leader_unit, mimic.offset * unit
         )

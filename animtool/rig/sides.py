@@ -224,19 +224,15 @@ def mirror_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose
     facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
     position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
     inverse_parent = so3.conjugate(parent_world[1])
-    offset, mirrored_rotation = (
-        position - parent_world[0],
-        so3.multiply(inverse_parent, rotation),
-    )
+    offset = position - parent_world[0]
+    mirrored_rotation = so3.multiply(inverse_parent, rotation)
     if (
         np.abs(so3.rotate(inverse_parent, offset) - local).max() > POSITION_TOLERANCE
         or so3.angle_between(mirrored_rotation, facing_local) > POSITION_TOLERANCE
     ):
         # The parents are not mirror images of each other.
-        local, facing_local = (
-            so3.rotate(inverse_parent, offset) + 0.0,
-            mirrored_rotation + 0.0,
-        )
+        local = so3.rotate(inverse_parent, offset) + 0.0
+        facing_local = mirrored_rotation + 0.0
     a, b, c, d = facing_local.tolist()
     return Pose(_float_tuple(local), (a, b, c, d))
 

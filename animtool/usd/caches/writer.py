@@ -221,11 +221,9 @@ class PointWriter:
         on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
-        self._every_frame, self._with_default, self._on_added = (
-            every_frame,
-            with_default,
-            on_added,
-        )
+        self._every_frame = every_frame
+        self._with_default = with_default
+        self._on_added = on_added
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:

@@ -69,18 +69,14 @@ def read_shapes(
         case "Sphere":
             kind_name, sizes = "sphere", (values["radius"] * scale_unit,)
         case "Capsule":
-            kind_name, sizes = (
-                "capsule",
-                (values["radius"] * scale_unit, values["height"] * scale_unit),
-            )
+            kind_name = "capsule"
+            sizes = (values["radius"] * scale_unit, values["height"] * scale_unit)
         case "Cube":
             scaled_sides = [
                 side * source.meters_per_unit for side in np.abs(scale).tolist()
             ]
-            kind_name, sizes = (
-                "box",
-                tuple(side * values["size"] for side in scaled_sides),
-            )
+            kind_name = "box"
+            sizes = tuple(side * values["size"] for side in scaled_sides)
         case "Plane" if is_static:
             kind_name = "plane"
         case "Mesh":
@@ -139,10 +135,8 @@ def _read_mesh(
     points, (counts, vertex_indices) = reader.points_at(time), reader.faces(time)
     if not len(points) or not len(counts):
         return points, np.zeros((0, 3), np.int64)
-    location, message = (
-        PrimLocation.from_prim(source.path, prim),
-        mesh_fault(points, counts, vertex_indices),
-    )
+    location = PrimLocation.from_prim(source.path, prim)
+    message = mesh_fault(points, counts, vertex_indices)
     if message:
         location.fail("SIM051", message)
     points = points * scale * source.meters_per_unit

@@ -181,10 +181,8 @@ def parent_from_take(
     parent_matrices = parent_from_space(target, path, codes, in_skeleton_space=True)
     if rig_from_take is None:
         return parent_matrices
-    placement, meters_per_unit = (
-        rig_from_take(codes),
-        target.skeleton.rig.meters_per_unit,
-    )
+    placement = rig_from_take(codes)
+    meters_per_unit = target.skeleton.rig.meters_per_unit
     if placement.is_identity:
         return parent_matrices
     rig_matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))

@@ -293,10 +293,8 @@ def _read_shape(
 
     inbetweens = []
     for inbetween in inbetween_prims:
-        weight, normals = (
-            inbetween.GetWeight(),
-            offset_rows(inbetween.GetNormalOffsetsAttr()),
-        )
+        weight = inbetween.GetWeight()
+        normals = offset_rows(inbetween.GetNormalOffsetsAttr())
         if normals is not None and not len(array_value(inbetween.GetAttr())):
             offsets: LoadedArray | None = LoadedArray(np.zeros((row_count, 3)))
         else:

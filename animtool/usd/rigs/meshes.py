@@ -257,10 +257,8 @@ def _pad_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.row_starts)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
-    joints, weights = (
-        np.zeros(is_influence.shape, np.int64),
-        np.zeros(is_influence.shape),
-    )
+    joints = np.zeros(is_influence.shape, np.int64)
+    weights = np.zeros(is_influence.shape)
     joints[is_influence], weights[is_influence] = influences.joints, influences.weights
     return joints, weights
 
@@ -437,10 +435,8 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
     Both are ``(B, 6, 3)``.
     """
     directions = segments[:, 1] - segments[:, 0]
-    head, tail = (
-        segments[:, 0] + END_GAP * directions,
-        segments[:, 1] - END_GAP * directions,
-    )
+    head = segments[:, 0] + END_GAP * directions
+    tail = segments[:, 1] - END_GAP * directions
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
     unit_directions = directions / lengths
     # The cross product with the coordinate axis least along the bone is never

@@ -211,10 +211,8 @@ class _StageUnits:
     def from_skeleton(skeleton: Any, rig: Rig, matrix: FloatArray) -> _StageUnits:
         """Return the conversion for a Skeleton with a world matrix."""
         stage = skeleton.GetStage()
-        meters_per_unit, stage_up = (
-            float(UsdGeom.GetStageMetersPerUnit(stage)),
-            up_axis(stage),
-        )
+        meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        stage_up = up_axis(stage)
         mismatches = []
         scale_factor = meters_per_unit / rig.meters_per_unit
         _, rotation, scales = decompose(matrix)
