@@ -21,7 +21,7 @@ from animtool.rig.driver_entries import (
 )
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
-from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
+from animtool.rig.joint_entries import FileJoints, FileUnits, scale_vector, unit_vector
 from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
 from animtool.rig.joints import DRIVEN_PARTS, part_hint, split_part
 from animtool.rig.mass_entries import read_masses
@@ -276,12 +276,11 @@ class PartReader:
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
             length = self.units.length
-            x, y, z = (value * length for value in entry.capsule.offset)
             capsule = Capsule(
                 entry.capsule.radius * length,
                 entry.capsule.length * length,
                 axis,
-                (x, y, z),
+                scale_vector(entry.capsule.offset, length),
             )
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)

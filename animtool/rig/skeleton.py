@@ -370,8 +370,8 @@ class Rig:
             if total_length > MAX_PATH_CHARACTERS:
                 message = (
                     f"the paths of the {len(self.joints)} joints of {self.name!r} "
+                    f"have more than {MAX_PATH_CHARACTERS:g} characters in total"
                 )
-                message += f"have more than {MAX_PATH_CHARACTERS:g} characters in total"
                 hint = (
                     "shorten the chains: each path contains all names above its joint"
                 )
