@@ -280,8 +280,8 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
                 f"{largest * factor:.4g}; multiply the expression by {factor:.6g}"
             )
             names = [entry.get("name") for entry in document.value["controls"]]
-            location = ("controls", names.index(control.name), "drives", k)
-            document.warn("RIG112", location, message, hint)
+            row = names.index(control.name)
+            document.warn("RIG112", ("controls", row, "drives", k), message, hint)
             return
     entries = {
         entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
@@ -298,8 +298,8 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        location = ("joints", entries[joint.name], "driven")
-        document.warn("RIG112", location, message, hint)
+        row = entries[joint.name]
+        document.warn("RIG112", ("joints", row, "driven"), message, hint)
         return
 
 

@@ -249,11 +249,13 @@ class _FileNumbers:
         factor = drive.unit / unit
         factor = 1.0 if math.isclose(factor, 1.0, rel_tol=1e-12) else factor
         curve = flow_list([str(_number_list((x, y * factor))) for x, y in drive.curve])
-        expression = drive.expression
+        expression_text = None
+        if drive.expression is not None:
+            expression_text = _expression_text(drive.expression, {}, factor)
         return _flow_mapping(
             [
                 (kind, yaml_scalar(name)),
-                ("expr", expression and _expression_text(expression, {}, factor)),
+                ("expr", expression_text),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
             ]

@@ -160,8 +160,8 @@ def _check_values(
 ) -> None:
     """Check that joint indices are in range and weights are finite."""
     integers = joint_indices.astype(np.int64)
-    out_of_range = ((integers < 0) | (integers >= joints)).any(axis=1)
-    not_finite = ~np.isfinite(weights).all(axis=1)
+    out_of_range = np.asarray(((integers < 0) | (integers >= joints)).any(axis=1))
+    not_finite = np.asarray(~np.isfinite(weights).all(axis=1))
     _raise_vertex_faults(
         ("SKIN002", out_of_range, f"a joint index outside 0…{joints - 1}"),
         ("SKIN003", not_finite, "a weight that is not finite"),

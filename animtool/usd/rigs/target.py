@@ -54,9 +54,8 @@ class RigTarget:
     fps: Fraction  # time codes per second of the stage
     start: Fraction | None  # start time code of the stage, if authored
     placing_ops: list[str]  # transform operations that place the SkelRoot
-    has_root_motion: (
-        bool  # whether the SkelRoot also has root motion, which the take replaces
-    )
+    # Whether the SkelRoot also has root motion, which the take replaces.
+    has_root_motion: bool
     skeleton_count: int  # number of skeletons below the SkelRoot
     unit: float  # length unit of the stage [m]; the rig has its own
     up: UpAxis  # up axis of the stage
