@@ -21,7 +21,7 @@ from animtool.rig.parts import (
     Mass,
     Mesh,
 )
-from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.placement import Placement, placement_matrices
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
@@ -153,7 +153,7 @@ def _rotate_chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkCh
 def _transform_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
-    matrix = placement_matrix(placement, unit)
+    matrix = placement_matrices(placement, unit)[0]
     return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 

@@ -24,7 +24,7 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.rig.placed import transform_rig
-from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.placement import Placement, placement_matrices
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.usd.caches.reader import PointReader, transform_points
 from animtool.usd.layers.faults import PrimLocation, bind_faults
@@ -443,7 +443,7 @@ def _stage_meshes(
     bind[:, :3, 3] *= rig.meters_per_unit
     if placement is not None and not placement.is_identity:
         rig = transform_rig(rig, placement)
-        bind = placement_matrix(placement) @ bind
+        bind = placement_matrices(placement)[0] @ bind
         # The scale is already in the bone lengths; joints cannot store it.
         bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

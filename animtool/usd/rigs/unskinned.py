@@ -13,7 +13,7 @@ from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import bounds_corners
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
-from animtool.usd.rigs.prims import number_rows
+from animtool.usd.rigs.prims import number_rows, sample_times
 from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_rig_mesh, skeleton_bindings
 
 # Maximum times at which a transform is evaluated.
@@ -70,9 +70,7 @@ def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
         *animated_ancestors(prim),
         *(animated_ancestors(skeleton) if choice == DROP else ()),
     ]
-    times = sorted(
-        {time for xformable in xformables for time in xformable.GetTimeSamples()}
-    )
+    times = sample_times(xformables)
     if len(times) < 2:
         return 0.0
     sample_positions = np.linspace(
