@@ -173,15 +173,11 @@ def exchange_impulses(
     wrenches = Wrenches.none(bodies.count)
     if not len(touching_rows):
         return with_contacts, wrenches
-    owners, velocity_change, speed_change = (
-        owners[touching_rows],
-        velocity_change[touching_rows],
-        speed_change[touching_rows],
-    )
-    directions, displacement = (
-        velocity_change / speed_change[:, None],
-        with_contacts[0, touching_rows] - without_contacts[0, touching_rows],
-    )
+    owners = owners[touching_rows]
+    velocity_change = velocity_change[touching_rows]
+    speed_change = speed_change[touching_rows]
+    directions = velocity_change / speed_change[:, None]
+    displacement = with_contacts[0, touching_rows] - without_contacts[0, touching_rows]
     elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
     points = (
         with_contacts[0, touching_rows]

@@ -324,10 +324,8 @@ def collide(
     )
     for rows, kinds, sheet_normals in sheet_contacts:
         is_untouched = touches[rows, 0] < 0
-        touches[rows[is_untouched]], normals[rows[is_untouched]] = (
-            kinds[is_untouched],
-            sheet_normals[is_untouched],
-        )
+        touches[rows[is_untouched]] = kinds[is_untouched]
+        normals[rows[is_untouched]] = sheet_normals[is_untouched]
     collider_indices, kinds = touches.T.copy()
     return Collided(state[0], state[1], Contacts(collider_indices, kinds, normals))
 

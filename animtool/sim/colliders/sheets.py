@@ -176,10 +176,8 @@ def collide_with_sheet(
     velocity = _displacement(
         before[0, near_particles], start_points, end_points - start_points, triangles
     ) / (t1 - t0)
-    start_state, end_state = (
-        before[:, near_particles].copy(),
-        after[:, near_particles].copy(),
-    )
+    start_state = before[:, near_particles].copy()
+    end_state = after[:, near_particles].copy()
     start_state[0] += velocity * (t1 - t0 - spawn_times[near_particles])[:, None]
     start_state[1] -= velocity
     end_state[1] -= velocity

@@ -98,11 +98,9 @@ def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatAr
 def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     """Return the frame of the ground, and its height field."""
     ground_data = context.parts["ground"]
-    poses, shape, mesh = (
-        ground_data["poses"],
-        ground_data.get("shape"),
-        ground_data.get("mesh"),
-    )
+    poses = ground_data["poses"]
+    shape = ground_data.get("shape")
+    mesh = ground_data.get("mesh")
     if len(poses.sample_times) > 1:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")

@@ -107,11 +107,9 @@ class AgentBodies(Footing):
     def blend(self, paces: FloatArray) -> Blend:
         """Return gait weights and blended steps for speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
-        speeds, yaw_rates, left_speeds = (
-            paces[:, 0] / self.scales,
-            paces[:, 1],
-            paces[:, 2] / self.scales,
-        )
+        speeds = paces[:, 0] / self.scales
+        yaw_rates = paces[:, 1]
+        left_speeds = paces[:, 2] / self.scales
         weights = _gait_weights(
             np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1),
             np.array([[gait.speed, leg * gait.turning] for gait in moving]),

@@ -272,18 +272,14 @@ def _build_step(
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
     landing_frame = np.array([float(stance.lands)])
-    (start,), (start_heading,) = (
-        path.positions(landing_frame),
-        path.headings(landing_frame),
-    )
+    (start,) = path.positions(landing_frame)
+    (start_heading,) = path.headings(landing_frame)
     step = np.append(
         rotated_about_y(foothold - start, -start_heading),
         wrap_angles(yaw - start_heading),
     )
-    (end_point,), (end_heading,) = (
-        path.positions(landing_frame + path.length),
-        path.headings(landing_frame + path.length),
-    )
+    (end_point,) = path.positions(landing_frame + path.length)
+    (end_heading,) = path.headings(landing_frame + path.length)
     next_foothold = np.append(
         end_point + rotated_about_y(step[:2], end_heading),
         yaw + end_heading - start_heading,

@@ -173,10 +173,8 @@ def standing_ankle(walker: Walker, foot_index: int, pitches: FloatArray) -> Floa
     Feet are rotated by ``pitches`` ``(K, 4)`` about the ball if the heel is up, else
     about the heel.
     """
-    ankle, ball = (
-        np.array([0.0, walker.ankle_heights[foot_index], 0.0]),
-        walker.ball_offsets[foot_index],
-    )
+    ankle = np.array([0.0, walker.ankle_heights[foot_index], 0.0])
+    ball = walker.ball_offsets[foot_index]
     on_heel = so3.rotate(pitches, ankle)
     on_ball = ankle + ball - so3.rotate(pitches, ball)
     return np.where(pitches[..., :1] > 0, on_ball, on_heel)

@@ -93,12 +93,10 @@ class Obstacles:
             np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)
         )
         order = np.argsort(agents_of_walls, kind="stable")
-        agents_of_walls, gaps, directions, closing_speeds = (
-            agents_of_walls[order],
-            gaps[order],
-            directions[order],
-            closing_speeds[order],
-        )
+        agents_of_walls = agents_of_walls[order]
+        gaps = gaps[order]
+        directions = directions[order]
+        closing_speeds = closing_speeds[order]
         min_speeds = np.minimum(
             closing_speeds - gaps / self.horizon,
             LEAVING_SPEED * max_speeds[agents_of_walls],
@@ -170,10 +168,8 @@ def capsule_distances(
     ``(K,)``, radii ``(K,)`` and total heights ``(K,)`` [m].
     """
     count = len(x)
-    lows, highs = (
-        base_heights + radii,
-        base_heights + np.maximum(body_heights - radii, radii),
-    )
+    lows = base_heights + radii
+    highs = base_heights + np.maximum(body_heights - radii, radii)
     levels = [lows, (lows + highs) / 2, highs]
     points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
     samples = colliders.sample(frame.to_world(points), t, t + dt)
@@ -225,10 +221,8 @@ def navigation_grids(
     margin = GRID_MARGIN * (high - low).max() + GRID_MARGIN_RADII * radius
     low, high = low - margin, high + margin
     if not ground.is_plane:
-        low, high = (
-            np.maximum(low, ground.bounds[0]),
-            np.minimum(high, ground.bounds[1]),
-        )
+        low = np.maximum(low, ground.bounds[0])
+        high = np.minimum(high, ground.bounds[1])
         high = np.maximum(high, low)
     cell_size = spec.cell or radius
     if ground.is_plane and np.prod((high - low) / cell_size) > MAX_NODES:

@@ -280,10 +280,8 @@ class Nozzle:
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         layer_size, skipped_count = len(self._layer_points), 0
         for interval in self._intervals:
-            first_layer, last_layer = (
-                self._layer_count(interval, start),
-                self._layer_count(interval, end),
-            )
+            first_layer = self._layer_count(interval, start)
+            last_layer = self._layer_count(interval, end)
             count = min(last_layer - first_layer, capacity // layer_size)
             skipped_count += (last_layer - first_layer - count) * layer_size
             capacity -= count * layer_size
@@ -301,18 +299,12 @@ class Nozzle:
         self, times: FloatArray, end: float, gravity: FloatArray
     ) -> FloatArray:
         """Return layers released at ``times``, advanced to ``end`` ``(2, K M, 3)``."""
-        poses, earlier_poses = (
-            self._poses.at_times(times),
-            self._poses.at_times(times - VELOCITY_INTERVAL),
-        )
-        layer_size, emitter_velocity = (
-            len(self._layer_points),
-            (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL,
-        )
-        rotations, emitter_velocity = (
-            np.repeat(poses[:, 3:], layer_size, axis=0),
-            np.repeat(emitter_velocity, layer_size, axis=0),
-        )
+        poses = self._poses.at_times(times)
+        earlier_poses = self._poses.at_times(times - VELOCITY_INTERVAL)
+        layer_size = len(self._layer_points)
+        emitter_velocity = (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL
+        rotations = np.repeat(poses[:, 3:], layer_size, axis=0)
+        emitter_velocity = np.repeat(emitter_velocity, layer_size, axis=0)
         layer_points = np.tile(self._layer_points, (len(times), 1))
         outflow_velocities = np.broadcast_to(
             [0.0, self._speed, 0.0], layer_points.shape

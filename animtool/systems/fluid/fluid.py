@@ -279,11 +279,9 @@ class Fluid:
         """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
         collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
-        substep, pressures, compression = (
-            dt / collision_substeps,
-            np.zeros(len(state.ids)),
-            0.0,
-        )
+        substep = dt / collision_substeps
+        pressures = np.zeros(len(state.ids))
+        compression = 0.0
         wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
         for k in range(collision_substeps):
             t0 = t + k * substep

@@ -82,10 +82,8 @@ class Substeps:
         """
         index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
         pressure, speed = (np.partition(a, index)[index] for a in (pressures, speeds))
-        pressure_head, max_speed = (
-            float(pressure) / self._spec.density,
-            float(speed) + acceleration * dt,
-        )
+        pressure_head = float(pressure) / self._spec.density
+        max_speed = float(speed) + acceleration * dt
         layer_head = MIN_LAYERS * self._spec.spacing * acceleration
         pressure_head = (
             max(pressure_head, layer_head, self._drop_pressure) + max_speed**2 / 2
@@ -98,10 +96,8 @@ class Substeps:
             <= required_speed * SOUND_TOLERANCE
         ):
             return previous
-        min_speed, max_allowed = (
-            previous * math.exp(-dt / SOUND_FALL_TIME),
-            previous * math.exp(dt / SOUND_RISE_TIME),
-        )
+        min_speed = previous * math.exp(-dt / SOUND_FALL_TIME)
+        max_allowed = previous * math.exp(dt / SOUND_RISE_TIME)
         sound = max(
             min_speed, min(required_speed, max_allowed) if previous else required_speed
         )

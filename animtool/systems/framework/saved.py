@@ -138,10 +138,8 @@ class SavedStates:
         lengths = set()
         for key in names:
             values = arrays[key] = archives.load_stored(path, f"{prefix}state/{key}")
-            expected_array, axis = (
-                expected_arrays.get(key, values),
-                metadata.axes.get(key),
-            )
+            expected_array = expected_arrays.get(key, values)
+            axis = metadata.axes.get(key)
             shape = list(expected_array.shape)
             if axis is not None and values.ndim == expected_array.ndim:
                 shape[axis] = values.shape[axis]

@@ -200,17 +200,13 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
         np.interp(r, profile.r, table) for table in tables
     )
     normal = matter.normal_samples(u[:, 3:6])
-    radial_velocities, azimuthal_velocities = (
-        radial * normal[:, 0],
-        mean + azimuthal * normal[:, 1],
-    )
+    radial_velocities = radial * normal[:, 0]
+    azimuthal_velocities = mean + azimuthal * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
     # Right-handed about y: from z to x.
     points = np.stack([r * sin, heights, r * cos], axis=1)
-    x, z = (
-        radial_velocities * sin + azimuthal_velocities * cos,
-        radial_velocities * cos - azimuthal_velocities * sin,
-    )
+    x = radial_velocities * sin + azimuthal_velocities * cos
+    z = radial_velocities * cos - azimuthal_velocities * sin
     velocities = np.stack([x, vertical * normal[:, 2], z], axis=1)
     return PointMasses(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
@@ -257,10 +253,8 @@ def orbit_motions(
     separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
     orbit_rotation = unit_quaternion(orbit.rotate)
-    separation, velocity = (
-        so3.rotate(orbit_rotation, separation),
-        so3.rotate(orbit_rotation, velocity),
-    )
+    separation = so3.rotate(orbit_rotation, separation)
+    velocity = so3.rotate(orbit_rotation, velocity)
     fractions = -masses[1] / total_mass, masses[0] / total_mass
     return [
         (np.array(orbit.at) + fraction * separation, fraction * velocity)

@@ -192,20 +192,16 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         while substeps <= self._spec.substeps:
             limit, step = math.inf, dt
             if self._has_fixed_steps:
-                limit, step = (
-                    (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2,
-                    dt / substeps,
-                )
+                limit = (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2
+                step = dt / substeps
             system = self._system(state, partial(_check_closest_pair, limit))
             try:
                 motion = self._integrate(system, t, dt, step)
             except CloseEncounterError as error:
                 substeps, encounter = 2 * substeps, error
                 continue
-            encounters, max_substeps = (
-                state.encounters + (substeps > 1),
-                max(state.divided, substeps),
-            )
+            encounters = state.encounters + (substeps > 1)
+            max_substeps = max(state.divided, substeps)
             next_state = NbodyState(
                 motion, system.sums_at(motion[0]), encounters, max_substeps
             )

@@ -103,10 +103,8 @@ class Emitter(Emission, Checked):
             0 if start_time is None else self._emitted_count(first_time, start_time)
         )
         end_index = self._emitted_count(first_time, end_time)
-        emitted_count, kept_count = (
-            end_index - first_index,
-            min(end_index - first_index, capacity),
-        )
+        emitted_count = end_index - first_index
+        kept_count = min(end_index - first_index, capacity)
         indices = np.arange(first_index, first_index + kept_count, dtype=np.int64)
         times = [first_time + (indices + 0.5) / self.rate] if len(indices) else []
         keys = [indices] if len(indices) else []
@@ -185,10 +183,8 @@ class Emitter(Emission, Checked):
                 so3.rotate(pose[3:], points) + pose[:3],
                 so3.rotate(pose[3:], velocities),
             )
-        poses, earlier_poses = (
-            self.poses.at_times(times),
-            self.poses.at_times(times - _VELOCITY_INTERVAL),
-        )
+        poses = self.poses.at_times(times)
+        earlier_poses = self.poses.at_times(times - _VELOCITY_INTERVAL)
         positions = so3.rotate(poses[:, 3:], points) + poses[:, :3]
         earlier_positions = (
             so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]

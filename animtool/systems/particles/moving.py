@@ -62,10 +62,8 @@ class ParticleForces(_ParticleSystem, SecondOrder):
         self, t: float, h: float, without_contacts: FloatArray, collision: Collided
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
-        state, first_body = (
-            np.stack([collision.points, collision.velocities]),
-            len(self._colliders),
-        )
+        state = np.stack([collision.points, collision.velocities])
+        first_body = len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
             shapes = collision.contacts.colliders - first_body
             shapes[shapes >= len(system.colliders)] = -1
@@ -282,11 +280,9 @@ class DivergenceCheck:
         first_energies[:, is_new] = particle_energies(
             self._setup, particles.select(is_new), state[:, is_new]
         )[0]
-        self._particles, self._ids, self._first_energies = (
-            particles,
-            particles.ids,
-            first_energies,
-        )
+        self._particles = particles
+        self._ids = particles.ids
+        self._first_energies = first_energies
 
     def reset_energies(self, is_moved: BoolArray, state: FloatArray) -> None:
         """Reset the first energies of particles that colliders moved."""

@@ -77,10 +77,8 @@ class RigidBodies:
         for entry_index, (model, entry_data) in enumerate(
             zip(models, parts, strict=True)
         ):
-            where, origin = (
-                entry_data.get("entry", f"bodies[{entry_index}]"),
-                entry_data.get("origin"),
-            )
+            where = entry_data.get("entry", f"bodies[{entry_index}]")
+            origin = entry_data.get("origin")
             with refusals.collect(), _entry_faults(where, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")

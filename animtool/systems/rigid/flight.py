@@ -71,21 +71,15 @@ def free_flight(
 ) -> Flight:
     """Return positions and velocities ``(N, 3)`` after a step [s] without contacts."""
     end, time, step = t + dt, t, dt
-    start_acceleration, start_jacobians = (
-        acceleration_at(t, x, v),
-        jacobians_at(t, x, v),
-    )
-    points, velocities, acceleration, jacobians = (
-        x,
-        v,
-        start_acceleration,
-        start_jacobians,
-    )
-    substeps_left, min_step, is_unresolved = (
-        MAX_SUBSTEPS,
-        MIN_STEP_FRACTION * dt,
-        np.zeros(len(x), np.bool_),
-    )
+    start_acceleration = acceleration_at(t, x, v)
+    start_jacobians = jacobians_at(t, x, v)
+    points = x
+    velocities = v
+    acceleration = start_acceleration
+    jacobians = start_jacobians
+    substeps_left = MAX_SUBSTEPS
+    min_step = MIN_STEP_FRACTION * dt
+    is_unresolved = np.zeros(len(x), np.bool_)
     while time < end:
         next_state, errors = _substep(
             acceleration_at, time, step, points, velocities, acceleration, jacobians
@@ -103,10 +97,8 @@ def free_flight(
             min_step = max(
                 MIN_STEP_FRACTION * dt, (end - time) / max(substeps_left, 1) ** 2
             )
-            acceleration, jacobians = (
-                acceleration_at(time, *next_state),
-                jacobians_at(time, *next_state),
-            )
+            acceleration = acceleration_at(time, *next_state)
+            jacobians = jacobians_at(time, *next_state)
             next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
             step = min(max(next_step, min_step), end - time)
     inertias = _inertia_factors(
@@ -180,10 +172,8 @@ def _inertia_factors(
     # Equal for linear drag.
     z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
-    squared_accelerations, projections = (
-        (start_acceleration * start_acceleration).sum(axis=1),
-        (start_acceleration * velocity_change).sum(axis=1),
-    )
+    squared_accelerations = (start_acceleration * start_acceleration).sum(axis=1)
+    projections = (start_acceleration * velocity_change).sum(axis=1)
     is_significant = np.sqrt(squared_accelerations) * dt > 1e-6 * np.linalg.norm(
         v, axis=1
     )

@@ -180,10 +180,8 @@ def build_joints(
                 message += "a prim"
                 refuse("SIM061", message, where)
             if parent in dynamic_indices:
-                first_index, frame_a = (
-                    dynamic_indices[parent],
-                    relative_to_principal(bodies, parent, frame),
-                )
+                first_index = dynamic_indices[parent]
+                frame_a = relative_to_principal(bodies, parent, frame)
             else:
                 anchor = bodies.poses[parent]
                 frame_a = relative_frame(anchor.at(bodies.begin), frame)
@@ -333,10 +331,8 @@ def relative_to_principal(
     bodies: RigidBodies, body: int, frame: FloatArray
 ) -> FloatArray:
     """Return a world frame relative to the principal axes of a body ``(7,)``."""
-    kind, pose = (
-        bodies.kinds[bodies.kind_of_body[body]],
-        bodies.poses[body].at(bodies.begin),
-    )
+    kind = bodies.kinds[bodies.kind_of_body[body]]
+    pose = bodies.poses[body].at(bodies.begin)
     centre = pose[:3] + so3.rotate(pose[3:], kind.centre)
     return relative_frame(
         np.concatenate([centre, so3.multiply(pose[3:], kind.axes)]), frame
@@ -425,10 +421,8 @@ def _distance_warnings(
     bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
     """Return a warning if a joint is far from the body that it moves (SIM127)."""
-    kind, pose = (
-        bodies.kinds[bodies.kind_of_body[body]],
-        bodies.poses[body].at(bodies.begin),
-    )
+    kind = bodies.kinds[bodies.kind_of_body[body]]
+    pose = bodies.poses[body].at(bodies.begin)
     offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
     if distance <= MAX_RADII * kind.bounding_radius:

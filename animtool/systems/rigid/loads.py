@@ -260,10 +260,8 @@ def _oscillation_rates(
     if is_relevant.any():
         matrices = np.zeros((int(is_relevant.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)
-        matrices[:, 3:, :3], matrices[:, 3:, 3:] = (
-            by_position[is_relevant],
-            by_velocity[is_relevant],
-        )
+        matrices[:, 3:, :3] = by_position[is_relevant]
+        matrices[:, 3:, 3:] = by_velocity[is_relevant]
         is_finite = np.isfinite(matrices).all(axis=(1, 2))
         rates = np.full(len(matrices), np.inf)
         rates[is_finite] = np.abs(np.linalg.eigvals(matrices[is_finite]).imag).max(

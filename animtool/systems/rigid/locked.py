@@ -195,10 +195,8 @@ def _constraint_rows(
                 factors[k, 3:] = sign * axis
             else:
                 lever_arm = (frame[:3] - centres[body]) / size
-                factors[k, :3], factors[k, 3:] = (
-                    sign * axis,
-                    sign * np.cross(lever_arm, axis),
-                )
+                factors[k, :3] = sign * axis
+                factors[k, 3:] = sign * np.cross(lever_arm, axis)
         return second, first, factors
 
     constraints = [build_row(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]

@@ -89,11 +89,9 @@ class BodyPhases:
         other_systems: Colliders,
     ) -> None:
         self._bodies, self._joints_of = bodies, joints_of
-        self._colliders, self._static, self._other_systems = (
-            list(colliders),
-            list(static),
-            other_systems,
-        )
+        self._colliders = list(colliders)
+        self._static = list(static)
+        self._other_systems = other_systems
         releases = bodies.releases[bodies.dynamic]
         self._releases = releases
         self._times = np.unique(releases[np.isfinite(releases)])

@@ -260,11 +260,9 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
         if body_pair[1] not in dynamic_numbers:
             continue
-        frame_b, parent, anchor = (
-            _relative_to_principal(bodies, body_pair[1], frames[1]),
-            body_pair[0],
-            Poses(),
-        )
+        frame_b = _relative_to_principal(bodies, body_pair[1], frames[1])
+        parent = body_pair[0]
+        anchor = Poses()
         frame_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
         if parent_index >= 0:
             frame_a = _relative_to_principal(bodies, parent, frame_a)

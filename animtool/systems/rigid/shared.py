@@ -78,10 +78,8 @@ class RigidStates:
         """Return the poses of collision shapes ``(C, 7)`` at a time [s]."""
         bodies = self.bodies
         frames = self.body_poses(state, t)[bodies.collision_shapes.body_of_shape]
-        at, rotation = (
-            bodies.collision_shapes.origins,
-            bodies.collision_shapes.rotations,
-        )
+        at = bodies.collision_shapes.origins
+        rotation = bodies.collision_shapes.rotations
         origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
         rotations = so3.multiply(frames[:, 3:], rotation)
         return np.concatenate([origins, rotations], axis=1)

@@ -373,10 +373,8 @@ class RigidSimulation(RigidStates):
         velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             pose, step = bodies.poses[i].at(t), self._spec.step
-            before, after = (
-                bodies.poses[i].at(t - step / 2),
-                bodies.poses[i].at(t + step / 2),
-            )
+            before = bodies.poses[i].at(t - step / 2)
+            after = bodies.poses[i].at(t + step / 2)
             points[i], rotations[i] = pose[:3], pose[3:]
             velocities[i] = (after[:3] - before[:3]) / step
             rotation = so3.multiply(after[3:], so3.conjugate(before[3:]))
