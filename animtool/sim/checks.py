@@ -47,9 +47,8 @@ def step_warnings(
     limit = allowed_step(integrator, modes)
     if limit is None or max_step <= limit:
         return []
-    message = (
-        f"{integrator.name} is not stable with steps of {plain_number(max_step)} s"
-    )
+    message = f"{integrator.name} is not stable with steps of {plain_number(max_step)} "
+    message += "s"
     return [warning("SIM101", message, _stable_step_advice(limit))]
 
 

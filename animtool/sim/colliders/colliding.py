@@ -251,10 +251,8 @@ def _active_side(collider: Collider) -> int:
 def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
     """Return a warning about a collider's teleport in sample interval ``k``."""
     speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
-    message = (
-        f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "
-    )
-    message += "nothing"
+    message = f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides "
+    message += "with nothing"
     hint = "raise its speed limit if it should collide on its way"
     return warning("SIM120", message, hint, where)
 

@@ -296,11 +296,9 @@ def stability_notices(spec: FlocksModel, integrator: Integrator) -> list[Fault]:
         return []
     species = spec.species[rates.index(max(rates))]
     weight = species.speed.weight * limit / spec.step
-    message = (
-        f"{integrator.name} is not stable with steps of {plain_number(spec.step)} s: "
-        f"{species.name!r} reaches its cruise of {species.speed.cruise:g} m/s "
-        f"within {plain_number(1 / max(rates))} s"
-    )
+    message = f"{integrator.name} is not stable with steps of "
+    message += f"{plain_number(spec.step)} s: {species.name!r} reaches its cruise of "
+    message += f"{species.speed.cruise:g} m/s within {plain_number(1 / max(rates))} s"
     hint = f"write step: {limit:.2g}, or a speed with weight: {weight:.2g}"
     return [warning("SIM101", message, hint)]
 

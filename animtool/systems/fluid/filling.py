@@ -210,9 +210,8 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
         message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
         message += f"m, but the limit is {spec.max_particles:,}"
         min_spacing = spec.spacing * (count / spec.max_particles) ** (1 / 3)
-        hint = (
-            f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise max_particles"
-        )
+        hint = f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise "
+        hint += "max_particles"
         refuse("SIM064", message, key, hint)
 
 

@@ -218,10 +218,8 @@ class Fluid:
         needed_substeps = self._substeps.substep_count(dt, max_speed, sound_speed)
         if needed_substeps > self._substeps.max_substeps:
             max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
-            message = (
-                f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step of "
-            )
-            message += f"{dt:g} s needs more than {max_substeps} substeps"
+            message = f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step "
+            message += f"of {dt:g} s needs more than {max_substeps} substeps"
             self._stop_for_long_step(
                 state, t, dt, message, needed_substeps / max_substeps, notices
             )
@@ -241,9 +239,8 @@ class Fluid:
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
         if compression > max(COLLAPSE_COMPRESSION, COLLAPSE_RATIO * max_compression):
-            message = (
-                f"it is {compression:.1%} denser than at rest: there is too little room"
-            )
+            message = f"it is {compression:.1%} denser than at rest: there is too "
+            message += "little room"
             hint = "enlarge its container, open a drain, or close an emitter earlier"
             self._stop("SIM108", t + dt, message, hint)
         if compression > max_compression and notices is not None:
@@ -447,10 +444,8 @@ class Fluid:
             has_room = is_clear(inflow.state[0], points, self._colliders, end, spacing)
             blocked_count = int((~has_room).sum())
             if blocked_count:
-                message = (
-                    f"{counted(blocked_count, 'particle')} could not be emitted until "
-                )
-                message += f"{end:g} s: fluid or a collider blocks the nozzle"
+                message = f"{counted(blocked_count, 'particle')} could not be emitted "
+                message += f"until {end:g} s: fluid or a collider blocks the nozzle"
                 hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
             count = int(has_room.sum())

@@ -55,10 +55,8 @@ def build_surface(
         np.ceil((points.max(axis=0) + radius + 2 * cell - grid_origin) / cell) + 1
     )
     if np.prod(node_counts) > spec.surface.max_cells:
-        message = (
-            f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, but "
-        )
-        message += f"{spec.surface.max_cells:,} are allowed: it is spread far"
+        message = f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, "
+        message += f"but {spec.surface.max_cells:,} are allowed: it is spread far"
         hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in node_counts)

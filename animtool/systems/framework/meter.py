@@ -182,21 +182,17 @@ class ContactMeter:
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
-            message = (
-                f"{pairs} of edges and triangles of {subject} and what it touches "
-            )
-            message += f"intersect ({self.pierced.when})"
+            message = f"{pairs} of edges and triangles of {subject} and what it "
+            message += f"touches intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
         if (
             self.strain_99.value > VISIBLE_STRAIN_99
             or self.strain.value > VISIBLE_STRAIN
         ):
-            message = (
-                f"{subject} is strained by up to {percent_text(self.strain.value)} "
-            )
-            message += f"({self.strain.text}), 99th percentile "
-            message += f"{percent_text(self.strain_99.value)}"
+            message = f"{subject} is strained by up to "
+            message += f"{percent_text(self.strain.value)} ({self.strain.text}), 99th "
+            message += f"percentile {percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
             hint += " or a higher stiffness" if self.seconds else ""
             notices.append(warning("SIM182", message, hint))

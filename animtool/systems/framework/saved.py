@@ -114,10 +114,8 @@ class SavedStates:
             and math.isclose(step, expected_clock.step)
         ):
             message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
-            message += (
-                f"scene, of {expected_clock.step:g} s, start at "
-                f"{expected_clock.begin:g} s"
-            )
+            message += f"scene, of {expected_clock.step:g} s, start at "
+            message += f"{expected_clock.begin:g} s"
             hint = "keep the step and the pre-roll it was saved with"
             raise mismatch(message, hint)
         expected_arrays, metadata = _state_arrays(initial.state), _FieldMetadata()

@@ -248,10 +248,8 @@ class ParticleSimulation:
         new_skipped_count = max(birth_count - capacity, 0)
         if new_skipped_count and not state.missed:
             limit = self.setup.max_particles
-            message = (
-                f"from {end_time:g} s on, the limit of {limit} particles leaves room "
-            )
-            message += "for "
+            message = f"from {end_time:g} s on, the limit of {limit} particles leaves "
+            message += "room for "
             hint = "raise max_particles, or lower rates or lifetimes"
             notices.append(
                 warning("SIM121", f"{message}no more", hint, self.setup.name)

@@ -192,9 +192,8 @@ def _concave_notice(
     if pieces:
         excess = excess_volume(mesh, [core for _, core in pieces])
         message = f"a mesh of {name!r} collides as "
-        message += (
-            f"{counted(len(pieces), 'convex piece')}, {excess:+.1%} of its volume"
-        )
+        message += f"{counted(len(pieces), 'convex piece')}, {excess:+.1%} of its "
+        message += "volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
     message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
     hint = "build it from several convex shapes"

@@ -168,8 +168,7 @@ class StepForceSolver:
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
             body = int(np.argmax(step_forces.flight.is_unresolved))
-            message = f"the force on {self._body(body)} changes too fast to be "
-            message += "resolved"
+            message = f"the force on {self._body(body)} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
