@@ -67,15 +67,10 @@ class MovingBodies(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Wrenches:
-    """Impulses on bodies ``(count, 6)``: [N s], then angular, about the origin [N m s].
+    """Impulses on bodies ``(count, 6)``: [N s], then about the origin [N m s]."""
 
-    Attributes:
-        impulses: Sum of the impulses.
-        delayed: Sum of the impulses times the time since they were applied.
-    """
-
-    impulses: FloatArray
-    delayed: FloatArray
+    impulses: FloatArray  # sum of the impulses
+    delayed: FloatArray  # sum of the impulses times the time since they were applied
 
     @staticmethod
     def none(count: int) -> Wrenches:

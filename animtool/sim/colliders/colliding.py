@@ -91,18 +91,12 @@ class Collided:
 
 @dataclass(frozen=True, slots=True)
 class ColliderSamples:
-    """Distances, normals and velocities of C colliders at N points.
+    """Distances, normals and velocities of C colliders at N points."""
 
-    Attributes:
-        distances: Distances from the surfaces minus the margins, negative inside
-            ``(C, N)`` [m].
-        normals: Unit normals out of the colliders ``(C, N, 3)``.
-        velocities: Velocities of the surfaces ``(C, N, 3)`` [m/s].
-    """
-
+    # Distances from the surfaces minus the margins, negative inside (C, N) [m].
     distances: FloatArray
-    normals: FloatArray
-    velocities: FloatArray
+    normals: FloatArray  # unit normals out of the colliders (C, N, 3)
+    velocities: FloatArray  # velocities of the surfaces (C, N, 3) [m/s]
 
 
 class Colliders(Sequence[Collider]):

@@ -17,17 +17,11 @@ from animtool.sim.colliders.shapes import Capsule
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointCapsules:
-    """C capsules attached to joints.
+    """C capsules attached to joints."""
 
-    Attributes:
-        joints: Index of the joint of each capsule ``(C,)``.
-        ends: Both ends of the axes, in the frames of the joints ``(C, 2, 3)`` [m].
-        radii: Radii ``(C,)`` [m].
-    """
-
-    joints: IntArray
-    ends: FloatArray
-    radii: FloatArray
+    joints: IntArray  # index of the joint of each capsule (C,)
+    ends: FloatArray  # both ends of the axes, in the frames of the joints (C, 2, 3) [m]
+    radii: FloatArray  # radii (C,) [m]
 
     @staticmethod
     def of(rig: Rig) -> JointCapsules:

@@ -49,32 +49,22 @@ OVERLAP_TOLERANCE = 0.004
 
 @dataclass(frozen=True)
 class Agents(Groups):
-    """N agents of several populations, in the frame of the ground.
-
-    Attributes:
-        starts: Start positions, x and z ``(N, 2)`` [m].
-        speeds: Preferred speeds ``(N,)`` [m/s].
-        max_speeds: Maximum speeds ``(N,)`` [m/s].
-        yielding: Weight with which an agent yields to those it touches ``(N,)`` [1].
-        delays: Time from the start until they begin to walk ``(N,)`` [s].
-        groups: Index of the group, -1 for none ``(N,)``.
-        lateral_offsets: Position in the group, to the left of its centre ``(N,)`` [m].
-        goal_offsets: Target position in goals, relative to their radius ``(N, 2)``.
-        sizes: Body size relative to the rig ``(N,)``.
-        clip_phases: Phase at which clips start, 0 to 1 ``(N,)``.
-    """
+    """N agents of several populations, in the frame of the ground."""
 
     noun: ClassVar[str] = "agent"
-    starts: FloatArray
-    speeds: FloatArray
-    max_speeds: FloatArray
+    starts: FloatArray  # start positions, x and z (N, 2) [m]
+    speeds: FloatArray  # preferred speeds (N,) [m/s]
+    max_speeds: FloatArray  # maximum speeds (N,) [m/s]
+    # Weight with which an agent yields to those it touches (N,) [1].
     yielding: FloatArray
-    delays: FloatArray
-    groups: npt.NDArray[np.int32]
+    delays: FloatArray  # time from the start until they begin to walk (N,) [s]
+    groups: npt.NDArray[np.int32]  # index of the group, -1 for none (N,)
+    # Position in the group, to the left of its centre (N,) [m].
     lateral_offsets: FloatArray
+    # Target position in goals, relative to their radius (N, 2).
     goal_offsets: FloatArray
-    sizes: FloatArray
-    clip_phases: FloatArray
+    sizes: FloatArray  # body size relative to the rig (N,)
+    clip_phases: FloatArray  # phase at which clips start, 0 to 1 (N,)
 
     @cached_property
     def heights(self) -> FloatArray:

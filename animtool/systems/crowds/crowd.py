@@ -73,29 +73,24 @@ class Crowd:
 
     Attributes:
         checked: Whether steps raise if a number is not finite.
-        begin: Start time [s].
-        start_points: x and z at the start ``(N, 2)`` [m].
-        cast: Bodies of the agents; None if they are points or meshes.
-        fall_simulator: Ragdolls of falling agents; None if nobody can fall.
-        meshes: Distinct meshes by which populations are displayed.
-        mesh_of_population: Index of the mesh of each population.
     """
 
     checked = True
 
     spec: CrowdsModel
-    begin: float
+    begin: float  # start time [s]
     ground_frame: GroundFrame
     ground: Terrain
     agents: Agents
     steering: Steering
     obstacles: Obstacles
-    start_points: FloatArray
+    start_points: FloatArray  # x and z at the start (N, 2) [m]
     notices: Sequence[Fault]
-    cast: AgentCast | None
+    cast: AgentCast | None  # bodies of the agents; None if they are points or meshes
+    # Ragdolls of falling agents; None if nobody can fall.
     fall_simulator: FallSimulator | None
-    meshes: tuple[MeshFrame, ...]
-    mesh_of_population: IntArray
+    meshes: tuple[MeshFrame, ...]  # distinct meshes by which populations are displayed
+    mesh_of_population: IntArray  # index of the mesh of each population
 
     @cached_property
     def _relaxation_times(self) -> FloatArray:

@@ -118,23 +118,14 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
 
 @dataclass(frozen=True)
 class CyclePath:
-    """Path of a body over a cycle: an arc at constant speed.
+    """Path of a body over a cycle: an arc at constant speed."""
 
-    Attributes:
-        begin: First frame.
-        length: Length of a cycle [frames].
-        origin: Position at the first frame, x and z ``(2,)`` [m].
-        heading: Heading at the first frame [rad].
-        velocity: Velocity in the frame of the body ``(2,)`` [m/frame].
-        turning: Yaw rate [rad/frame].
-    """
-
-    begin: float
-    length: float
-    origin: FloatArray
-    heading: float
-    velocity: FloatArray
-    turning: float
+    begin: float  # first frame
+    length: float  # length of a cycle [frames]
+    origin: FloatArray  # position at the first frame, x and z (2,) [m]
+    heading: float  # heading at the first frame [rad]
+    velocity: FloatArray  # velocity in the frame of the body (2,) [m/frame]
+    turning: float  # yaw rate [rad/frame]
 
     def headings(self, frames: FloatArray) -> FloatArray:
         """Return headings at frames ``(K,)`` [rad]."""

@@ -44,20 +44,16 @@ GRAVITY = 9.81  # [m/s²]
 
 @dataclass(frozen=True, slots=True)
 class Falls:
-    """Agents that have fallen, in the order of their falls.
+    """Agents that have fallen, in the order of their falls."""
 
-    Attributes:
-        agents: Indices of the agents ``(K,)``.
-        positions: World positions of joints when the fall began ``(K, J, 3)`` [m].
-        turns: World rotations of joints when the fall began ``(K, J, 4)``.
-        motion: States of the B bodies of each agent, as in `RigidState` ``(K, B, 14)``.
-        slow: Time for which each agent has moved slowly ``(K,)`` [s].
-    """
-
-    agents: IntArray = field(metadata=growing())
+    agents: IntArray = field(metadata=growing())  # indices of the agents (K,)
+    # World positions of joints when the fall began (K, J, 3) [m].
     positions: FloatArray = field(metadata=growing())
+    # World rotations of joints when the fall began (K, J, 4).
     turns: FloatArray = field(metadata=growing())
+    # States of the B bodies of each agent, as in `RigidState` (K, B, 14).
     motion: FloatArray = field(metadata=growing())
+    # Time for which each agent has moved slowly (K,) [s].
     slow: FloatArray = field(metadata=growing())
 
     @staticmethod

@@ -38,15 +38,10 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class GroundFrame:
-    """The frame of the ground; y is up, and agents move along x and z.
+    """The frame of the ground; y is up, and agents move along x and z."""
 
-    Attributes:
-        origin: Origin in world space ``(3,)`` [m].
-        rotation: Rotation to world space, unit quaternion x, y, z, w ``(4,)``.
-    """
-
-    origin: FloatArray
-    rotation: FloatArray
+    origin: FloatArray  # origin in world space (3,) [m]
+    rotation: FloatArray  # rotation to world space, unit quaternion x, y, z, w (4,)
 
     def to_local(self, points: FloatArray) -> FloatArray:
         """Transform world points ``(…, 3)`` to the ground's frame."""
@@ -67,12 +62,9 @@ class GroundFrame:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field of triangles seen from above; a plane at height 0 without any.
+    """Height field of triangles seen from above; a plane at height 0 without any."""
 
-    Attributes:
-        triangles: Corners of triangles, in the frame of the ground ``(T, 3, 3)`` [m].
-    """
-
+    # Corners of triangles, in the frame of the ground (T, 3, 3) [m].
     triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @property

@@ -32,37 +32,27 @@ LEAVING_SPEED = 0.8
 
 @dataclass(frozen=True)
 class Walls:
-    """Obstacles near N agents, as half-planes sorted by agent.
+    """Obstacles near N agents, as half-planes sorted by agent."""
 
-    Attributes:
-        starts: Index of each agent's first wall ``(N + 1,)``.
-        rows: For each wall its unit normal (x, z), the minimum velocity along it [m/s],
-            and the minimum position along it [m] ``(M, 4)``.
-        agents_of_walls: Agent of each wall ``(M,)``.
-        gaps: Distance between the surfaces of wall and agent ``(M,)`` [m].
-        closing_speeds: Speed of the wall towards the agent ``(M,)`` [m/s].
-    """
-
-    starts: npt.NDArray[np.int32]
+    starts: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
+    # For each wall its unit normal (x, z), the minimum velocity along it [m/s], and the
+    # minimum position along it [m] (M, 4).
     rows: FloatArray
-    agents_of_walls: IntArray
-    gaps: FloatArray
-    closing_speeds: FloatArray
+    agents_of_walls: IntArray  # agent of each wall (M,)
+    gaps: FloatArray  # distance between the surfaces of wall and agent (M,) [m]
+    closing_speeds: FloatArray  # speed of the wall towards the agent (M,) [m/s]
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """All obstacles of a crowd: colliders, closed doors and the edge of the ground.
-
-    Attributes:
-        edge_grid: Grid of nodes on the ground; None for infinite ground.
-    """
+    """All obstacles of a crowd: colliders, closed doors and the edge of the ground."""
 
     agents: Agents
     frame: GroundFrame
     ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
+    # Grid of nodes on the ground; None for infinite ground.
     edge_grid: NavGrid | None = None
     horizon: float = 0.5  # look-ahead of avoidance [s]
     # x and z of both ends of each door ``(D, 2, 2)`` [m].

@@ -38,18 +38,12 @@ MAX_CYCLE_RATE = 2.5
 
 @dataclass(frozen=True)
 class LegReach:
-    """Reach of the legs of a rig, computed from the thigh positions in gaits.
+    """Reach of the legs of a rig, computed from the thigh positions in gaits."""
 
-    Attributes:
-        gaits: Gaits of the rig.
-        gait_thighs: Thigh joints of both legs by phase, for each gait ``(P, 2, 3)``
-            [m].
-        standing_thighs: Mean thigh joints of the idle clip ``(2, 3)`` [m].
-    """
-
-    gaits: Gaits
+    gaits: Gaits  # gaits of the rig
+    # Thigh joints of both legs by phase, for each gait (P, 2, 3) [m].
     gait_thighs: tuple[FloatArray, ...]
-    standing_thighs: FloatArray
+    standing_thighs: FloatArray  # mean thigh joints of the idle clip (2, 3) [m]
 
     @staticmethod
     def of(gaits: Gaits) -> LegReach:
@@ -117,25 +111,16 @@ class LegReach:
 
 @dataclass(frozen=True)
 class Stances:
-    """Feet of N bodies, with heel pitches now and at lift-off.
+    """Feet of N bodies, with heel pitches now and at lift-off."""
 
-    Attributes:
-        begins: Phase of each foot, from its landing ``(N, 2)``.
-        stance_fractions: Fraction of the cycle that each foot is planted ``(N, 2)``.
-        swings: Mask of feet in the air ``(N, 2)``.
-        feet: Position x, y, z and heading of each foot ``(N, 2, 4)``.
-        thighs: Thigh joints ``(N, 2, 3)``.
-        pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
-        rate: Cycle rate of the blended gaits ``(N,)`` [1/s].
-    """
-
-    begins: FloatArray
+    begins: FloatArray  # phase of each foot, from its landing (N, 2)
+    # Fraction of the cycle that each foot is planted (N, 2).
     stance_fractions: FloatArray
-    swings: BoolArray
-    feet: FloatArray
-    thighs: FloatArray
-    pitches: FloatArray
-    rate: FloatArray
+    swings: BoolArray  # mask of feet in the air (N, 2)
+    feet: FloatArray  # position x, y, z and heading of each foot (N, 2, 4)
+    thighs: FloatArray  # thigh joints (N, 2, 3)
+    pitches: FloatArray  # heel pitches now, and at lift-off (2, N, 2) [rad]
+    rate: FloatArray  # cycle rate of the blended gaits (N,) [1/s]
 
 
 def step_rates(

@@ -23,17 +23,11 @@ TINY_LENGTH = 1e-300
 
 @dataclass(frozen=True)
 class NavGrid:
-    """Grid of nodes on the ground, with a mask of walkable ones.
+    """Grid of nodes on the ground, with a mask of walkable ones."""
 
-    Attributes:
-        low: x and z of the first node ``(2,)`` [m].
-        cell: Distance between nodes [m].
-        free: Mask of walkable nodes ``(R, C)``, rows along x.
-    """
-
-    low: FloatArray
-    cell: float
-    free: BoolArray
+    low: FloatArray  # x and z of the first node (2,) [m]
+    cell: float  # distance between nodes [m]
+    free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
     @staticmethod
     def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
@@ -140,15 +134,11 @@ class NavGrid:
 
 @dataclass(frozen=True)
 class FlowField:
-    """Shortest paths to a goal, from all nodes of a grid.
-
-    Attributes:
-        distances: Path lengths from nodes, infinite if unreachable ``(R, C)`` [m].
-    """
+    """Shortest paths to a goal, from all nodes of a grid."""
 
     grid: NavGrid
     goals: FloatArray  # path ends by component, x and z ``(P, 2)`` [m]
-    distances: FloatArray
+    distances: FloatArray  # path lengths from nodes, infinite if unreachable (R, C) [m]
 
     @cached_property
     def gradient(self) -> FloatArray:

@@ -31,32 +31,21 @@ GONE = -1
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of N agents on their routes.
+    """Progress of N agents on their routes."""
 
-    Attributes:
-        stages: Number of passed goals; `GONE` for agents that left ``(N,)``.
-        waited: Time waited at the current goal ``(N,)`` [s].
-        tickets: Order in the queue at the current goal, or `NO_TICKET` ``(N,)``.
-    """
-
-    stages: IntArray
-    waited: FloatArray
-    tickets: IntArray
+    stages: IntArray  # number of passed goals; `GONE` for agents that left (N,)
+    waited: FloatArray  # time waited at the current goal (N,) [s]
+    tickets: IntArray  # order in the queue at the current goal, or `NO_TICKET` (N,)
 
 
 @dataclass(frozen=True)
 class Steering:
-    """Computes preferred velocities from goals and flow fields.
-
-    Attributes:
-        goal_points: x and z of each goal ``(G, 2)`` [m].
-        queue_spacings: Offset between positions of a goal's queue ``(G, 2)`` [m]; 0
-            without a queue.
-    """
+    """Computes preferred velocities from goals and flow fields."""
 
     agents: Agents
     goals: Sequence[CrowdGoalModel]
-    goal_points: FloatArray
+    goal_points: FloatArray  # x and z of each goal (G, 2) [m]
+    # Offset between positions of a goal's queue (G, 2) [m]; 0 without a queue.
     queue_spacings: FloatArray
     grid: NavGrid | None  # walkable grid; None without obstacles
 

@@ -99,16 +99,11 @@ def unit_powers(unit: str) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class SceneUnits:
-    """Units of the numbers in a scene's systems and passes.
+    """Units of the numbers in a scene's systems and passes."""
 
-    Attributes:
-        length: Metres in a length of 1 [m].
-        angle: Degrees in an angle of 1 [deg].
-        scene_length: Length unit given in the scene; None if not given.
-    """
-
-    length: float = 1.0
-    angle: float = 1.0
+    length: float = 1.0  # metres in a length of 1 [m]
+    angle: float = 1.0  # degrees in an angle of 1 [deg]
+    # Length unit given in the scene; None if not given.
     scene_length: LengthUnit | None = None
 
     @staticmethod

@@ -12,6 +12,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
@@ -102,22 +103,9 @@ class SavedStates:
                 f"it contains a state of {kind}, not of {expected_clock.kind}"
             )
         saved_clock = archives.load(path, f"{prefix}clock")
-        if (
-            saved_clock.shape != (3,)
-            or not 0 <= saved_clock[2] <= MAX_STEPS
-            or saved_clock[2] % 1
-        ):
-            raise mismatch("its clock is not a start, a step and a count")
-        begin, step, steps = saved_clock.tolist()
-        if not (
-            math.isclose(begin, expected_clock.begin)
-            and math.isclose(step, expected_clock.step)
-        ):
-            message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
-            message += f"scene, of {expected_clock.step:g} s, start at "
-            message += f"{expected_clock.begin:g} s"
-            hint = "keep the step and the pre-roll it was saved with"
-            raise mismatch(message, hint)
+        clock_problem = _clock_problem(saved_clock, expected_clock)
+        if clock_problem:
+            raise mismatch(*clock_problem)
         expected_arrays, metadata = _state_arrays(initial.state), _FieldMetadata()
         _collect_metadata(initial.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
@@ -164,9 +152,27 @@ class SavedStates:
             )
         try:
             arrays |= {key: expected_arrays[key] for key in missing_names}
-            return ReachedState(int(steps), _restore(initial.state, arrays, metadata))
+            return ReachedState(
+                int(saved_clock[2]), _restore(initial.state, arrays, metadata)
+            )
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
+
+
+def _clock_problem(saved_clock: FloatArray, expected: StateClock) -> Sequence[str]:
+    """Return why a saved clock does not match, and a hint; empty if it does."""
+    if (
+        saved_clock.shape != (3,)
+        or not 0 <= saved_clock[2] <= MAX_STEPS
+        or saved_clock[2] % 1
+    ):
+        return ["its clock is not a start, a step and a count"]
+    begin, step, _ = saved_clock.tolist()
+    if math.isclose(begin, expected.begin) and math.isclose(step, expected.step):
+        return ()
+    message = f"its steps of {step:g} s start at {begin:g} s, but those of the scene, "
+    message += f"of {expected.step:g} s, start at {expected.begin:g} s"
+    return [message, "keep the step and the pre-roll it was saved with"]
 
 
 def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:

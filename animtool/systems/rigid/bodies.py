@@ -43,20 +43,13 @@ class CollisionShapes:
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """All bodies of a system: N dynamic bodies; all others are kinematic.
+    """All bodies of a system: N dynamic bodies; all others are kinematic."""
 
-    Attributes:
-        kinds: Body kind of each entry of the file.
-        names: Names of all bodies.
-        kind_of_body: Kind index of each body ``(B,)``.
-        is_dynamic: Mask of dynamic bodies ``(B,)``.
-        poses: Poses of each body over time; of a dynamic one the initial pose.
-    """
-
-    kinds: Sequence[BodyKind]
-    names: Sequence[str]
-    kind_of_body: IntArray
-    is_dynamic: BoolArray
+    kinds: Sequence[BodyKind]  # body kind of each entry of the file
+    names: Sequence[str]  # names of all bodies
+    kind_of_body: IntArray  # kind index of each body (B,)
+    is_dynamic: BoolArray  # mask of dynamic bodies (B,)
+    # Poses of each body over time; of a dynamic one the initial pose.
     poses: Sequence[Poses]
     begin: float
     dynamic: IntArray = field(init=False)  # indices of dynamic bodies (N,)

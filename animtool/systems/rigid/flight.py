@@ -44,20 +44,14 @@ JacobianFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Positions and velocities of bodies after a step without contacts.
+    """Positions and velocities of bodies after a step without contacts."""
 
-    Attributes:
-        points: Positions ``(N, 3)`` [m].
-        velocities: Velocities ``(N, 3)`` [m/s].
-        mass_factors: Factors on masses with which the initial force causes the actual
-            change of velocity ``(N,)``.
-        is_unresolved: Mask of bodies whose forces change too fast to be resolved
-            ``(N,)``.
-    """
-
-    points: FloatArray
-    velocities: FloatArray
+    points: FloatArray  # positions (N, 3) [m]
+    velocities: FloatArray  # velocities (N, 3) [m/s]
+    # Factors on masses with which the initial force causes the actual change of
+    # velocity (N,).
     mass_factors: FloatArray
+    # Mask of bodies whose forces change too fast to be resolved (N,).
     is_unresolved: BoolArray
 
 

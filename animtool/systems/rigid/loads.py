@@ -33,19 +33,13 @@ FREE_FLIGHT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class StepForces:
-    """Mean forces on bodies over a step, and their free flight.
+    """Mean forces on bodies over a step, and their free flight."""
 
-    Attributes:
-        forces: Forces [N] and torques [N m] ``(N, 6)``.
-        velocities: Velocities to start the step with ``(N, 3)`` [m/s]; None keeps those
-            of the bodies.
-        mass_factors: Factors on the masses ``(N,)``; None is 1.
-        flight: Free flight of bodies without contacts; None if forces are constant.
-    """
-
-    forces: FloatArray
+    forces: FloatArray  # forces [N] and torques [N m] (N, 6)
+    # Velocities to start the step with (N, 3) [m/s]; None keeps those of the bodies.
     velocities: FloatArray | None = None
-    mass_factors: FloatArray | None = None
+    mass_factors: FloatArray | None = None  # factors on the masses (N,); None is 1
+    # Free flight of bodies without contacts; None if forces are constant.
     flight: Flight | None = None
 
     def unexpected_contacts(

@@ -40,18 +40,13 @@ _LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
 
 @dataclass(frozen=True, slots=True)
 class LockedJoint:
-    """A joint that other joints prevent from moving.
+    """A joint that other joints prevent from moving."""
 
-    Attributes:
-        joint_index: Index of the joint.
-        blocking_joints: Joints that would each unlock it if removed; empty if several
-            joints together lock it.
-        remaining_motion: Fraction of its motion that remains [1].
-    """
-
-    joint_index: int
+    joint_index: int  # index of the joint
+    # Joints that would each unlock it if removed; empty if several joints together lock
+    # it.
     blocking_joints: tuple[int, ...]
-    remaining_motion: float
+    remaining_motion: float  # fraction of its motion that remains [1]
 
 
 def locked_joints(

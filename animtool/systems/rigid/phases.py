@@ -21,27 +21,17 @@ RELEASE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class BodyPhase:
-    """The dynamic bodies and intact joints between two releases or breaks.
+    """The dynamic bodies and intact joints between two releases or breaks."""
 
-    Attributes:
-        phase_index: Index of the phase; contacts of other phases refer to other shapes.
-        bodies: All bodies; those not released yet are kinematic.
-        is_free: Mask of dynamic bodies among those that are ever dynamic ``(N,)``.
-        joints: Intact joints.
-        intact_joints: Indices of intact joints among all joints ``(H,)``.
-        surroundings: Colliders, with kinematic bodies.
-        kernel: Bodies and joints as a kernel object.
-        shapes: Indices of shapes and colliders in the full system ``(S,)``.
-    """
-
+    # Index of the phase; contacts of other phases refer to other shapes.
     phase_index: int
-    bodies: RigidBodies
-    is_free: BoolArray
-    joints: Joints
-    intact_joints: IntArray
-    surroundings: StepColliders
-    kernel: Any
-    shapes: IntArray
+    bodies: RigidBodies  # all bodies; those not released yet are kinematic
+    is_free: BoolArray  # mask of dynamic bodies among those that are ever dynamic (N,)
+    joints: Joints  # intact joints
+    intact_joints: IntArray  # indices of intact joints among all joints (H,)
+    surroundings: StepColliders  # colliders, with kinematic bodies
+    kernel: Any  # bodies and joints as a kernel object
+    shapes: IntArray  # indices of shapes and colliders in the full system (S,)
 
     @property
     def is_complete(self) -> bool:

@@ -18,40 +18,31 @@ from animtool.systems.rigid.bodies import RigidBodies
 
 @dataclass(frozen=True, slots=True)
 class RigidState:
-    """State of bodies, with the impulses of contacts and joints.
+    """State of bodies, with the impulses of contacts and joints."""
 
-    Attributes:
-        motion: For each of N bodies: centre of mass [m], orientation of the principal
-            axes (x, y, z, w), velocity [m/s], angular momentum [kg m²/s], and how long
-            it has been slow [s] ``(N, 14)``.
-        pairs: The two shapes of each contact point ``(M, 2)``.
-        contacts: Position of each contact point on the first body [m], and its force
-            [N] ``(M, 6)``.
-        held: Constraint impulses of joints ``(K, 12)``.
-        deepest: Largest penetration depth so far, and in the first step [m] ``(2,)``.
-        deepest_pairs: The shapes of these penetrations ``(2, 2)``; colliders are
-            numbered after the bodies' shapes, -1 is none.
-        broken: Time at which each joint broke [s], infinite if it has not, and the
-            force [N] and torque [N m] at that time ``(K, 3)``; ``(0, 3)`` if no joint
-            can break.
-        pressing: Number of contact points with a force.
-        awake: Number of bodies that are awake.
-        residual: Change of velocities in the last iteration [m/s].
-        follows: Largest step that resolves the fastest oscillating drive [s].
-        swinging: Joint of that drive; -1 is none.
-    """
-
+    # For each of N bodies: centre of mass [m], orientation of the principal axes (x, y,
+    # z, w), velocity [m/s], angular momentum [kg m²/s], and how long it has been slow
+    # [s] (N, 14).
     motion: FloatArray
+    # The two shapes of each contact point (M, 2).
     pairs: IntArray = field(metadata=growing())
+    # Position of each contact point on the first body [m], and its force [N] (M, 6).
     contacts: FloatArray = field(metadata=growing())
-    held: FloatArray
+    held: FloatArray  # constraint impulses of joints (K, 12)
+    # Largest penetration depth so far, and in the first step [m] (2,).
     deepest: FloatArray
+    # The shapes of these penetrations (2, 2); colliders are numbered after the bodies'
+    # shapes, -1 is none.
     deepest_pairs: IntArray
+    # Time at which each joint broke [s], infinite if it has not, and the force [N] and
+    # torque [N m] at that time (K, 3); (0, 3) if no joint can break.
     broken: FloatArray
-    pressing: int = 0
-    awake: int = 0
-    residual: float = 0.0
+    pressing: int = 0  # number of contact points with a force
+    awake: int = 0  # number of bodies that are awake
+    residual: float = 0.0  # change of velocities in the last iteration [m/s]
+    # Largest step that resolves the fastest oscillating drive [s].
     follows: float = field(default=0.0, metadata=added())
+    # Joint of that drive; -1 is none.
     swinging: int = field(default=-1, metadata=added())
 
 
