@@ -112,7 +112,7 @@ def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     if mesh is not None:
         surface = mesh()[0]
         corners = triangulate(surface.counts, surface.indices)
-        return frame, Terrain(surface.goal_points[corners])
+        return frame, Terrain(surface.points[corners])
     if shape is None:
         return frame, Terrain()
     if not isinstance(shape, Mesh):
