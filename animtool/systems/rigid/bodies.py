@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, refuse
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Refusals, refuse, refuse_all
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -23,8 +23,8 @@ from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,
     build_body_kind,
-    check_motion_keys,
     copy_placements,
+    motion_key_problems,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -76,7 +76,7 @@ class RigidBodies:
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
             with refusals.collect(), _entry_faults(where, origin):
-                check_motion_keys(model)
+                refuse_all("SIM061", motion_key_problems(model))
             with refusals.collect(), _entry_faults(where, origin):
                 kind = build_body_kind(model, entry_data)
                 points, rotations = copy_placements(model, entry_data)
@@ -116,44 +116,48 @@ class RigidBodies:
     @cached_property
     def masses(self) -> FloatArray:
         """Masses of dynamic bodies ``(N,)`` [kg]."""
-        return np.array([kind.mass for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.mass for kind in self.kinds])
 
     @cached_property
     def moments(self) -> FloatArray:
         """Principal moments of inertia of dynamic bodies ``(N, 3)`` [kg m²]."""
-        return np.array([kind.moments for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.moments for kind in self.kinds])
+
+    @cached_property
+    def inverse_moments(self) -> FloatArray:
+        """Inverses of `moments` ``(N, 3)`` [1/(kg m²)]; 0 where a moment is 0."""
+        moments = self.moments
+        return np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
 
     @cached_property
     def axes(self) -> FloatArray:
         """Rotations from principal axes to the frames of dynamic bodies ``(N, 4)``."""
-        return np.array([kind.axes for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.axes for kind in self.kinds])
 
     @cached_property
     def centres(self) -> FloatArray:
         """Centres of mass of dynamic bodies, in body frames ``(N, 3)`` [m]."""
-        return np.array([kind.centre for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.centre for kind in self.kinds])
 
     @cached_property
     def bounding_radii(self) -> FloatArray:
         """Bounding radii of dynamic bodies about the centre of mass ``(N,)`` [m]."""
-        return np.array([kind.bounding_radius for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.bounding_radius for kind in self.kinds])
+
+    def _of_dynamic(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
+        """Return the value of each dynamic body, from those of the kinds ``(N, …)``."""
+        return np.array(values_by_kind)[self.kind_of_body[self.dynamic]]
+
+    def kind_of(self, body: int) -> BodyKind:
+        """Return the kind of a body, by its index among all bodies."""
+        return self.kinds[self.kind_of_body[body]]
 
     @cached_property
     def initial_states(self) -> FloatArray:
         """Initial states of dynamic bodies, in the kernel's layout ``(N, 14)``."""
         poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
         poses = poses.reshape(-1, 7)
-        models = [self.kinds[k].model for k in self.kind_of_body[self.dynamic]]
+        models = [self.kind_of(i).model for i in self.dynamic]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
         centres = poses[:, :3] + so3.rotate(poses[:, 3:], self.centres)
@@ -208,7 +212,7 @@ class RigidBodies:
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.is_dynamic).tolist()
-            for kind in [self.kinds[self.kind_of_body[i]]]
+            for kind in [self.kind_of(i)]
             for shape, at, rotation in kind.shapes
         ]
 
@@ -227,11 +231,9 @@ class RigidBodies:
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
-            a, b = (
-                (first_body, second_body)
-                if self.is_dynamic[first_body]
-                else (second_body, first_body)
-            )
+            a, b = first_body, second_body
+            if not self.is_dynamic[a]:
+                a, b = b, a
             if self.is_dynamic[b]:
                 rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
@@ -246,8 +248,8 @@ class RigidBodies:
         """Collision shapes of all bodies; mesh shapes are convex hulls."""
         rows = [
             (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
-            for i, k in enumerate(self.kind_of_body.tolist())
-            for shape, at, rotation in self.kinds[k].shapes
+            for i in range(len(self.names))
+            for shape, at, rotation in self.kind_of(i).shapes
         ]
         colliders, of, at, rotations = zip(*rows, strict=True)
         return CollisionShapes(
@@ -281,20 +283,15 @@ class RigidBodies:
         """
         masses = (self.masses * mass_factors)[:, None]
         mass_properties = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [
-            mass_properties,
-            *self._shape_arrays,
-            joints,
-            joint_parameters,
-            excluded,
-        ]
-        return _kernels.RigidBodies(*arrays)
+        return _kernels.RigidBodies(
+            mass_properties, *self._shape_arrays, joints, joint_parameters, excluded
+        )
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
-        models = [self.kinds[self.kind_of_body[self.dynamic[i]]].model for i in owners]
+        models = [self.kind_of(self.dynamic[i]).model for i in owners]
         rows = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)

@@ -61,20 +61,19 @@ def combine_solids(
 
     The inertia of the result is in [kg m²].
     """
-    masses = np.array(
-        [
-            each_solid.volume * each_density
-            for each_solid, each_density in zip(solids, densities, strict=True)
-        ]
-    )
-    centres = np.array([each_solid.centre for each_solid in solids])
+    masses = np.array([solid.volume for solid in solids]) * np.array(densities)
+    centres = np.array([solid.centre for solid in solids])
     centre = masses @ centres / masses.sum()
     inertia = np.zeros((3, 3))
     for solid, density, mass in zip(solids, densities, masses, strict=True):
-        offset = solid.centre - centre
         inertia += density * solid.inertia
-        inertia += mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        inertia += point_inertia(mass, solid.centre - centre)
     return SolidProperties(float(masses.sum()), centre, inertia)
+
+
+def point_inertia(mass: float, offset: FloatArray) -> FloatArray:
+    """Return the inertia ``(3, 3)`` of a point mass at an offset from the origin."""
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
 def core_of(shape: Shape) -> ConvexCore:
@@ -146,8 +145,13 @@ def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
             return SolidProperties(
                 volume, np.zeros(3), np.diag(squares.sum() - squares) * volume / 12
             )
+    return hull_solid(core)
+
+
+def hull_solid(core: ConvexCore) -> SolidProperties:
+    """Return the mass properties of the hull of a core's points, of density 1."""
     triangles = [
-        (core.points[face[0]], core.points[face[k]], core.points[face[k + 1]])
+        core.points[[face[0], face[k], face[k + 1]]]
         for face in core.faces
         for k in range(1, len(face) - 1)
     ]
@@ -192,10 +196,8 @@ def is_convex(mesh: Mesh, hull_properties: SolidProperties) -> bool:
     """Return whether a closed mesh is convex: equal in volume to its hull."""
     points, triangles = mesh.weld()
     volume = abs(enclosed_solid(points[triangles]).volume)
-    return (
-        abs(volume - hull_properties.volume)
-        <= CONVEX_TOLERANCE * hull_properties.volume
-    )
+    hull_volume = hull_properties.volume
+    return abs(volume - hull_volume) <= CONVEX_TOLERANCE * hull_volume
 
 
 def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
@@ -211,23 +213,13 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     x_axis /= np.linalg.norm(x_axis)
     frame = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     angles = np.arange(FACET_COUNT) * (2 * np.pi / FACET_COUNT)
+    circle = np.stack([np.cos(angles), np.ones(FACET_COUNT), np.sin(angles)], axis=1)
     rings, rings_per_cap = [], FACET_COUNT // 4
-    heights = [-facets for facets in range(rings_per_cap - 1, -1, -1)] + list(
-        range(rings_per_cap)
-    )
-    for i, height in enumerate(heights):
+    for i, height in enumerate([*range(1 - rings_per_cap, 1), *range(rings_per_cap)]):
         angle = height * np.pi / 2 / rings_per_cap
-        ring = np.stack(
-            [
-                np.cos(angles) * np.cos(angle),
-                np.full(FACET_COUNT, np.sin(angle)),
-                np.sin(angles) * np.cos(angle),
-            ],
-            axis=1,
-        )
-        rings.append(
-            (first_end if i < rings_per_cap else last_end) + core.radius * ring @ frame
-        )
+        ring = circle * np.array([np.cos(angle), np.sin(angle), np.cos(angle)])
+        end = first_end if i < rings_per_cap else last_end
+        rings.append(end + core.radius * ring @ frame)
     # A sphere has one ring at its equator.
     rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
     poles = np.stack(
@@ -242,17 +234,12 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
                  axis=1)
         for r in range(count - 1)
     ]  # fmt: skip
-    bottom_pole, top_pole = count * FACET_COUNT, count * FACET_COUNT + 1
+    bottom_pole = np.full(FACET_COUNT, count * FACET_COUNT)
     last_ring = (count - 1) * FACET_COUNT
     caps = [
-        np.stack([np.full(FACET_COUNT, bottom_pole), facets, next_facets], axis=1),
+        np.stack([bottom_pole, facets, next_facets], axis=1),
         np.stack(
-            [
-                np.full(FACET_COUNT, top_pole),
-                last_ring + next_facets,
-                last_ring + facets,
-            ],
-            axis=1,
+            [bottom_pole + 1, last_ring + next_facets, last_ring + facets], axis=1
         ),
     ]
     counts = np.concatenate(

@@ -42,9 +42,8 @@ class Joints:
     numbers: FloatArray  # parameters in the kernel's layout (K, 27)
     anchors: Sequence[Poses]  # animated frames of joints without a first dynamic body
     names: Sequence[str] = ()
-    parent_bodies: Sequence[
-        int
-    ] = ()  # parent body of each joint, of all bodies; -1 for none
+    # Parent body of each joint, of all bodies; -1 for none.
+    parent_bodies: Sequence[int] = ()
     notices: Sequence[Fault] = ()
     # Pair of bodies that each joint excludes from collision, as indices of all bodies;
     # -1 for none (K, 2).
@@ -121,9 +120,8 @@ def check_joints(
             if model.to is not None:
                 _body_model(model.to, models_by_name, f"{where}.to")
             if model.to == model.body:
-                refuse(
-                    "SIM061", f"{name!r} joins {model.body!r} to itself", f"{where}.to"
-                )
+                message = f"{name!r} joins {model.body!r} to itself"
+                refuse("SIM061", message, f"{where}.to")
         for key, types in _OPTION_TYPES.items():
             with refusals.collect():
                 if getattr(model, key) is not None and model.type not in types:
@@ -281,8 +279,8 @@ def to_body_frame(
     bodies: RigidBodies, dynamic_index: int, frame: FloatArray
 ) -> FloatArray:
     """Transform a frame ``(7,)`` from principal axes to the frame of the body."""
-    kind = bodies.kinds[bodies.kind_of_body[bodies.dynamic[dynamic_index]]]
-    return to_parent_frame(np.concatenate([kind.centre, kind.axes]), frame)
+    kind = bodies.kind_of(bodies.dynamic[dynamic_index])
+    return to_parent_frame(kind.principal_frame, frame)
 
 
 def joint_forces_and_torques(joints: Joints, impulses: FloatArray) -> FloatArray:
@@ -331,12 +329,9 @@ def relative_to_principal(
     bodies: RigidBodies, body: int, frame: FloatArray
 ) -> FloatArray:
     """Return a world frame relative to the principal axes of a body ``(7,)``."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
     pose = bodies.poses[body].at(bodies.begin)
-    centre = pose[:3] + so3.rotate(pose[3:], kind.centre)
-    return relative_frame(
-        np.concatenate([centre, so3.multiply(pose[3:], kind.axes)]), frame
-    )
+    principal_frame = to_parent_frame(pose, bodies.kind_of(body).principal_frame)
+    return relative_frame(principal_frame, frame)
 
 
 def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[float]:
@@ -380,9 +375,8 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
         refuse("SIM061", message, f"{where}.drive.{invalid_key}", f"{valid_key}: ...")
     rotation = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not rotation.any():
-        refuse(
-            "SIM061", "the rotation of a drive is a zero quaternion", f"{where}.drive"
-        )
+        message = "the rotation of a drive is a zero quaternion"
+        refuse("SIM061", message, f"{where}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # Drives act in the joint's axes.
     axis = _axis_rotation(model, model.name, where)
@@ -408,12 +402,8 @@ def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> 
             refuse("SIM061", message, f"{where}.drive.{key}", "keep one")
     if "damping" in drive.model_fields_set and not drive.damping:
         message = "a motor with zero damping has no effect"
-        refuse(
-            "SIM061",
-            message,
-            f"{where}.drive.damping",
-            "remove it to make the motor rigid",
-        )
+        hint = "remove it to make the motor rigid"
+        refuse("SIM061", message, f"{where}.drive.damping", hint)
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
@@ -421,8 +411,7 @@ def _distance_warnings(
     bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
     """Return a warning if a joint is far from the body that it moves (SIM127)."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
-    pose = bodies.poses[body].at(bodies.begin)
+    kind, pose = bodies.kind_of(body), bodies.poses[body].at(bodies.begin)
     offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
     if distance <= MAX_RADII * kind.bounding_radius:

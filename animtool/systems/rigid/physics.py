@@ -75,7 +75,7 @@ def physics_record(
 
 def _physics_body(bodies: RigidBodies, body: int) -> PhysicsBody:
     """Return a body as a UsdPhysics record."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
+    kind = bodies.kind_of(body)
     model = kind.model
     shapes = [
         _physics_shape(
@@ -260,12 +260,14 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
         if body_pair[1] not in dynamic_numbers:
             continue
-        frame_b = _relative_to_principal(bodies, body_pair[1], frames[1])
+        frame_b = relative_frame(
+            bodies.kind_of(body_pair[1]).principal_frame, frames[1]
+        )
         parent = body_pair[0]
         anchor = Poses()
         frame_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
         if parent_index >= 0:
-            frame_a = _relative_to_principal(bodies, parent, frame_a)
+            frame_a = relative_frame(bodies.kind_of(parent).principal_frame, frame_a)
         elif parent >= 0:
             anchor = bodies.poses[parent]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
@@ -303,14 +305,6 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         np.array(pairs, np.int64).reshape(-1, 2),
         breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
-
-
-def _relative_to_principal(
-    bodies: RigidBodies, body: int, frame: FloatArray
-) -> FloatArray:
-    """Return a body frame relative to the principal axes of the body ``(7,)``."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
-    return relative_frame(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def static_colliders(physics: Physics) -> list[Collider]:

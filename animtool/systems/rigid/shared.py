@@ -67,12 +67,10 @@ class RigidStates:
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
         """Return the poses of collision shapes ``(C, 7)`` at a time [s]."""
-        bodies = self.bodies
-        frames = self.body_poses(state, t)[bodies.collision_shapes.body_of_shape]
-        at = bodies.collision_shapes.origins
-        rotation = bodies.collision_shapes.rotations
-        origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
-        rotations = so3.multiply(frames[:, 3:], rotation)
+        shapes = self.bodies.collision_shapes
+        frames = self.body_poses(state, t)[shapes.body_of_shape]
+        origins = frames[:, :3] + so3.rotate(frames[:, 3:], shapes.origins)
+        rotations = so3.multiply(frames[:, 3:], shapes.rotations)
         return np.concatenate([origins, rotations], axis=1)
 
     @cached_property
@@ -171,9 +169,6 @@ class RigidStates:
 
         Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """
-        motion, moments = state.motion, self.bodies.moments
-        inverse_inertia = np.divide(
-            1.0, moments, out=np.zeros_like(moments), where=moments > 0
-        )
+        motion, inverse_moments = state.motion, self.bodies.inverse_moments
         axes = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (axes * inverse_inertia[:, None]) @ axes.swapaxes(1, 2)
+        return motion[:, :3], (axes * inverse_moments[:, None]) @ axes.swapaxes(1, 2)
