@@ -150,11 +150,10 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
-    status = (
-        _advance_by_steps(run, grid)
-        if native is None
-        else _advance_by_blocks(run, grid, native)
-    )
+    if native is None:
+        status = _advance_by_steps(run, grid)
+    else:
+        status = _advance_by_blocks(run, grid, native)
     # Up to rounding, the last step ends at the requested time.
     run.time = target if status is Status.OK else run.time
     return status

@@ -176,11 +176,9 @@ class _FunctionSystem:
     ) -> None:
         self._state = state
         self._energy = energy
-        self._frequencies = (
-            None
-            if frequencies is None
-            else np.atleast_2d(np.asarray(frequencies, np.float64))
-        )
+        self._frequencies = None
+        if frequencies is not None:
+            self._frequencies = np.atleast_2d(np.asarray(frequencies, np.float64))
 
     @property
     def state(self) -> FloatArray:

@@ -77,11 +77,9 @@ def measure(
     extent = (
         0.0 if reference_outcome is None else points_extent(reference_outcome.snapshots)
     )
-    instance_extent = (
-        0.0
-        if reference_outcome is None
-        else max_instance_extent(reference_outcome.snapshots)
-    )
+    instance_extent = 0.0
+    if reference_outcome is not None:
+        instance_extent = max_instance_extent(reference_outcome.snapshots)
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
@@ -184,11 +182,9 @@ def _build_reference(
         for distances in (differences[0], differences[-1])
     )
     extent = points_extent(outcomes[-1].snapshots) + instance_extent
-    order = (
-        observed_order(coarse_error, fine_error)
-        if fine_error > ROUNDING * extent
-        else None
-    )
+    order = None
+    if fine_error > ROUNDING * extent:
+        order = observed_order(coarse_error, fine_error)
     is_sensitive = (
         order is not None
         and order < MIN_ORDER
@@ -209,11 +205,9 @@ def _trial_rows(
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
     is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
-    limit = (
-        SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
-        if reference_outcome and is_timed
-        else None
-    )
+    limit = None
+    if reference_outcome and is_timed:
+        limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
     for setting in settings:
         row = slow_rows.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.is_done(setting):

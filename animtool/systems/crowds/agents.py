@@ -285,11 +285,9 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
         where = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
-                hint = (
-                    (f"the goals are {', '.join(goals)}")
-                    if goals
-                    else "add it to goals"
-                )
+                hint = "add it to goals"
+                if goals:
+                    hint = f"the goals are {', '.join(goals)}"
                 yield f"unknown goal {excerpt(name)}", where, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"

@@ -247,11 +247,10 @@ class Crowd:
         """Return agents as points, meshes or characters."""
         agents = self.agents
         is_visible = state.progress.stages != GONE
-        ids = (
-            np.flatnonzero(is_visible)
-            if state.bodies is None
-            else np.arange(len(is_visible))
-        )
+        if state.bodies is None:
+            ids = np.flatnonzero(is_visible)
+        else:
+            ids = np.arange(len(is_visible))
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self.ground(x)
         heights = np.where(np.isfinite(heights), heights, 0.0)

@@ -109,11 +109,9 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
         return "reacts", _uncut_gait(walker, name, take, world)
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
     gait = _cycle_gait(walker, name, cycle)
-    return (
-        ("reacts", _uncut_gait(walker, name, take, world))
-        if gait is None
-        else ("moves", gait)
-    )
+    if gait is None:
+        return ("reacts", _uncut_gait(walker, name, take, world))
+    return ("moves", gait)
 
 
 @dataclass(frozen=True)
@@ -249,11 +247,9 @@ def _build_step(
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level_rotations[k], walker.ball_offsets[k]
     stance_frames = np.arange(stance.lands, stance.lifts)
-    flat_frames = (
-        stance_frames[stance.flat[stance_frames]]
-        if stance.flat[stance_frames].any()
-        else stance_frames
-    )
+    flat_frames = stance_frames
+    if stance.flat[stance_frames].any():
+        flat_frames = stance_frames[stance.flat[stance_frames]]
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(headings_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]

@@ -114,11 +114,10 @@ def _solve_leg_ik(
         sole = so3.multiply(
             soles[:, k], np.broadcast_to(walker.level_rotations[k], upper.shape)
         )
-        hip_rotation = (
-            world_rotations[hip_parent]
-            if hip_parent >= 0
-            else np.broadcast_to(so3.IDENTITY, upper.shape)
-        )
+        if hip_parent >= 0:
+            hip_rotation = world_rotations[hip_parent]
+        else:
+            hip_rotation = np.broadcast_to(so3.IDENTITY, upper.shape)
         for joint, parent, joint_rotation in (
             (thigh, hip_rotation, upper),
             (shin, upper, lower),

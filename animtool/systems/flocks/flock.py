@@ -207,11 +207,9 @@ class FlockForces(SecondOrder):
                 positions, velocities, before, self.colliders, t - h, t, radii
             )
             positions, velocities = collision.points, collision.velocities
-        return (
-            after
-            if positions is after[0] and velocities is after[1]
-            else np.stack([positions, velocities])
-        )
+        if positions is after[0] and velocities is after[1]:
+            return after
+        return np.stack([positions, velocities])
 
     def _brake_velocities(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
@@ -310,11 +308,9 @@ def wrap_motion(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
     size = np.array(domain.size)
     low = np.array(domain.at) - size / 2
     wrap_counts = np.floor((motion[0] - low) / size)
-    return (
-        np.stack([motion[0] - wrap_counts * size, motion[1]])
-        if wrap_counts.any()
-        else motion
-    )
+    if wrap_counts.any():
+        return np.stack([motion[0] - wrap_counts * size, motion[1]])
+    return motion
 
 
 @dataclass(frozen=True, eq=False)

@@ -76,11 +76,10 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
         + fractions[np.arange(len(x)), nearest_segments] * lengths[nearest_segments]
     )
     target_lengths = target_lengths + path.ahead
-    target_lengths = (
-        target_lengths % arc_lengths[-1]
-        if path.closed
-        else np.minimum(target_lengths, arc_lengths[-1])
-    )
+    if path.closed:
+        target_lengths = target_lengths % arc_lengths[-1]
+    else:
+        target_lengths = np.minimum(target_lengths, arc_lengths[-1])
     return np.stack(
         [np.interp(target_lengths, arc_lengths, column) for column in points.T], axis=1
     )

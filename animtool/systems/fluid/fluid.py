@@ -328,11 +328,9 @@ class Fluid:
             for sheet in colliders.sheets
             if sheet.closed
         ]
-        return (
-            Colliders([*colliders, *skins], (), colliders.bodies)
-            if skins
-            else colliders
-        )
+        if skins:
+            return Colliders([*colliders, *skins], (), colliders.bodies)
+        return colliders
 
     def _has_energy_gain(self, state: FluidState) -> bool:
         """Return whether the energy of a closed system grew beyond the tolerance."""
@@ -360,11 +358,9 @@ class Fluid:
         step = None
         if notices is not None and min_ratio < MAX_SHORTENING:
             step = self._find_stable_step(state, t, dt, min_ratio)
-        hint = (
-            REMEDY_HINT
-            if step is None
-            else f"step: {plain_number(step)}, or {REMEDY_HINT}"
-        )
+        hint = REMEDY_HINT
+        if step is not None:
+            hint = f"step: {plain_number(step)}, or {REMEDY_HINT}"
         self._stop("SIM102", t + dt, message, hint)
 
     def _find_stable_step(
@@ -509,11 +505,9 @@ class Fluid:
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid in any frame"
         empty_warning = warning("SIM188", message, hint)
-        energy = (
-            Energy(kinetic, total - kinetic)
-            if has_all_potentials and self._conserves_energy
-            else None
-        )
+        energy = None
+        if has_all_potentials and self._conserves_energy:
+            energy = Energy(kinetic, total - kinetic)
         return Diagnostics(energy, values, self._notices, [empty_warning])
 
 

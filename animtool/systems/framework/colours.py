@@ -88,11 +88,9 @@ class Colouring:
         if model.range is not None:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
         values = quantities[model.by]()
-        low, high = (
-            np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
-            if len(values)
-            else (0.0, 1.0)
-        )
+        low, high = (0.0, 1.0)
+        if len(values):
+            low, high = np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
         return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:

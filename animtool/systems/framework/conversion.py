@@ -126,11 +126,10 @@ class SceneUnits:
         """
         length_power, angle_power = unit_powers(unit)
         # A quotient of integers is more precise than a negative power.
-        scale = (
-            self.length**length_power
-            if length_power >= 0
-            else 1 / self.length**-length_power
-        )
+        if length_power >= 0:
+            scale = self.length**length_power
+        else:
+            scale = 1 / self.length**-length_power
         return scale * float(self.angle**angle_power)
 
     def convert(

@@ -267,11 +267,9 @@ class SimulationRun(EntryRun):
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
         """Return a state with pushes applied, from which the next step starts."""
         is_current = state.steps == self.state.steps
-        return (
-            self.apply_pushes()
-            if is_current
-            else self._pushed_states.get(state.steps, state)
-        )
+        if is_current:
+            return self.apply_pushes()
+        return self._pushed_states.get(state.steps, state)
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
         """Queue impulses on the bodies at a time [s]."""

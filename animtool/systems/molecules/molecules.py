@@ -280,11 +280,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def _potential(self, state: MoleculeState, t: float) -> float:
         internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        external = (
-            self.external_accelerations(t, state.motion[0])[1]
-            if self.external_forces
-            else np.zeros(1)
-        )
+        if self.external_forces:
+            external = self.external_accelerations(t, state.motion[0])[1]
+        else:
+            external = np.zeros(1)
         return internal + float(external.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
@@ -353,11 +352,9 @@ def thermostat_factor(
     )
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.
-    squares = (
-        2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
-        if degrees_of_freedom > 1
-        else 0.0
-    )
+    squares = 0.0
+    if degrees_of_freedom > 1:
+        squares = 2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
     decay = float(np.exp(-dt / model.relaxation))
     exchanged_fraction = target / kinetic * (1 - decay)
     squared_factor = (

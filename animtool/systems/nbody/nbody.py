@@ -243,11 +243,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]
-        external = (
-            float(masses @ self.external_accelerations(t, x)[1])
-            if self.external_forces
-            else 0.0
-        )
+        external = 0.0
+        if self.external_forces:
+            external = float(masses @ self.external_accelerations(t, x)[1])
         return 0.5 * float(masses @ state.pulls.potentials) + external
 
     def _momenta(self, state: NbodyState) -> FloatArray:

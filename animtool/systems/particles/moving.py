@@ -162,11 +162,10 @@ def particle_energies(
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
     known_potentials = [values for values in potentials if values is not None]
-    potential = (
-        np.sum(known_potentials, axis=0)
-        if known_potentials
-        else np.zeros(len(particles))
-    )
+    if known_potentials:
+        potential = np.sum(known_potentials, axis=0)
+    else:
+        potential = np.zeros(len(particles))
     return np.stack([kinetic, potential]), len(known_potentials) == len(potentials)
 
 

@@ -111,11 +111,9 @@ class BodyPhases:
             is_dynamic[bodies.dynamic[~is_free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, intact_joints = subset_joints(self._joints, self._bodies, bodies)
-        intact = (
-            np.flatnonzero(~is_broken[intact_joints])
-            if len(is_broken)
-            else intact_joints
-        )
+        intact = intact_joints
+        if len(is_broken):
+            intact = np.flatnonzero(~is_broken[intact_joints])
         if len(intact) < len(intact_joints):
             joints, intact_joints = joints.subset(intact), intact_joints[intact]
         colliders = Colliders(

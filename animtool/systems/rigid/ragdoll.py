@@ -166,11 +166,10 @@ def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
     for i, j in enumerate(joints.tolist()):
         ancestors = [body_of_joint[k] for k in rig.upwards(j)[1:] if k in body_of_joint]
         # Branches below a joint without a body are attached to the first of them.
-        parents[i] = (
-            ancestors[0]
-            if ancestors
-            else body_of_root.setdefault(movable_root(rig, j), i)
-        )
+        if ancestors:
+            parents[i] = ancestors[0]
+        else:
+            parents[i] = body_of_root.setdefault(movable_root(rig, j), i)
         if parents[i] == i:
             parents[i] = -1
     return parents

@@ -123,11 +123,10 @@ def ragdoll_transforms(
                 rig, int(ragdoll.joints[i]), j, translations[0], rotations[0]
             )
             joint_rotations = so3.multiply(body_rotations[:, i], frame_on_body[3:])
-            world_to_parent = (
-                so3.IDENTITY
-                if parent < 0
-                else so3.conjugate(world_rotations[:, parent])
-            )
+            if parent < 0:
+                world_to_parent = so3.IDENTITY
+            else:
+                world_to_parent = so3.conjugate(world_rotations[:, parent])
             new_rotations[:, j] = so3.multiply(world_to_parent, joint_rotations)
             new_translations[:, j] = translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:

@@ -267,11 +267,10 @@ def _notices(
         excess = overshoot / (SLIDE_TOLERANCE if is_prismatic else ANGLE_TOLERANCE)
         if excess > worst_excess:
             worst_excess, worst_joint = excess, rig.joints[j].name
-            overshoot_text = (
-                length_text(overshoot, 2)
-                if is_prismatic
-                else angle_text(math.degrees(overshoot), 2)
-            )
+            if is_prismatic:
+                overshoot_text = length_text(overshoot, 2)
+            else:
+                overshoot_text = angle_text(math.degrees(overshoot), 2)
             worst_text = f"joint {worst_joint!r} exceeds its limits by {overshoot_text}"
     if worst_text:
         message += f"; {worst_text}, the most of all"
