@@ -69,10 +69,8 @@ class IntegrationRun:
         """Count steps up to time t; return whether to continue."""
         self.time = t
         self.steps += steps
-        self.smallest_step, self.largest_step = (
-            min(self.smallest_step, h),
-            max(self.largest_step, h),
-        )
+        self.smallest_step = min(self.smallest_step, h)
+        self.largest_step = max(self.largest_step, h)
         if self.steps - self.checked_steps >= CHECK_INTERVAL:
             return self.check()
         return self.budget_status()

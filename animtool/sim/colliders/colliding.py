@@ -17,13 +17,13 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
-from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
-from animtool.sim.colliders.sheets import Sheet, collide_with_sheet
-from animtool.sim.colliders.surfaces import Surfaces
+from animtool.sim.colliders.sheets import Sheet, states_at_sheet
+from animtool.sim.colliders.surfaces import Surfaces, teleport_warning
 
 _SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
 _SIZE_COUNT = 7
@@ -228,10 +228,11 @@ class Colliders(Sequence[Collider]):
 
     def _teleport_warnings(self) -> list[Fault]:
         """Return a warning for each teleport of a rigid collider."""
+        hint = "raise its speed limit if it should collide on its way"
         return [
-            _teleport_warning(collider, collider.name or f"colliders[{i}]", k)
-            for i, collider in enumerate(self._colliders)
-            for k in np.flatnonzero(collider.teleports).tolist()
+            teleport_warning(one.speed_limit, t, one.name or f"colliders[{i}]", hint)
+            for i, one in enumerate(self._colliders)
+            for t in one.poses.sample_times[1:][one.teleports].tolist()
         ]
 
 
@@ -240,15 +241,6 @@ def _active_side(collider: Collider) -> int:
     if collider.container:
         return 1
     return 2 if isinstance(collider.shape, Mesh) and not collider.shape.closed else 0
-
-
-def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
-    """Return a warning about a collider's teleport in sample interval ``k``."""
-    speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
-    message = f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides "
-    message += "with nothing"
-    hint = "raise its speed limit if it should collide on its way"
-    return warning("SIM120", message, hint, where)
 
 
 def collide(
@@ -334,29 +326,25 @@ def _stop_at_sheets(
 
     Rigid colliders are applied afterwards, so that they win over sheets.
     """
-    step, contacts = interval[1] - interval[0], []
-
-    def collide_static(
-        collider: Collider,
-        relative_start: FloatArray,
-        relative_end: FloatArray,
-        radii: FloatArray,
-        spawn_times: FloatArray,
-    ) -> Any:
-        arrays = Colliders([collider]).arrays(*interval)
-        return _kernels.collide_particles(
-            arrays, relative_start, relative_end, radii, spawn_times, step
+    (t0, t1), contacts = interval, []
+    for i, sheet in enumerate(collider_set.sheets if t1 > t0 else ()):
+        relative = states_at_sheet(
+            sheet, start_state, end_state, interval, radii, spawn_times
         )
-
-    for i, sheet in enumerate(collider_set.sheets if step > 0 else ()):
-        result = collide_with_sheet(
-            sheet, start_state, end_state, interval, radii, spawn_times, collide_static
-        )
-        if result is None:
+        if relative is None:
             continue
-        near_particles, (state, touches, normals) = result
+        rows = relative.rows
+        state, touches, normals = _kernels.collide_particles(
+            Colliders([relative.collider]).arrays(t0, t1),
+            relative.start,
+            relative.end,
+            radii[rows],
+            spawn_times[rows],
+            t1 - t0,
+        )
+        state[1] += relative.velocity
         is_touching = touches[:, 0] >= 0
-        rows = near_particles[is_touching]
+        rows = rows[is_touching]
         end_state[:, rows] = state[:, is_touching]
         touches[is_touching, 0] = collider_set.rigid + i
         contacts.append((rows, touches[is_touching], normals[is_touching]))

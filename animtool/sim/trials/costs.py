@@ -51,14 +51,12 @@ def recommended_index(
     1
     """
     chosen_cost = costs[chosen]
-    # Equal error after equal work is the same run; the timing is noise.
-    chosen_work = None if chosen_cost is None else (chosen_cost.error, chosen_cost.work)
-    max_error = (
-        accepted_error if chosen_cost is None else chosen_cost.error * EQUAL_ERROR
-    )
-    max_cost = (
-        float("inf") if chosen_cost is None else chosen_cost.value * MAX_WORTHWHILE_COST
-    )
+    max_error, max_cost, chosen_work = accepted_error, float("inf"), None
+    if chosen_cost is not None:
+        max_error = chosen_cost.error * EQUAL_ERROR
+        max_cost = chosen_cost.value * MAX_WORTHWHILE_COST
+        # Equal error after equal work is the same run; the timing is noise.
+        chosen_work = chosen_cost.error, chosen_cost.work
     candidates = [
         (cost.value, i)
         for i, cost in enumerate(costs)

@@ -74,12 +74,8 @@ def measure(
     runs = _RunCache(trial, count, progress)
     reference, reference_outcome = _find_reference(trial, runs)
     rows = _trial_rows(trial, runs, settings, reference_outcome)
-    extent = (
-        0.0 if reference_outcome is None else points_extent(reference_outcome.snapshots)
-    )
-    instance_extent = 0.0
-    if reference_outcome is not None:
-        instance_extent = max_instance_extent(reference_outcome.snapshots)
+    snapshots = () if reference_outcome is None else reference_outcome.snapshots
+    extent, instance_extent = points_extent(snapshots), max_instance_extent(snapshots)
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
@@ -92,10 +88,8 @@ def measure(
         trial.name,
         trial.kind,
         trial.span,
-        0 if reference_outcome is None else len(reference_outcome.snapshots),
-        0
-        if reference_outcome is None
-        else max(len(snapshot.points) for snapshot in reference_outcome.snapshots),
+        len(snapshots),
+        max((len(snapshot.points) for snapshot in snapshots), default=0),
         extent,
         reference,
         rows,
@@ -138,12 +132,8 @@ class _RunCache:
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            is_repeated = self._trial.cost is CostMeasure.SECONDS
-            while (
-                is_repeated
-                and len(timings) < MAX_REPEATS
-                and sum(timings) < REPEAT_TIME
-            ):
+            max_runs = MAX_REPEATS if self._trial.cost is CostMeasure.SECONDS else 1
+            while len(timings) < max_runs and sum(timings) < REPEAT_TIME:
                 timings.append(self._trial.run(setting).seconds)
         return replace(outcome, seconds=min(timings))
 
@@ -177,19 +167,14 @@ def _build_reference(
         for coarse_run, fine_run in pairwise(outcomes)
     ]
     instance_extent = max_instance_extent(outcomes[-1].snapshots)
-    coarse_error, fine_error = (
-        distances.error(measure, instance_extent)
-        for distances in (differences[0], differences[-1])
-    )
+    coarse_error = differences[0].error(measure, instance_extent)
+    fine_error = differences[-1].error(measure, instance_extent)
     extent = points_extent(outcomes[-1].snapshots) + instance_extent
     order = None
     if fine_error > ROUNDING * extent:
         order = observed_order(coarse_error, fine_error)
-    is_sensitive = (
-        order is not None
-        and order < MIN_ORDER
-        and fine_error > INVISIBLE_ERROR * extent
-    )
+    is_chaotic = order is not None and order < MIN_ORDER
+    is_sensitive = is_chaotic and fine_error > INVISIBLE_ERROR * extent
     factor = 1.0 if order is None else max(2**order - 1, 1.0)
     return Reference(setting, differences[-1].scaled(1 / factor), order, is_sensitive)
 
@@ -214,10 +199,8 @@ def _trial_rows(
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
-        row = replace(
-            _trial_row(trial, runs, setting, reference_outcome),
-            chosen=setting == trial.chosen,
-        )
+        row = _trial_row(trial, runs, setting, reference_outcome)
+        row = replace(row, chosen=setting == trial.chosen)
         if limit is not None and row.seconds > limit:
             slow_rows[setting.method] = row
         rows.append(row)

@@ -48,14 +48,11 @@ CYCLE_REPEATS = 3
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Convert takes on a rig to gaits, by name."""
     walker = Walker.of(rig)
-    moving_gaits: list[Gait] = []
-    idle_gaits: list[Gait] = []
-    reactions: list[Gait] = []
+    gaits: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
     for name, take in takes:
         kind, gait = _build_gait(walker, name, take)
-        {"moves": moving_gaits, "stands": idle_gaits, "reacts": reactions}[kind].append(
-            gait
-        )
+        gaits[kind].append(gait)
+    moving_gaits, idle_gaits, reactions = gaits.values()
     notices = []
     if not moving_gaits:
         message = "none of the clips walks: add one that moves ahead in even steps"
@@ -110,8 +107,8 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
     gait = _cycle_gait(walker, name, cycle)
     if gait is None:
-        return ("reacts", _uncut_gait(walker, name, take, world))
-    return ("moves", gait)
+        return "reacts", _uncut_gait(walker, name, take, world)
+    return "moves", gait
 
 
 @dataclass(frozen=True)
@@ -224,15 +221,10 @@ def _find_stance(
     contacts: FootContacts = find_contacts(
         world.positions[:, foot], toe_positions, fps, walker.leg
     )
-    second_cycle_runs = [
-        run for run in runs(contacts.any) if length <= run[0] < 2 * length
-    ]
-    if (
-        len(second_cycle_runs) != 1
-        or not 0 < second_cycle_runs[0][1] - second_cycle_runs[0][0] < length
-    ):
+    stances = [run for run in runs(contacts.any) if length <= run[0] < 2 * length]
+    if len(stances) != 1 or not 0 < stances[0][1] - stances[0][0] < length:
         return None
-    return FootStance(*second_cycle_runs[0], contacts.ankle & contacts.toe)
+    return FootStance(*stances[0], contacts.ankle & contacts.toe)
 
 
 def _build_step(

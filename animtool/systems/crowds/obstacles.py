@@ -70,33 +70,20 @@ class Obstacles:
         walls_near = []
         for gaps, directions, closing_speeds in obstacles:
             ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
-            near_agents = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
+            rows = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
             walls_near.append(
-                (
-                    near_agents,
-                    gaps[near_agents],
-                    directions[near_agents],
-                    closing_speeds[near_agents],
-                )
+                (rows, gaps[rows], directions[rows], closing_speeds[rows])
             )
-        agents_of_walls, gaps, directions, closing_speeds = (
-            np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)
-        )
-        order = np.argsort(agents_of_walls, kind="stable")
-        agents_of_walls = agents_of_walls[order]
-        gaps = gaps[order]
-        directions = directions[order]
-        closing_speeds = closing_speeds[order]
-        min_speeds = np.minimum(
-            closing_speeds - gaps / self.horizon,
-            LEAVING_SPEED * max_speeds[agents_of_walls],
-        )
-        offsets = (
-            (directions * x[agents_of_walls]).sum(axis=1) - gaps + closing_speeds * dt
-        )
-        rows = np.column_stack([directions, min_speeds, offsets])
+        columns = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
+        order = np.argsort(columns[0], kind="stable")
+        agents_of_walls, gaps, directions, closing_speeds = (c[order] for c in columns)
+        leaving_speeds = LEAVING_SPEED * max_speeds[agents_of_walls]
+        min_speeds = np.minimum(closing_speeds - gaps / self.horizon, leaving_speeds)
+        positions = (directions * x[agents_of_walls]).sum(axis=1)
+        offsets = positions - gaps + closing_speeds * dt
+        wall_rows = np.column_stack([directions, min_speeds, offsets])
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
-        return Walls(starts, rows, agents_of_walls, gaps, closing_speeds)
+        return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
 
     def _colliders(
         self, t: float, dt: float, x: FloatArray
@@ -123,9 +110,8 @@ class Obstacles:
             if any(first <= t < last for first, last in door.opens):
                 continue
             door_vector = b - a
-            fraction = np.clip(
-                ((x - a) @ door_vector) / (door_vector @ door_vector), 0.0, 1.0
-            )
+            fraction = ((x - a) @ door_vector) / (door_vector @ door_vector)
+            fraction = np.clip(fraction, 0.0, 1.0)
             offsets = x - a - fraction[:, None] * door_vector
             distances = np.linalg.norm(offsets, axis=1)
             directions = offsets / np.where(distances > 0, distances, 1.0)[:, None]

@@ -83,8 +83,7 @@ class LegReach:
         heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
         outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
-        reach_squared = np.maximum((MAX_EXTENSION * leg) ** 2 - heights**2, 0.0)
-        return np.asarray(np.sqrt(reach_squared) - distances), outwards
+        return np.asarray(reach_across(leg, heights**2) - distances), outwards
 
     def hip_lowering(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -92,13 +91,9 @@ class LegReach:
         """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
         leg = self.gaits.walker.leg
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
-        horizontal_squared = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
-        max_height = np.sqrt(
-            np.maximum((MAX_EXTENSION * leg) ** 2 - horizontal_squared, 0.0)
-        )
-        return np.asarray(
-            np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
-        )
+        max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
+        lowering = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
+        return np.asarray(lowering)
 
     def _ankle_vectors(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -107,6 +102,15 @@ class LegReach:
         lifts = standing_ankle(self.gaits.walker, k, rotations_about_x(pitches))
         ankles = feet[:, :3] + so3.rotate(rotations_about_y(feet[:, 3]), lifts)
         return np.asarray(ankles - thighs)
+
+
+def reach_across(leg: FloatArray | float, squared_offset: FloatArray) -> FloatArray:
+    """Return how far an extended leg reaches at right angles to an offset ``(N,)`` [m].
+
+    The offset is given by its square; beyond the reach of the leg the result is 0.
+    """
+    squared_reach = (MAX_EXTENSION * leg) ** 2 - squared_offset
+    return np.asarray(np.sqrt(np.maximum(squared_reach, 0.0)))
 
 
 @dataclass(frozen=True)

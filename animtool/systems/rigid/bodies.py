@@ -150,7 +150,7 @@ class RigidBodies:
 
     def kind_of(self, body: int) -> BodyKind:
         """Return the kind of a body, by its index among all bodies."""
-        return self.kinds[self.kind_of_body[body]]
+        return self.kinds[int(self.kind_of_body[body])]
 
     @cached_property
     def initial_states(self) -> FloatArray:
@@ -272,7 +272,7 @@ class RigidBodies:
     def kernel(
         self,
         joints: IntArray,
-        joint_parameters: FloatArray,
+        parameters: FloatArray,
         excluded: IntArray = NO_PAIRS,
         mass_factors: FloatArray | float = 1.0,
     ) -> Any:
@@ -282,10 +282,9 @@ class RigidBodies:
         ``(Q, 2)``, and factors on the masses ``(N,)``.
         """
         masses = (self.masses * mass_factors)[:, None]
-        mass_properties = np.concatenate([masses, self.moments], axis=1)
-        return _kernels.RigidBodies(
-            mass_properties, *self._shape_arrays, joints, joint_parameters, excluded
-        )
+        masses = np.concatenate([masses, self.moments], axis=1)
+        arrays: list[Any] = [masses, *self._shape_arrays, joints, parameters, excluded]
+        return _kernels.RigidBodies(*arrays)
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
