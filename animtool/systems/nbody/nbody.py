@@ -119,7 +119,8 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         counts = [len(entry.masses) for entry in body_sets]
         self.has_many_species = len(body_sets) > 1
         self.species = np.repeat(np.arange(len(body_sets)), counts)
-        radii = [entry.radius for entry in (*spec.bodies, *spec.galaxies)]
+        radii = [body.radius for body in spec.bodies]
+        radii += [galaxy.radius for galaxy in spec.galaxies]
         self.radii = np.repeat(radii, counts)
         dark_counts = [0] * len(spec.bodies)
         dark_counts += [galaxy.hidden_count for galaxy in spec.galaxies]
