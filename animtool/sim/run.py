@@ -129,14 +129,10 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     first_multiple, last_multiple = start / step, end / step
     first_index, last_index = round(first_multiple), round(last_multiple)
     # Rounding error of times that are multiples of the step.
-    tolerance = GRID_TOLERANCE + 4 * math.ulp(
-        max(abs(first_multiple), abs(last_multiple))
-    )
-    is_on_grid = (
-        max(abs(first_multiple - first_index), abs(last_multiple - last_index))
-        <= tolerance
-        < 0.5
-    )
+    rounding = math.ulp(max(abs(first_multiple), abs(last_multiple)))
+    tolerance = GRID_TOLERANCE + 4 * rounding
+    offset = max(abs(first_multiple - first_index), abs(last_multiple - last_index))
+    is_on_grid = offset <= tolerance < 0.5
     if is_on_grid and last_index > first_index:
         return StepGrid(start, end, last_index - first_index, step, first_index)
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))

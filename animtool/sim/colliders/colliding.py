@@ -121,10 +121,8 @@ class Colliders(Sequence[Collider]):
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
         # All rigid colliders, in the kernels' numbering.
-        rigid = [
-            *self._colliders,
-            *(collider for system in bodies for collider in system.colliders),
-        ]
+        rigid = list(self._colliders)
+        rigid += [collider for system in bodies for collider in system.colliders]
         self.rigid = len(rigid)
         self.surfaces = Surfaces(self.sheets)
         faults = [
@@ -137,24 +135,20 @@ class Colliders(Sequence[Collider]):
         if faults:
             raise OptionError(faults)
         self._meshes, roots = _mesh_arrays([c.shape for c in rigid])
-        self._kinds = np.array(
-            [
-                (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
-                for c, root in zip(rigid, roots, strict=True)
-            ],
-            np.int64,
-        ).reshape(-1, 3)
+        kinds = [
+            (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
+            for c, root in zip(rigid, roots, strict=True)
+        ]
+        self._kinds = np.array(kinds, np.int64).reshape(-1, 3)
         self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
         for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes
         self._materials = np.array([c.material for c in rigid]).reshape(-1, 4)
-        self._poses = np.array(
-            [np.stack([c.poses.rows[0]] * 2) for c in rigid]
-        ).reshape(-1, 2, 7)
-        self._moving = [
-            i for i, c in enumerate(self._colliders) if len(c.poses.sample_times) > 1
-        ]
+        first_poses = [[c.poses.rows[0]] * 2 for c in rigid]
+        self._poses = np.array(first_poses).reshape(-1, 2, 7)
+        moves = [not collider.poses.is_fixed for collider in self._colliders]
+        self._moving = np.flatnonzero(moves).tolist()
 
     def __len__(self) -> int:
         """Return the number of colliders."""
@@ -281,20 +275,15 @@ def collide(
     >>> result.points.tolist(), result.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
-    collider_set = (
-        colliders if isinstance(colliders, Colliders) else Colliders(colliders)
-    )
+    is_prepared = isinstance(colliders, Colliders)
+    collider_set = colliders if is_prepared else Colliders(colliders)
     positions = as_floats(points, ("N", 3), "points")
-    end_state = np.stack(
-        [positions, as_floats(velocities, (len(positions), 3), "velocities")]
-    )
-    start_state = as_floats(before, (2, len(positions), 3), "before")
-    radius_array = np.ascontiguousarray(
-        np.broadcast_to(radii, len(positions)), np.float64
-    )
-    spawn_times = (
-        np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
-    )
+    count = len(positions)
+    end_velocities = as_floats(velocities, (count, 3), "velocities")
+    end_state = np.stack([positions, end_velocities])
+    start_state = as_floats(before, (2, count, 3), "before")
+    radius_array = np.ascontiguousarray(np.broadcast_to(radii, count), np.float64)
+    spawn_times = np.zeros(count) if begins is None else np.subtract(begins, t0)
     sheet_contacts = _stop_at_sheets(
         collider_set, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
@@ -373,14 +362,7 @@ def _offset_mesh(
         points, corners
     )
     is_leaf = tree[:, :1] < 0
-    tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset).astype(
-        np.int32
-    )
-    return (
-        points,
-        sorted_triangles + np.int32(point_offset),
-        by_corner,
-        by_edge,
-        bounds,
-        tree,
-    )
+    tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset)
+    tree = tree.astype(np.int32)
+    triangles = sorted_triangles + np.int32(point_offset)
+    return points, triangles, by_corner, by_edge, bounds, tree

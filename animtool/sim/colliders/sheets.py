@@ -88,11 +88,8 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
     >>> len(mesh.points), len(mesh.triangles)
     (6, 8)
     """
-    return Mesh(
-        hull_points(points, triangles, radius),
-        hull_faces(triangles, len(points)),
-        closed=True,
-    )
+    faces = hull_faces(triangles, len(points))
+    return Mesh(hull_points(points, triangles, radius), faces, closed=True)
 
 
 def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
@@ -167,9 +164,9 @@ def states_at_sheet(
     rows = np.flatnonzero(is_near)
     if not len(rows) or not len(triangles):
         return None
-    velocity = _displacement(
-        before[0, rows], start_points, end_points - start_points, triangles
-    ) / (t1 - t0)
+    motion = end_points - start_points
+    displacement = _displacement(before[0, rows], start_points, motion, triangles)
+    velocity = displacement / (t1 - t0)
     start_state, end_state = before[:, rows].copy(), after[:, rows].copy()
     start_state[0] += velocity * (t1 - t0 - spawn_times[rows])[:, None]
     start_state[1] -= velocity
@@ -189,9 +186,8 @@ def _is_near_sheet(
     low = np.minimum(start_points.min(axis=0), end_points.min(axis=0))
     high = np.maximum(start_points.max(axis=0), end_points.max(axis=0))
     # A path is a parabola: it leaves the box of its end points by at most its length.
-    margin = radius[:, None] + np.linalg.norm(
-        path_ends - path_starts, axis=1, keepdims=True
-    )
+    path_lengths = np.linalg.norm(path_ends - path_starts, axis=1, keepdims=True)
+    margin = radius[:, None] + path_lengths
     above_low = np.maximum(path_starts, path_ends) + margin >= low
     below_high = np.minimum(path_starts, path_ends) - margin <= high
     return np.asarray((above_low & below_high).all(axis=1))
@@ -226,9 +222,8 @@ def _triangles_by_point(triangles: IntArray, count: int) -> IntArray:
     sorted_corners, sorted_faces = triangles.ravel()[order], order // 3
     starts = np.searchsorted(sorted_corners, np.arange(count + 1))
     neighbours = np.full((count, max(int(np.diff(starts).max()), 1)), -1)
-    neighbours[
-        sorted_corners, np.arange(len(sorted_corners)) - starts[sorted_corners]
-    ] = sorted_faces
+    columns = np.arange(len(sorted_corners)) - starts[sorted_corners]
+    neighbours[sorted_corners, columns] = sorted_faces
     return neighbours
 
 

@@ -63,9 +63,8 @@ class Surfaces:
         for sheet_index, sheet in enumerate(self._prepared):
             points = np.stack([sheet.points(t) for t in knots.tolist()])
             self._record_speed(sheet_index, sheet.sheet, points, knots)
-            arrays.append(
-                (sheet.kernel, points, sheet.material, cells_per_knot, offset)
-            )
+            kernel, material = sheet.kernel, sheet.material
+            arrays.append((kernel, points, material, cells_per_knot, offset))
         return arrays
 
     def _record_speed(

@@ -28,11 +28,9 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
     >>> pareto_optimal([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
     """
-    sorted_costs = sorted(
-        (cost.value, cost.error, i) for i, cost in enumerate(costs) if cost
-    )
+    rows = [(cost.value, cost.error, i) for i, cost in enumerate(costs) if cost]
     optimal, min_error = [], float("inf")
-    for _, error, i in sorted_costs:
+    for _, error, i in sorted(rows):
         if error < min_error:
             optimal.append(i)
             min_error = error
@@ -66,9 +64,7 @@ def recommended_index(
         and (not cost.work or (cost.error, cost.work) != chosen_work)
     ]
     if not candidates and chosen_cost is None:
-        candidates = [
-            (cost.error, i) for i, cost in enumerate(costs) if cost is not None
-        ]
+        candidates = [(cost.error, i) for i, cost in enumerate(costs) if cost]
     return min(candidates)[1] if candidates else None
 
 
@@ -80,9 +76,7 @@ def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
     >>> cheapest_index([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0
     """
-    candidates = [
-        (c, i) for i, c in enumerate(costs) if c is not None and c.error <= budget
-    ]
+    candidates = [(c, i) for i, c in enumerate(costs) if c and c.error <= budget]
     if not candidates:
         return None
     lowest_cost = min(cost.value for cost, _ in candidates)

@@ -229,9 +229,8 @@ def _trial_row(
     )
     if outcome.status is not Status.OK:
         return row
-    completed_row = replace(
-        row, energy_drift=_energy_drift(outcome.energies), figures=outcome.figures
-    )
+    drift = _energy_drift(outcome.energies)
+    completed_row = replace(row, energy_drift=drift, figures=outcome.figures)
     if outcome.error is not None:
         return replace(completed_row, error=outcome.error, worst=outcome.worst)
     if reference_outcome is None:
@@ -239,9 +238,8 @@ def _trial_row(
     error = run_distances(reference_outcome.snapshots, outcome.snapshots)
     reason = _failure_reason(error, points_extent(reference_outcome.snapshots))
     if reason:
-        return replace(
-            row, status=Status.UNSTABLE, reason=reason, stable_step=outcome.stable_step
-        )
+        failed_row = replace(row, status=Status.UNSTABLE, reason=reason)
+        return replace(failed_row, stable_step=outcome.stable_step)
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
     return replace(completed_row, error=error, worst=worst)
 
@@ -298,14 +296,13 @@ def _mark_recommended(
     # Errors below the error estimate of the reference count as equal.
     extent += instance_extent
     floor = max(reference.error.error(trial.error, instance_extent), ROUNDING * extent)
-    costs = [
-        None
-        if row.error is None
-        else _row_cost(
-            row, trial.cost, max(row.error.error(trial.error, instance_extent), floor)
-        )
-        for row in rows
-    ]
+    costs: list[Cost | None] = []
+    for row in rows:
+        cost = None
+        if row.error is not None:
+            error = row.error.error(trial.error, instance_extent)
+            cost = _row_cost(row, trial.cost, max(error, floor))
+        costs.append(cost)
     optimal = pareto_optimal(costs)
     chosen = next(i for i, row in enumerate(rows) if row.chosen)
     if budget is None:
@@ -326,9 +323,8 @@ def _rank_by_figures(
     The error of a row is the largest excess of one of its figures over that of the
     reference, relative to the figure's tolerance. Errors below 1 count as equal.
     """
-    reference_figures = _relative_figures(
-        _energy_drift(reference_outcome.energies), reference_outcome.figures
-    )
+    drift = _energy_drift(reference_outcome.energies)
+    reference_figures = _relative_figures(drift, reference_outcome.figures)
     if not reference_figures:
         return rows
     costs: list[Cost | None] = []
@@ -337,10 +333,8 @@ def _rank_by_figures(
         if row.status is not Status.OK or figures.keys() != reference_figures.keys():
             costs.append(None)
             continue
-        excesses = [
-            max(0.0, figures[name] - reference_figures[name])
-            for name in reference_figures
-        ]
+        names = reference_figures.keys()
+        excesses = [max(0.0, figures[name] - reference_figures[name]) for name in names]
         costs.append(_row_cost(row, measure, max(1.0, *excesses)))
     optimal = pareto_optimal(costs)
     return [replace(row, best=i in optimal) for i, row in enumerate(rows)]

@@ -166,10 +166,8 @@ def step_settings(
     method: str, step: float, factors: Sequence[float] = STEP_FACTORS
 ) -> list[Setting]:
     """Return settings of a method with multiples of a step [s]."""
-    return [
-        Setting.of(method, step=multiple)
-        for multiple in rounded_multiples(step, factors)
-    ]
+    steps = rounded_multiples(step, factors)
+    return [Setting.of(method, step=multiple) for multiple in steps]
 
 
 @dataclass(frozen=True, slots=True)

@@ -71,12 +71,11 @@ class Obstacles:
         for gaps, directions, closing_speeds in obstacles:
             ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
             rows = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
-            walls_near.append(
-                (rows, gaps[rows], directions[rows], closing_speeds[rows])
-            )
-        columns = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
-        order = np.argsort(columns[0], kind="stable")
-        agents_of_walls, gaps, directions, closing_speeds = (c[order] for c in columns)
+            columns = rows, gaps[rows], directions[rows], closing_speeds[rows]
+            walls_near.append(columns)
+        walls = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
+        order = np.argsort(walls[0], kind="stable")
+        agents_of_walls, gaps, directions, closing_speeds = (c[order] for c in walls)
         leaving_speeds = LEAVING_SPEED * max_speeds[agents_of_walls]
         min_speeds = np.minimum(closing_speeds - gaps / self.horizon, leaving_speeds)
         positions = (directions * x[agents_of_walls]).sum(axis=1)
@@ -157,16 +156,14 @@ def capsule_distances(
         speeds = frame.vector_to_local(velocities)[:, [0, 2]]
         lengths = np.linalg.norm(normals, axis=1)
         is_wall = lengths > MIN_WALL_NORMAL
-        wall_distances = np.where(
-            is_wall, distances / np.where(is_wall, lengths, 1.0), np.inf
-        )
+        divisors = np.where(is_wall, lengths, 1.0)
+        wall_distances = np.where(is_wall, distances / divisors, np.inf)
         wall_distances = wall_distances.reshape(len(levels), count)
         nearest = np.argmin(wall_distances, axis=0) * count + np.arange(count)
-        directions = normals[nearest] / np.where(is_wall, lengths, 1.0)[nearest, None]
+        directions = normals[nearest] / divisors[nearest, None]
         closing_speeds = (speeds[nearest] * directions).sum(axis=1)
-        capsule_gaps.append(
-            (wall_distances.ravel()[nearest], directions, closing_speeds)
-        )
+        gaps = wall_distances.ravel()[nearest]
+        capsule_gaps.append((gaps, directions, closing_speeds))
     return capsule_gaps
 
 
@@ -184,16 +181,14 @@ def navigation_grids(
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
     """
-    static_obstacles = [
-        collider for collider in colliders if len(collider.poses.sample_times) == 1
-    ]
+    static_obstacles = [one for one in colliders if one.poses.is_fixed]
     if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
     corners = np.concatenate([agents.starts, goals])
-    low, high = (
-        (corners.min(axis=0), corners.max(axis=0)) if len(corners) else np.zeros((2, 2))
-    )
+    low = high = np.zeros(2)
+    if len(corners):
+        low, high = corners.min(axis=0), corners.max(axis=0)
     margin = GRID_MARGIN * (high - low).max() + GRID_MARGIN_RADII * radius
     low, high = low - margin, high + margin
     if not ground.is_plane:
@@ -229,9 +224,8 @@ def navigation_grids(
                 # Gaps narrower than an agent are blocked.
                 is_clear &= distances >= radius - cell / 2
             is_free[block] = is_clear
-    edge = (
-        None if has_ground.all() and ground.is_plane else NavGrid(low, cell, has_ground)
-    )
+    is_endless = ground.is_plane and has_ground.all()
+    edge = None if is_endless else NavGrid(low, cell, has_ground)
     return NavGrid(low, cell, is_free.reshape(shape)), edge
 
 
@@ -249,9 +243,8 @@ def _obstacle_bounds(
     obstacle_low, obstacle_high = np.full(2, np.inf), np.full(2, -np.inf)
     for collider in static_obstacles:
         if isinstance(collider.shape, Plane):
-            normal = so3.rotate(
-                collider.poses.rows[0, 3:], np.array(collider.shape.normal, float)
-            )
+            normal = np.array(collider.shape.normal, float)
+            normal = so3.rotate(collider.poses.rows[0, 3:], normal)
             horizontal = frame.vector_to_local(normal)[[0, 2]]
             if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
@@ -261,9 +254,8 @@ def _obstacle_bounds(
         corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
         obstacle_low = np.minimum(obstacle_low, corners.min(axis=0))
         obstacle_high = np.maximum(obstacle_high, corners.max(axis=0))
-    return np.maximum(low, obstacle_low - margin), np.minimum(
-        high, obstacle_high + margin
-    )
+    low = np.maximum(low, obstacle_low - margin)
+    return low, np.minimum(high, obstacle_high + margin)
 
 
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:

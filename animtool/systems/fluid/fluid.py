@@ -126,9 +126,8 @@ class Fluid:
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Without moving colliders the initial energy is an upper bound.
         is_static = not colliders.bodies and not colliders.sheets
-        self._conserves_energy = is_static and all(
-            len(c.poses.sample_times) == 1 for c in colliders
-        )
+        is_static &= all(collider.poses.is_fixed for collider in colliders)
+        self._conserves_energy = is_static
 
     def initial(self) -> FluidState:
         """Return the initial state."""

@@ -174,7 +174,7 @@ class Emitter(Emission, Checked):
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return world positions and velocities, including the inherited velocity."""
-        if len(self.poses.sample_times) == 1:
+        if self.poses.is_fixed:
             pose = self.poses.rows[0]
             positions = so3.rotate(pose[3:], points) + pose[:3]
             return positions, so3.rotate(pose[3:], velocities)

@@ -111,7 +111,7 @@ class RigidBodies:
     def static(self) -> frozenset[int]:
         """Indices of kinematic bodies that never move."""
         kinematic = np.flatnonzero(~self.is_dynamic).tolist()
-        return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
+        return frozenset(i for i in kinematic if self.poses[i].is_fixed)
 
     @cached_property
     def masses(self) -> FloatArray:
@@ -164,10 +164,8 @@ class RigidBodies:
         rotations = so3.multiply(poses[:, 3:], self.axes)
         spins_local = so3.rotate(so3.conjugate(rotations), spins)
         momenta = so3.rotate(rotations, spins_local * self.moments)
-        rest_times = np.zeros((len(poses), 1))
-        return np.concatenate(
-            [centres, rotations, velocities, momenta, rest_times], axis=1
-        )
+        columns = [centres, rotations, velocities, momenta, np.zeros((len(poses), 1))]
+        return np.concatenate(columns, axis=1)
 
     def kinematic_state(self, dynamic_index: int, t: float, dt: float) -> FloatArray:
         """Return the state of a body that is not released yet ``(14,)``.
@@ -176,18 +174,15 @@ class RigidBodies:
         """
         i = int(self.dynamic[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
-        centres = [
-            p[:3] + so3.rotate(p[3:], self.centres[dynamic_index])
-            for p in (previous_pose, pose)
-        ]
+        offset, moments = self.centres[dynamic_index], self.moments[dynamic_index]
+        previous_centre = previous_pose[:3] + so3.rotate(previous_pose[3:], offset)
+        centre = pose[:3] + so3.rotate(pose[3:], offset)
         spin = so3.log(so3.multiply(pose[3:], so3.conjugate(previous_pose[3:]))) / dt
         rotation = so3.multiply(pose[3:], self.axes[dynamic_index])
-        momentum_local = (
-            so3.rotate(so3.conjugate(rotation), spin) * self.moments[dynamic_index]
-        )
-        velocity = (centres[1] - centres[0]) / dt
+        momentum_local = so3.rotate(so3.conjugate(rotation), spin) * moments
+        velocity = (centre - previous_centre) / dt
         momentum = so3.rotate(rotation, momentum_local)
-        return np.concatenate([centres[1], rotation, velocity, momentum, [0.0]])
+        return np.concatenate([centre, rotation, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
         """Return world angular velocities of dynamic bodies ``(N, 3)`` [rad/s]."""
@@ -225,9 +220,8 @@ class RigidBodies:
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
-        first_shape_indices = (
-            len(self.dynamic) + first_collider + np.cumsum(counts) - counts
-        )
+        first_index = len(self.dynamic) + first_collider
+        first_shapes = first_index + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
@@ -237,9 +231,7 @@ class RigidBodies:
             if self.is_dynamic[b]:
                 rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
-                shapes = range(
-                    int(first_shape_indices[b]), int(first_shape_indices[b] + counts[b])
-                )
+                shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
                 rows += [(int(dynamic_indices[a]), shape) for shape in shapes]
         return np.array(rows, np.int64).reshape(-1, 2)
 
@@ -252,9 +244,8 @@ class RigidBodies:
             for shape, at, rotation in self.kind_of(i).shapes
         ]
         colliders, of, at, rotations = zip(*rows, strict=True)
-        return CollisionShapes(
-            colliders, np.array(of), np.array(at), np.array(rotations)
-        )
+        arrays = np.array(of), np.array(at), np.array(rotations)
+        return CollisionShapes(colliders, *arrays)
 
     @cached_property
     def shapes(self) -> tuple[list[ConvexCore], IntArray]:

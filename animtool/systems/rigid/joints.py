@@ -173,7 +173,7 @@ def build_joints(
             frame_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
         else:
             parent = bodies.body_index(model.to, f"{where}.to")
-            if len(poses.sample_times) > 1:
+            if not poses.is_fixed:
                 message = f"{name!r} follows {model.to!r}, so it cannot have moves or "
                 message += "a prim"
                 refuse("SIM061", message, where)
@@ -351,9 +351,8 @@ def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[flo
             hint = "remove them: full rotations are not counted"
             refuse("SIM061", message, f"{where}.{key}", hint)
     if model.swing is not None:
-        half_angles = (
-            model.swing if isinstance(model.swing, list) else [model.swing] * 2
-        )
+        swings = model.swing
+        half_angles = swings if isinstance(swings, list) else [swings, swings]
         if min(half_angles) <= 0:
             refuse("SIM061", f"the swing of {name!r} must be above 0", f"{where}.swing")
         swing = np.minimum(np.radians(half_angles), MAX_SWING).tolist()
@@ -368,9 +367,8 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
     speed = _motor_speed(model, drive, where)
     is_ball = model.type == "ball"
     if ("target" if is_ball else "rotation") in drive.model_fields_set:
-        invalid_key, valid_key = (
-            ("target", "rotation") if is_ball else ("rotation", "target")
-        )
+        keys = ("target", "rotation") if is_ball else ("rotation", "target")
+        invalid_key, valid_key = keys
         message = f"the drive of a {model.type} has a {valid_key}, not a {invalid_key}"
         refuse("SIM061", message, f"{where}.drive.{invalid_key}", f"{valid_key}: ...")
     rotation = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
@@ -380,9 +378,8 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # Drives act in the joint's axes.
     axis = _axis_rotation(model, model.name, where)
-    rotation = so3.multiply(
-        so3.multiply(so3.conjugate(axis), so3.normalize(rotation)), axis
-    )
+    rotation = so3.multiply(so3.conjugate(axis), so3.normalize(rotation))
+    rotation = so3.multiply(rotation, axis)
     max_force = -1.0 if drive.most is None else drive.most
     is_rigid = drive.speed is not None and "damping" not in drive.model_fields_set
     damping = RIGID_MOTOR_DAMPING if is_rigid else drive.damping
