@@ -105,11 +105,9 @@ class _FootShape:
 
 def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
     """Return the shape of a foot; None if the skeleton's facing is unknown."""
-    facing, foot, toes = (
-        skeleton.facing,
-        _foot_joint(skeleton, side),
-        _first_toe_joints(skeleton, side),
-    )
+    facing = skeleton.facing
+    foot = _foot_joint(skeleton, side)
+    toes = _first_toe_joints(skeleton, side)
     if facing is None:
         return None
     start = skeleton.positions[foot]

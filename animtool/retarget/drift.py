@@ -172,11 +172,9 @@ def _stance_tracks(
     take: Take, skeleton: RoledSkeleton, *, heading: bool
 ) -> _StanceTracks | None:
     """Return the motion of planted feet; None if none is planted for long."""
-    (up, (a, b)), rate, count = (
-        _ground_axes(take),
-        float(take.clock.rate),
-        take.clock.count,
-    )
+    up, (a, b) = _ground_axes(take)
+    rate = float(take.clock.rate)
+    count = take.clock.count
     world = take.world()
     position_sums, contact_counts = np.zeros((count, 3)), np.zeros(count)
     # Per contact: its middle, duration, spin, speed and position.

@@ -77,10 +77,8 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     for j, parent in enumerate(take.rig.parents.tolist()):
         if parent in joints_of_legs:
             joints_of_legs.add(j)
-    rotating_joints, root = (
-        np.array(sorted(joints_of_legs)),
-        np.array([max(skeleton.first("hips"), 0)]),
-    )
+    rotating_joints = np.array(sorted(joints_of_legs))
+    root = np.array([max(skeleton.first("hips"), 0)])
     source_motion = take.motion
     planted_motion = replace(
         source_motion,

@@ -190,10 +190,8 @@ def hand_contacts(
                 is_active[k][start:end] = True
         is_contact = is_active[k].copy()
         if ground_level is not None:
-            height_above_ground, soft_height = (
-                wrists[k][:, up] - ground_level,
-                SLOWING_HEIGHT * length * transfer.scale,
-            )
+            height_above_ground = wrists[k][:, up] - ground_level
+            soft_height = SLOWING_HEIGHT * length * transfer.scale
             is_low = ~is_contact & (height_above_ground < soft_height)
             goals[k][is_low, up] = (
                 ground_level + _soften_heights(height_above_ground, soft_height)

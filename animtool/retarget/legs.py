@@ -78,11 +78,9 @@ class LegTracks:
         """Return the target's foot, with the contacts of the source's foot."""
         leg = leg_joints(transfer.target, side)
         up = up_index(transfer.target.rig)
-        hip, ankle, toe = (
-            self.source_points[:, :3],
-            self.source_points[:, 3:6],
-            self.source_points[:, 6:],
-        )
+        hip = self.source_points[:, :3]
+        ankle = self.source_points[:, 3:6]
+        toe = self.source_points[:, 6:]
         length = transfer.source.leg_length(side)
         tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)

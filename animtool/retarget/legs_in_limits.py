@@ -118,10 +118,8 @@ class _Leg:
 
         It is caused by hip limits, and 0 while the foot is in the air.
         """
-        rig, (thigh, shin, foot, _) = (
-            self.target.rig,
-            leg_joints(self.target, self.side),
-        )
+        rig = self.target.rig
+        thigh, shin, foot, _ = leg_joints(self.target, self.side)
         limit = rig.joints[thigh].limits
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
@@ -129,10 +127,8 @@ class _Leg:
         thigh_rotation, shin_rotation = swivel_leg(
             self.rotations(hips), self.ankle_goal - hip_positions, swivel
         )
-        parent_rotation, rest_rotation = (
-            self.tracks.rotations[:, 0],
-            rig.rest_rotations[thigh],
-        )
+        parent_rotation = self.tracks.rotations[:, 0]
+        rest_rotation = rig.rest_rotations[thigh]
         local = so3.multiply(
             so3.conjugate(so3.multiply(parent_rotation, rest_rotation)), thigh_rotation
         )

@@ -389,10 +389,8 @@ class Retargeting:
                         - relative_positions[rows, foot]
                     )
                     bone = so3.rotate(inverse_rotation, tip)
-                requested, actual = (
-                    placed.rotations[k][output_frames],
-                    solution.world[rows, foot],
-                )
+                requested = placed.rotations[k][output_frames]
+                actual = solution.world[rows, foot]
                 toe_error = so3.rotate(requested, bone) - so3.rotate(actual, bone)
                 goal = (
                     placed.ankles[k][output_frames]

@@ -152,10 +152,8 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
             name, names_without_prefix[partners_by_joint[j]]
         )
         if without_side_letter:
-            side, words = (
-                "l" if j in left_joints else "r",
-                _split_words(without_side_letter),
-            )
+            side = "l" if j in left_joints else "r"
+            words = _split_words(without_side_letter)
         parsed_names.append(
             ParsedName(side, _normalized_key(words), _name_kind(name, words))
         )
@@ -278,10 +276,8 @@ def role_votes(
     parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the roles that each name may mean, with weights from 0 to 1."""
-    tables, words = (
-        preset.roles_by_key if preset else {},
-        _load_tables()[COMMON_WORDS].roles_by_key,
-    )
+    tables = preset.roles_by_key if preset else {}
+    words = _load_tables()[COMMON_WORDS].roles_by_key
     votes = []
     for name in parsed_names:
         # The detected convention takes precedence over other meanings of the word.

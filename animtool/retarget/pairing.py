@@ -157,10 +157,8 @@ def _crossed_sides(
     """Return a warning if left joints are paired with right joints (MAP108)."""
     crossed_pairs = []
     for pair in pairs:
-        source_roles, target_roles = (
-            anatomies[0].roles[pair.source],
-            anatomies[1].roles[pair.target],
-        )
+        source_roles = anatomies[0].roles[pair.source]
+        target_roles = anatomies[1].roles[pair.target]
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed_pairs.append(f"{names[0]} to {names[1]}")

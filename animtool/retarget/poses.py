@@ -234,10 +234,10 @@ def _clamp_to_limits(
         )
     elif isinstance(limits, BallLimit):
         clamped_rotations = limits.clamped(rotation_from_rest)
-        is_clamped, rotation_from_rest = (
-            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING,
-            clamped_rotations,
+        is_clamped = (
+            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING
         )
+        rotation_from_rest = clamped_rotations
     else:
         rotation_from_rest = np.broadcast_to(so3.IDENTITY, rotation_from_rest.shape)
     return so3.multiply(rest, rotation_from_rest), is_clamped

@@ -99,11 +99,9 @@ class FitMeter:
     def __init__(
         self, transfer: Transfer, joint_map: JointMap, contact_frames: ContactFrames
     ) -> None:
-        self._transfer, self._joint_map, self._contact_frames = (
-            transfer,
-            joint_map,
-            contact_frames,
-        )
+        self._transfer = transfer
+        self._joint_map = joint_map
+        self._contact_frames = contact_frames
         self._up = up_index(transfer.target.rig)
         self._frames = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
@@ -246,10 +244,8 @@ class FitMeter:
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
-        planted, contacts = (
-            self._contact_frames.placed,
-            self._contact_frames.contacts[k],
-        )
+        planted = self._contact_frames.placed
+        contacts = self._contact_frames.contacts[k]
         if planted is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
         heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
@@ -293,21 +289,17 @@ class FitMeter:
         Args:
             clamped: Fraction of frames in which limits clamp each joint.
         """
-        transfer, joint_map, contact_frames = (
-            self._transfer,
-            self._joint_map,
-            self._contact_frames,
-        )
+        transfer = self._transfer
+        joint_map = self._joint_map
+        contact_frames = self._contact_frames
         self._worst_by_frame.clear()
         all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
         sole_heights: list[float] = []
         depths: list[float] = []
         planted_frames = 0.0
         for k, side in enumerate(contact_frames.sides):
-            feet, contacts = (
-                np.concatenate(self._foot_blocks[k]),
-                contact_frames.contacts[k],
-            )
+            feet = np.concatenate(self._foot_blocks[k])
+            contacts = contact_frames.contacts[k]
             planted_frames += float(contacts.any.mean()) / len(contact_frames.sides)
             has_toe = side in transfer.target.balls
             both_balls = has_toe and side in transfer.source.balls

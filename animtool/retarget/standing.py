@@ -152,10 +152,8 @@ def measure_stance(
     axes, other_axis = body_axes(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     upright = axes @ np.array(up.vector)
-    fraction, upright_fraction = (
-        float(is_along_other.mean()),
-        float((upright > MIN_STANDING_COSINE).mean()),
-    )
+    fraction = float(is_along_other.mean())
+    upright_fraction = float((upright > MIN_STANDING_COSINE).mean())
     if float((upright < -MIN_STANDING_COSINE).mean()) >= MIN_STANDING_FRACTION:
         return Stance(
             fraction=float((upright < -MIN_STANDING_COSINE).mean()), upside_down=True
@@ -279,10 +277,8 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
-    up_vector, other_vector = (
-        np.array(rig.up.vector),
-        np.array(_other_axis(rig.up).vector),
-    )
+    up_vector = np.array(rig.up.vector)
+    other_vector = np.array(_other_axis(rig.up).vector)
     for frame in sorted(set(sampled_frames.tolist())):
         single_frame = motion.select(slice(frame, frame + 1))
         pose = forward_kinematics(
@@ -348,10 +344,8 @@ def with_source_warnings(
     ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
     state it.
     """
-    rate, known_codes = (
-        stream.fps / stream.step,
-        {notice.code for notice in stream.notices},
-    )
+    rate = stream.fps / stream.step
+    known_codes = {notice.code for notice in stream.notices}
     reader = reader_of(path)
     has_rate = reader is not None and "fps" in reader.options
     rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)

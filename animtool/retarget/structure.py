@@ -411,14 +411,10 @@ def _shape_score(
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
     score -= 0.5 * abs(counts[0] - limb.starts_with_lead)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
-    length_before, upper_length = (
-        float(distances[upper] - distances[0]),
-        float(distances[lower] - distances[upper]),
-    )
-    lower_length, end_length = (
-        float(distances[end_index] - distances[lower]),
-        float(distances[n] - distances[end_index]),
-    )
+    length_before = float(distances[upper] - distances[0])
+    upper_length = float(distances[lower] - distances[upper])
+    lower_length = float(distances[end_index] - distances[lower])
+    end_length = float(distances[n] - distances[end_index])
     if upper_length > 0 and lower_length > 0:
         score -= _ratio_penalty(
             upper_length / lower_length, limb.lower_over_upper, _RATIO_SPREAD

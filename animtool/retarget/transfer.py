@@ -80,10 +80,8 @@ class Transfer:
                 k = int(np.searchsorted(middles, position))
                 lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)
                 spacing = middles[upper_index] - middles[lower_index]
-                source_joints[joint], next_source_joints[joint] = (
-                    chain.source[lower_index],
-                    chain.source[upper_index],
-                )
+                source_joints[joint] = chain.source[lower_index]
+                next_source_joints[joint] = chain.source[upper_index]
                 next_weights[joint] = (
                     (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
                 )
@@ -188,10 +186,8 @@ class Transfer:
         local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
         for joint, source_joint in enumerate(self.source_joints.tolist()):
-            target_parent, source_parent = (
-                int(target_rig.parents[joint]),
-                int(source_rig.parents[max(source_joint, 0)]),
-            )
+            target_parent = int(target_rig.parents[joint])
+            source_parent = int(source_rig.parents[max(source_joint, 0)])
             if (
                 source_joint < 0
                 or not is_moving[source_joint]
@@ -240,10 +236,8 @@ def equal_name_pairs(
     source: Rig, target: Rig, source_joints: IntArray
 ) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
-    used_joints, names = (
-        {*source_joints.tolist()},
-        {name: j for j, name in enumerate(source.names)},
-    )
+    used_joints = {*source_joints.tolist()}
+    names = {name: j for j, name in enumerate(source.names)}
     return [
         (joint, names[name])
         for joint, name in enumerate(target.names)
