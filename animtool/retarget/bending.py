@@ -116,9 +116,8 @@ def bend_at_pin(
     if limits is not None:
         chosen_angle = limits.clamped(chosen_angle)
     tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
-    return so3.multiply(
-        shortest_rotations(so3.rotate(thigh, tip), goal - hip), thigh
-    ), chosen_angle
+    swing = shortest_rotations(so3.rotate(thigh, tip), goal - hip)
+    return so3.multiply(swing, thigh), chosen_angle
 
 
 def shortest_rotations(

@@ -37,7 +37,7 @@ from animtool.capture.cameras.stale import (
 )
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.options import TriangulateOptions
-from animtool.core.array_types import BoolArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
@@ -192,18 +192,28 @@ class _TriangulationRun:
         size = max(1, BLOCK_VALUES // (self.views * self.markers))
         for block_first in range(first, end, size):
             block = slice(block_first, min(block_first + size, end))
+            observed = self._observations_of(block_first, block.stop)
             self.positions[block], self.known[block], self.tallies.values[block], *_ = (
-                self._triangulate(block, self.active[block], detailed=False)
+                self._triangulate(observed, self.active[block], detailed=False)
             )
             if self.progress is not None:
                 self.progress(block.stop / self.frames)
 
-    def _triangulate(self, frames: slice, active: BoolArray, *, detailed: bool) -> Any:
-        """Return the kernel's triangulation of frames with the active cameras."""
-        span = (frames.start, frames.stop, frames.step or 1)
+    def _observations_of(self, *frames: int) -> tuple[FloatArray, FloatArray | None]:
+        """Return the pixels and confidences of frames: first, end and step."""
+        observations = self.observations
+        return observations.pixels(*frames), observations.confidences_of(*frames)
+
+    def _triangulate(
+        self,
+        observed: tuple[FloatArray, FloatArray | None],
+        active: BoolArray,
+        *,
+        detailed: bool,
+    ) -> Any:
+        """Return the kernel's triangulation of observations with active cameras."""
         return _kernels.triangulate_points(
-            self.observations.pixels(*span),
-            self.observations.confidences_of(*span),
+            *observed,
             self.numbers,
             np.ascontiguousarray(active),
             self.noise,
@@ -251,8 +261,8 @@ class _TriangulationRun:
         """Return whether excluding a camera reduces the error of the other cameras."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
-        pixels = self.observations.pixels(shift.first, shift.end, step)
-        visible = np.isfinite(pixels).all(axis=-1)
+        observed = self._observations_of(shift.first, shift.end, step)
+        visible = np.isfinite(observed[0]).all(axis=-1)
         views = visible & self.active[frames][..., None]
         views[:, camera] = False
         views &= (views.sum(axis=1) > 1)[:, None]
@@ -260,7 +270,7 @@ class _TriangulationRun:
         for is_kept in (True, False):
             active = self.active[frames].copy()
             active[:, camera] = is_kept
-            *_, residuals, states = self._triangulate(frames, active, detailed=True)
+            *_, residuals, states = self._triangulate(observed, active, detailed=True)
             is_used = states[:, camera] == USED
             residuals = residuals.astype(np.float64)
             gate = self.options.gate

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import compress
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -91,8 +90,8 @@ def _transfer_by_name(
         hint = "pair them in a remap file"
         raise OptionError(Fault("FAC009", message, hint=hint))
     has_motion = np.abs(weights).max(axis=0, initial=0) > 0
-    moving_shapes = set(compress(source, has_motion))
-    unlinked_names = [name for name in links.lost if name in moving_shapes]
+    is_moving = dict(zip(source, has_motion.tolist(), strict=True))
+    unlinked_names = [name for name in links.lost if is_moving[name]]
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "
