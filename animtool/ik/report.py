@@ -29,10 +29,8 @@ from animtool.maths.runs import runs
 from animtool.rig.skeleton import JointType
 
 # Default misses above which a goal is reported [m], [rad].
-MISSED_LENGTH, MISSED_ANGLE = (
-    parse_length(REPORTED_MISS),
-    math.radians(REPORTED_MISS_DEGREES),
-)
+MISSED_LENGTH = parse_length(REPORTED_MISS)
+MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
 # Misses above this many chain lengths suggest wrong units.
 FAR_MISS = 10.0
 # So do targets farther than this many rig sizes from the rig in every frame.
@@ -260,10 +258,8 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
 
 def _root_hint(solved_take: TakeIk) -> str | None:
     """Return a hint if a goal without root moves a free joint above other goals."""
-    rig, goals = (
-        solved_take.take.rig,
-        [track.goal for track in solved_take.tracks.goals],
-    )
+    rig = solved_take.take.rig
+    goals = [track.goal for track in solved_take.tracks.goals]
     chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
         if goal.root is not None:
