@@ -20,14 +20,10 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import (
-    AttachmentActor,
-    CollisionSurroundings,
-    PosePaths,
-    move_rigidly,
-    up_direction,
-)
+from animtool.systems.attach.actor import AttachmentActor, move_rigidly, up_direction
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
+from animtool.systems.attach.chains import chain_rotations
+from animtool.systems.attach.colliders import CollisionSurroundings
 from animtool.systems.attach.poses import (
     STEERED_FRACTION,
     CycleShift,
@@ -39,9 +35,8 @@ from animtool.systems.attach.poses import (
     seam_weights,
 )
 from animtool.systems.attach.settings import PreRoll, SimulateOptions, settings_for
-from animtool.systems.attach.skins import SkinSurface, build_skins
+from animtool.systems.attach.skins import PosePaths, SkinSurface, build_skins
 from animtool.systems.attach.stepping import CycleSteering
-from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
