@@ -22,11 +22,7 @@ from animtool.systems.attach.colliders import (
     ClothMotion,
     CollisionSurroundings,
 )
-from animtool.systems.attach.network import (
-    Network,
-    coincident_link_count,
-    median_edge_length,
-)
+from animtool.systems.attach.network import coincident_link_count, median_edge_length
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import PosePaths, SkinSurface, skin_margin
@@ -73,12 +69,15 @@ class AttachmentActor:
         self._frame_duration = frame_duration
         self.meter = ContactMeter()
         thickness = self._springs.thickness
-        self._measured_surface = _surface_to_measure(network)
-        if not thickness and not skins:
-            # Without self-contact and skins there is no piercing to count.
-            self._measured_surface = replace(
-                self._measured_surface, triangles=network.triangles[:0]
-            )
+        # Without triangles there are no sides of cloth, and without self-contact and
+        # skins no piercing to count.
+        is_cloth, can_pierce = len(network.triangles) > 0, bool(thickness or skins)
+        self._measured_surface = MeasuredSurface.of_edges(
+            network.sides if is_cloth else network.sides[:0],
+            network.rests if is_cloth else network.rests[:0],
+            network.is_pinned,
+            network.triangles if can_pierce else network.triangles[:0],
+        )
         self._colliders = CharacterColliders(
             rig,
             body,
@@ -199,18 +198,6 @@ class AttachmentActor:
         """Return the speed of the carrier joint over a frame [m/s]."""
         positions = paths.of(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(positions[1] - positions[0])) / self._frame_duration
-
-
-def _surface_to_measure(network: Network) -> MeasuredSurface:
-    """Return the edges and triangles to measure: structural springs of cloth."""
-    is_pinned = np.zeros(network.count, np.bool_)
-    is_pinned[network.pinned] = True
-    ends, rest_lengths = network.sides, network.rests
-    is_measured = (rest_lengths > 0) & ~is_pinned[ends].all(axis=1)
-    is_measured &= len(network.triangles) > 0
-    return MeasuredSurface(
-        network.free, network.triangles, ends[is_measured], rest_lengths[is_measured]
-    )
 
 
 def move_rigidly(

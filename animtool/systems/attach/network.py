@@ -8,7 +8,7 @@ from dataclasses import field
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.maths.faces import (
@@ -54,9 +54,14 @@ class Network:
         return len(self.points)
 
     @property
+    def is_pinned(self) -> BoolArray:
+        """Mask of the pinned particles ``(N,)``."""
+        return np.isin(np.arange(self.count), self.pinned)
+
+    @property
     def free(self) -> IntArray:
         """Indices of free particles, ascending."""
-        return np.setdiff1d(np.arange(self.count), self.pinned)
+        return np.flatnonzero(~self.is_pinned)
 
     @property
     def rests(self) -> FloatArray:
@@ -84,14 +89,13 @@ class Network:
 
     def body(self, diagonals: float, bends: float) -> Body:
         """Return the spring body, with shear and bend frequencies [Hz]."""
-        is_free = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
             (self.sides, RIGID_FREQUENCY / (2 * math.pi)),
             (self.diagonals, diagonals),
             (self.bends, bends),
         )
         springs = [
-            (ends[is_free[ends].any(axis=1)], Family(frequency=frequency))
+            (ends[~self.is_pinned[ends].all(axis=1)], Family(frequency=frequency))
             for ends, frequency in families
             if frequency
         ]

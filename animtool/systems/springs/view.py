@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any, cast
 
-import numpy as np
-
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent_text, warning
 from animtool.core.quantities import length_text, plain_number
@@ -98,29 +96,24 @@ class SpringView:
             colliders.active or has_self_contact
         ):
             return
-        if self._measured_surface is None:
+        torn = self.torn(state)
+        if self._measured_surface is None or torn.any():
             self._measured_surface = _surface_to_measure(
-                shape, system.fixed[self.rows], body, has_self_contact
+                shape, system.fixed[self.rows], body, torn, has_self_contact
             )
-        solids, depths = (
+        self._meter.measure(
+            t,
+            points,
+            self._measured_surface,
             closed_surfaces(colliders, t),
             collider_depths(colliders, points, t),
         )
-        surface, torn = self._measured_surface, self.torn(state)
-        if torn.any():
-            surface = _surface_to_measure(
-                shape, system.fixed[self.rows], body, has_self_contact, torn
-            )
-        self._meter.measure(t, points, surface, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
         simulation, body, name = self.simulation, self.body, self.member.name
-        notices = (
-            self._self_crossings.notices(name)
-            if self._self_crossings is not None
-            else []
-        )
+        crossings = self._self_crossings
+        notices = [] if crossings is None else crossings.notices(name)
         has_faces = simulation.system.has_faces(self.rows)
         if has_faces and not notices:
             return notices
@@ -223,20 +216,14 @@ def _surface_to_measure(
     shape: FaceShape,
     is_fixed: BoolArray,
     body: Body,
+    is_torn: BoolArray,
     has_self_contact: bool,
-    is_torn: BoolArray | None = None,
 ) -> MeasuredSurface:
     """Return the edges to measure, without torn springs.
 
     Triangles are included only with self-contact.
     """
-    side_springs = shape.side_springs
-    is_measured = (body.springs.rest[side_springs] > 0) & ~is_fixed[
-        body.springs.ends[side_springs]
-    ].all(axis=1)
-    is_measured &= True if is_torn is None else ~is_torn[side_springs]
+    sides = shape.side_springs[~is_torn[shape.side_springs]]
+    springs = body.springs.select(sides)
     triangles = body.triangles if has_self_contact else body.triangles[:0]
-    springs = body.springs.select(side_springs[is_measured])
-    return MeasuredSurface(
-        np.flatnonzero(~is_fixed), triangles, springs.ends, springs.rest
-    )
+    return MeasuredSurface.of_edges(springs.ends, springs.rest, is_fixed, triangles)
