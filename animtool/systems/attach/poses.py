@@ -12,6 +12,8 @@ from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
+from animtool.skin.character import CharacterMesh
+from animtool.skin.deform import deform
 
 # A root is stationary if a cycle ends within this many steps of its start [1].
 STATIONARY_STEPS = 2.0
@@ -39,6 +41,11 @@ class PosePath:
     # Shape weights ``(K, S)`` [1]; None without shapes.
     weights: FloatArray | None
 
+    def deform(self, mesh: CharacterMesh) -> FloatArray:
+        """Return the points of a mesh, deformed by shapes and skin ``(K, V, 3)``."""
+        weights = None if self.weights is None else mesh.weights(self.weights)
+        return deform(mesh.mesh, weights, self.world).points
+
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
     """Return the local pose at a frame of a motion."""
@@ -50,13 +57,11 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
         dense[channel.animated] = channel.values[frame]
         return dense
 
-    translations, rotations = (
-        frame_values(motion.translations),
-        frame_values(motion.rotations),
-    )
+    weights = frame_values(motion.weights)
+    translations = frame_values(motion.translations)
+    rotations = frame_values(motion.rotations)
     assert translations is not None
     assert rotations is not None
-    weights = frame_values(motion.weights)
     return LocalPose(
         translations,
         rotations,

@@ -122,9 +122,8 @@ class AttachSimulation:
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
-        self.actors: list[
-            AttachmentActor
-        ] = []  # one for each body, from the first frame on
+        # One for each body, from the first frame on.
+        self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
         self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
         self.codes: list[float] = []  # visited time codes
@@ -133,9 +132,8 @@ class AttachSimulation:
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
             self._skins = build_skins(rig)
-        self.last_joint_angles: dict[
-            str, float
-        ] = {}  # largest rotation of last joints [rad]
+        # Largest rotations of last joints by name of the chain [rad].
+        self.last_joint_angles: dict[str, float] = {}
         self._rate, self._start, self._step = rate, start, step
         self._prepended_frames = prepended_frames
         # Index of the next frame; 0 is the first of the take.
@@ -170,10 +168,8 @@ class AttachSimulation:
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield blocks of the motion with simulated attachments."""
         if self.options.loop:
-            motion, prepended_frames = (
-                Motion.concatenate(list(motions)),
-                self._prepended_frames,
-            )
+            motion = Motion.concatenate(list(motions))
+            prepended_frames = self._prepended_frames
             cycle = self._close_cycle(motion.select(slice(prepended_frames, None)))
             yield cycle.select(
                 np.maximum(np.arange(-prepended_frames, cycle.frames), 0)
@@ -222,25 +218,22 @@ class AttachSimulation:
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
-            sheets = [
-                earlier_actor.sheet
-                for earlier_actor in self.actors
-                if earlier_actor.sheet is not None
-            ]
-            actor = AttachmentActor(
-                self.rig,
-                body,
-                settings_for(options, body.kind),
-                1 / rate,
-                start_pose,
-                self._skins_of(body),
-                self._world,
-                sheets if is_skinned else (),
+            sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
+            self.actors.append(
+                AttachmentActor(
+                    self.rig,
+                    body,
+                    settings_for(options, body.kind),
+                    1 / rate,
+                    start_pose,
+                    self._skins_of(body),
+                    self._world,
+                    sheets if is_skinned else (),
+                )
             )
-            self.actors.append(actor)
         if self.resumed is not None:
             return
-        static_paths = self._paths(start_pose, start_pose)
+        static_paths = PosePaths(self.rig, start_pose, start_pose)
         settle_frames = math.ceil(options.settle * rate)
         self._frame -= settle_frames + preroll_frames
         self._total_frames += settle_frames + preroll_frames
@@ -258,21 +251,18 @@ class AttachSimulation:
             if extrapolates and not i:
                 for actor in self.actors:
                     actor.add_velocity(step * rate)
-            self._advance_actors(self._paths(earlier, later))
+            self._advance_actors(PosePaths(self.rig, earlier, later))
 
     def _advance(self, pose: LocalPose, code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""
         assert self._previous_pose is not None
-        paths = self._paths(self._previous_pose, pose)
+        paths = PosePaths(self.rig, self._previous_pose, pose)
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow_animation(paths)
             self._frame += 1
             return
         self._advance_actors(paths, has_teleport=code in self.options.teleports)
-
-    def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
-        return PosePaths(self.rig, before, after)
 
     def _advance_actors(
         self,
@@ -313,11 +303,7 @@ class AttachSimulation:
             for actor in self.actors:
                 name, clock = state_name_and_clock(actor.body, code)
                 spring_state = actor.grid.state
-                state = AttachState(
-                    spring_state.motion[0],
-                    spring_state.motion[1],
-                    spring_state.passages,
-                )
+                state = AttachState(*spring_state.motion, spring_state.passages)
                 self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:
@@ -333,12 +319,9 @@ class AttachSimulation:
         self._advanced_frames, self._total_frames = 0, count * self.options.loop_repeats
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
-        rows, best_residual, stale_repeats, max_repeats = (
-            list[_AttachmentFrames](),
-            math.inf,
-            0,
-            self.options.loop_repeats,
-        )
+        max_repeats = self.options.loop_repeats
+        stale_repeats, best_residual = 0, math.inf
+        rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
             is_steered = bool(rows) and (
@@ -357,10 +340,8 @@ class AttachSimulation:
             self.loop_closure = LoopClosure(repeat, residual, tolerance, is_steered)
             if residual <= tolerance or is_steered:
                 break
-            best_residual, stale_repeats = (
-                min(best_residual, residual),
-                0 if residual < best_residual else stale_repeats + 1,
-            )
+            stale_repeats = 0 if residual < best_residual else stale_repeats + 1
+            best_residual = min(best_residual, residual)
             for actor, end in zip(self.actors, end_states, strict=True):
                 actor.set_motion(end)
         weights = seam_weights(count)
@@ -407,9 +388,8 @@ class AttachSimulation:
                 for row in last_frames
             ]
             has_teleport = codes[i + 1] in self.options.teleports
-            self._advance_actors(
-                self._paths(pose, next_pose), steering, has_teleport=has_teleport
-            )
+            paths = PosePaths(self.rig, pose, next_pose)
+            self._advance_actors(paths, steering, has_teleport=has_teleport)
         for row, actor in zip(rows, self.actors, strict=True):
             row.motions.append(actor.grid.state.motion)
         return rows

@@ -16,7 +16,6 @@ from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.sim.colliders import Collider, Colliders, Mesh
 from animtool.skin.character import CharacterMesh, character_meshes
-from animtool.skin.deform import deform
 from animtool.systems.attach.poses import LocalPose, PosePath, interpolate_poses
 from animtool.systems.framework.meter import ClosedSurface
 
@@ -37,10 +36,7 @@ class SkinSurface:
 
     def points(self, path: PosePath) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
-        weights = None
-        if path.weights is not None:
-            weights = self.mesh.weights(path.weights)
-        points = deform(self.mesh.mesh, weights, path.world).points
+        points = path.deform(self.mesh)
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):

@@ -13,6 +13,7 @@ import numpy as np
 from animtool.core.errors import (
     Fault,
     OptionError,
+    Refusals,
     Severity,
     counted,
     listed,
@@ -340,7 +341,7 @@ def _load_states(
         return None
     path = folder / options.resume
     states: dict[str, AttachState] = {}
-    faults: list[Fault] = []
+    refusals = Refusals()
     with open_states(path) as saved:
         # The single state of a system has no name.
         frames = [float(name.partition("/")[0]) for name in saved.names if name]
@@ -349,22 +350,19 @@ def _load_states(
             raise OptionError(Fault("SIM035", message, str(path)))
         frame = max(frames)
         for body in bodies:
-            count = body.network.count
-            start = ReachedState(
-                0, AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
-            )
-            try:
-                state = saved.read(*state_name_and_clock(body, frame), start).state
-            except OptionError as error:
-                faults += error.faults
-                continue
-            passages = state.passages
-            if (abs(passages) > MAX_INDEX).any() or (passages[:, 0] >= count).any():
-                message = f"{body.name} has passages with an index that no cloth has"
-                faults.append(Fault("SIM035", message, str(path)))
-            states[body.name] = state
-    if faults:
-        raise OptionError(faults)
+            with refusals.collect():
+                count = body.network.count
+                start = AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
+                name_and_clock = state_name_and_clock(body, frame)
+                state = saved.read(*name_and_clock, ReachedState(0, start)).state
+                passages = state.passages
+                if (abs(passages) > MAX_INDEX).any() or (passages[:, 0] >= count).any():
+                    message = (
+                        f"{body.name} has passages with an index that no cloth has"
+                    )
+                    raise OptionError(Fault("SIM035", message, str(path)))
+                states[body.name] = state
+    refusals.check()
     return SavedFrame(frame, states)
 
 
@@ -378,16 +376,13 @@ def has_effect(options: SimulateOptions) -> bool:
 
 def _check(options: SimulateOptions) -> None:
     """Raise all faults of the options together."""
-    faults: list[Fault] = []
+    refusals = Refusals()
     for name, check in option_checks(options).items():
         if name == "what" and not options.what:
             continue
-        try:
+        with refusals.collect():
             check()
-        except OptionError as error:
-            faults += error.faults
-    if faults:
-        raise OptionError(faults)
+    refusals.check()
 
 
 def _run(
