@@ -16,8 +16,9 @@ from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
-from animtool.systems.attach.network import Network, fold_pairs, quad_diagonals
+from animtool.systems.attach.network import Network, fold_pairs
 from animtool.systems.attach.poses import PosePath
+from animtool.systems.springs.shapes import face_diagonals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -198,11 +199,14 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     bind_points = (
         surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
     )
+    # Larger faces have no diagonals.
+    is_quad = surface.counts == 4
+    is_quad_corner = np.repeat(is_quad, surface.counts)
     network = Network(
         bind_points,
         pins,
         ends,
-        quad_diagonals(*faces),
+        face_diagonals(surface.counts[is_quad], surface.indices[is_quad_corner]),
         fold_pairs(*faces),
         triangulate(*faces),
     )

@@ -175,16 +175,6 @@ def surface_defects(network: Network) -> list[str]:
     return defects
 
 
-def quad_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return both diagonals of each quadrangle ``(L, 2)``.
-
-    >>> quad_diagonals(np.array([4]), np.array([0, 1, 2, 3])).tolist()
-    [[0, 2], [1, 3]]
-    """
-    corners = indices[np.repeat(counts == 4, counts)].reshape(-1, 4)
-    return unique_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
-
-
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     """Return pairs of points for bend springs across shared edges ``(L, 2)``.
 

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.motion import Channel, Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.skin.character import CharacterMesh
@@ -49,24 +49,14 @@ class PosePath:
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
     """Return the local pose at a frame of a motion."""
-
-    def frame_values(channel: Channel | None) -> FloatArray | None:
-        if channel is None:
-            return None
-        dense = channel.rest.copy()
-        dense[channel.animated] = channel.values[frame]
-        return dense
-
-    weights = frame_values(motion.weights)
-    translations = frame_values(motion.translations)
-    rotations = frame_values(motion.rotations)
-    assert translations is not None
-    assert rotations is not None
+    one_frame = motion.select(slice(frame, frame + 1))
+    translations, rotations, scales = one_frame.dense()
+    weights = one_frame.weights
     return LocalPose(
-        translations,
-        rotations,
-        frame_values(motion.scales),
-        None if weights is None else weights[:, 0],
+        translations[0],
+        rotations[0],
+        None if scales is None else scales[0],
+        None if weights is None else weights.dense()[0, :, 0],
     )
 
 

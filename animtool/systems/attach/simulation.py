@@ -239,18 +239,17 @@ class AttachSimulation:
         self._total_frames += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_paths)
-        root = self.rig.roots[0]
-        step = next_pose.translations[root] - pose.translations[root]
-        for i in range(preroll_frames):
-            earlier, later = pose, pose
-            if extrapolates:
-                earlier, later = (
-                    extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i - k)
-                    for k in (0, 1)
-                )
-            if extrapolates and not i:
-                for actor in self.actors:
-                    actor.add_velocity(step * rate)
+        poses = [pose] * (preroll_frames + 1)
+        if extrapolates and preroll_frames:
+            poses = [
+                extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i)
+                for i in range(preroll_frames + 1)
+            ]
+            root = self.rig.roots[0]
+            step = next_pose.translations[root] - pose.translations[root]
+            for actor in self.actors:
+                actor.add_velocity(step * rate)
+        for earlier, later in pairwise(poses):
             self._advance_actors(PosePaths(self.rig, earlier, later))
 
     def _advance(self, pose: LocalPose, code: float) -> None:

@@ -236,10 +236,8 @@ class SimulationRun(EntryRun):
             result = self._many_steps(
                 self.state.state, self.step_time(steps), step, count
             )
-            self.state, self.steps_taken = (
-                ReachedState(end_step, result.state),
-                self.steps_taken + count,
-            )
+            self.state = ReachedState(end_step, result.state)
+            self.steps_taken += count
             self._record_notices(result.notices)
         while self.state.steps < end_step:
             self._full_step()

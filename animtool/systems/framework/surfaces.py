@@ -193,11 +193,8 @@ class BodyColliders(_StateObserver):
             replace(shape, restitution=restitution, friction=friction)
             for shape in shared.shapes
         ]
-        self.owners, self.count, self.masses = (
-            shared.owners,
-            shared.count,
-            shared.masses,
-        )
+        self.owners, self.count = shared.owners, shared.count
+        self.masses = shared.masses
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)

@@ -150,10 +150,8 @@ def _claim_particles(
 
 def _same_pin(first: PinModel, second: PinModel) -> bool:
     """Return whether two pins are equal except for their particles."""
-    first_keys, second_keys = (
-        pin.model_dump(exclude={"particles"}) for pin in (first, second)
-    )
-    return first_keys == second_keys
+    keys = [pin.model_dump(exclude={"particles"}) for pin in (first, second)]
+    return keys[0] == keys[1]
 
 
 def _particles_of(

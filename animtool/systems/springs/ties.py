@@ -176,34 +176,19 @@ class TiedCell:
         if not count:
             current = self._trial(np.zeros(0), solve_springs)
             return TiedSolution(current.springs.grid, tuple(current.wrenches), None)
-        has_warm_start = warm_start is not None and warm_start.shape == (
-            count,
-            count + 1,
-        )
-        y = (
-            warm_start[:, -1].copy()
-            if warm_start is not None and has_warm_start
-            else np.zeros(count)
-        )
+        y, jacobian = np.zeros(count), None
+        if warm_start is not None and warm_start.shape == (count, count + 1):
+            y, jacobian = warm_start[:, -1].copy(), warm_start[:, :-1]
         current = self._trial(y, solve_springs)
-        jacobian = (
-            warm_start[:, :-1] if warm_start is not None and has_warm_start else None
-        )
         spring_length, scale, is_rebuilt = self._ties.spring_length, self._scale, False
         displacement = np.inf
         for _ in range(MAX_CORRECTIONS):
             if current.springs.grid.lost:
                 break
             if jacobian is None:
-                jacobian, is_rebuilt = (
-                    self._jacobian(
-                        y,
-                        current,
-                        DIFFERENCE_STEP * spring_length / scale,
-                        solve_springs,
-                    ),
-                    True,
-                )
+                steps = DIFFERENCE_STEP * spring_length / scale
+                jacobian = self._jacobian(y, current, steps, solve_springs)
+                is_rebuilt = True
             change = _newton_correction(jacobian, current)
             displacement = float(np.abs(change * scale).max())
             if displacement <= CONVERGED * spring_length:

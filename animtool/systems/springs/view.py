@@ -165,7 +165,7 @@ class SpringView:
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
             "solver": str(simulation.choice.solver),
-            "reason": simulation.reason,
+            "reason": simulation.choice.reason,
             "step": simulation.shortest_step,
             "steps": simulation.grid.steps,
             "stretch": simulation.stretch,
@@ -198,7 +198,7 @@ class SpringView:
         """Return a note about the solver, strain and contact (SIM130)."""
         simulation = self.simulation
         phrases = [
-            f"{simulation.choice.solver} ({simulation.reason})",
+            f"{simulation.choice.solver} ({simulation.choice.reason})",
             f"shortest step {plain_number(simulation.shortest_step)} s",
             f"springs stretch by up to {percent_text(simulation.stretch)}",
         ]
