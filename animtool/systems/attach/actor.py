@@ -137,7 +137,7 @@ class AttachmentActor:
         """Advance the simulation by a frame; frame 0 is the first frame of the take."""
         start_seconds = time.perf_counter()
         cells = self._springs.cells
-        motion = paths.of(cells)
+        motion = paths.sample(cells)
         targets = self.body.targets(motion)
         kernel_cells = Cells(0.0, self.grid.cell, frame * cells, cells)
         colliders = self._colliders.kernel_arguments(paths, kernel_cells)
@@ -173,18 +173,18 @@ class AttachmentActor:
 
     def follow_animation(self, paths: PosePaths) -> None:
         """Follow the animation for a frame, without simulation."""
-        self.target = self.body.targets(paths.of(1))[-1]
+        self.target = self.body.targets(paths.sample(1))[-1]
         motion = np.stack([self.target, np.zeros_like(self.target)])
         self.set_motion(motion, self.grid.state.passages[:0])
         self._move_sheet((0.0, 0.0), self.positions)
 
     def set_target(self, pose: LocalPose) -> None:
         """Set the animated positions from a pose; the simulated state is unchanged."""
-        self.target = self.body.targets(PosePaths(self._rig, pose, pose).of(1))[0]
+        self.target = self.body.targets(PosePaths(self._rig, pose, pose).sample(1))[0]
 
     def teleport(self, paths: PosePaths) -> None:
         """Advance over a teleport: all particles move rigidly with their joint."""
-        motion = paths.of(1)
+        motion = paths.sample(1)
         self.target = self.body.targets(motion)[-1]
         shift, rotation = _joint_motion(motion.world, self.body.carrier)
         state = move_rigidly(self.grid.state.motion, shift, rotation)
@@ -196,7 +196,7 @@ class AttachmentActor:
 
     def speed(self, paths: PosePaths) -> float:
         """Return the speed of the carrier joint over a frame [m/s]."""
-        positions = paths.of(1).world.positions[:, self.body.carrier]
+        positions = paths.sample(1).world.positions[:, self.body.carrier]
         return float(np.linalg.norm(positions[1] - positions[0])) / self._frame_duration
 
 

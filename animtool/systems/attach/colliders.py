@@ -211,7 +211,7 @@ class CharacterColliders:
 
     def kernel_arguments(self, paths: PosePaths, cells: Cells) -> CellColliders:
         """Return kernel arguments for the cells of a frame; None without colliders."""
-        world = paths.of(cells.count).world
+        world = paths.sample(cells.count).world
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)

@@ -163,16 +163,13 @@ def surface_defects(network: Network) -> list[str]:
     degenerate_count = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     nonmanifold_count = int((face_counts > 2).sum())
-    defects = (
-        [f"{counted(degenerate_count, 'triangle')} without area"]
-        if degenerate_count
-        else []
-    )
-    if nonmanifold_count:
-        defects.append(
-            f"{counted(nonmanifold_count, 'edge')} of more than two triangles"
-        )
-    return defects
+    defects = {
+        f"{counted(degenerate_count, 'triangle')} without area": degenerate_count,
+        f"{counted(nonmanifold_count, 'edge')} of more than two triangles": (
+            nonmanifold_count
+        ),
+    }
+    return [text for text, count in defects.items() if count]
 
 
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:

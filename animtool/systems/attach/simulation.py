@@ -49,10 +49,6 @@ MAX_STALE_REPEATS = 3
 BLOCK_VALUES = 1 << 20
 
 
-def _no_piercings() -> IntArray:
-    return np.zeros((0, 3), np.int64)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class AttachState:
     """Positions and velocities of N particles, as saved in a file."""
@@ -60,7 +56,9 @@ class AttachState:
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Particles that pierced the cloth ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=_no_piercings, metadata=growing())
+    passages: IntArray = field(
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -55,7 +55,7 @@ class PosePaths:
     _by_steps: dict[int, PosePath] = field(default_factory=dict)
     _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
 
-    def of(self, steps: int) -> PosePath:
+    def sample(self, steps: int) -> PosePath:
         """Return the poses at the start and end of each of ``steps`` equal steps."""
         if steps not in self._by_steps:
             self._by_steps[steps] = interpolate_poses(
@@ -67,7 +67,7 @@ class PosePaths:
         """Return the points of a skin at the ends of the steps ``(K, P, 3)`` [m]."""
         key = id(skin), steps
         if key not in self._skin_points:
-            self._skin_points[key] = skin.points(self.of(steps))
+            self._skin_points[key] = skin.points(self.sample(steps))
         return self._skin_points[key]
 
 

@@ -72,26 +72,20 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
     frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
         frames_by_option["resume"] = (resumed.frame,)
-    visited_codes = set(codes)
-    notices = [
-        _missing_frames(name, missing, codes)
-        for name, frames in frames_by_option.items()
-        if (missing := [frame for frame in frames if frame not in visited_codes])
-    ]
+    visited_codes, notices = set(codes), []
+    for option, frames in frames_by_option.items():
+        missing = [f"{frame:g}" for frame in frames if frame not in visited_codes]
+        if missing:
+            noun = "frame" if len(missing) == 1 else "frames"
+            message = f"{option} names {noun} {listed(missing)}, but the take has "
+            message += f"{codes[0]:g} to {codes[-1]:g}"
+            hint = "frames are time codes of the take"
+            notices.append(warning("SIM185", message, hint))
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
         message = f"it resumes from frame {frame}; earlier frames are as in the take"
         notices.append(Fault("SIM186", message, severity=Severity.NOTE))
     return notices
-
-
-def _missing_frames(option: str, frames: list[float], codes: list[float]) -> Fault:
-    """Return a warning about frames of an option that the take lacks (SIM185)."""
-    noun = "frame" if len(frames) == 1 else "frames"
-    message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
-    message += f", but the take has {codes[0]:g} to {codes[-1]:g}"
-    hint = "frames are time codes of the take"
-    return warning("SIM185", message, hint)
 
 
 def attachment_report(actor: AttachmentActor) -> dict[str, object]:

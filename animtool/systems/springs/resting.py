@@ -289,18 +289,12 @@ def _descend(
         state = replace(state, least=state.substeps)
         energy = float(masses @ (velocities * velocities).sum(axis=1))
         if energy < previous_energy:
-            state, energy = replace(state, motion=_with_zero_velocities(state)), 0.0
+            at_rest = np.stack([state.motion[0], np.zeros_like(velocities)])
+            state, energy = replace(state, motion=at_rest), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
     gap = float(np.linalg.norm(rest - frozen.state[0], axis=1).max(initial=0.0))
     return _Descent(rest, speed, grid.state.substeps, work, gap)
-
-
-def _with_zero_velocities(state: SpringState) -> FloatArray:
-    """Return the positions of a state, with all velocities set to 0 ``(2, N, 3)``."""
-    motion = state.motion.copy()
-    motion[1] = 0.0
-    return motion
 
 
 def _gap_notice(gap: float, *, is_auto: bool) -> Fault:

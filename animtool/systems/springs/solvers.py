@@ -260,7 +260,7 @@ def _advance_explicit(
         state.substeps, colliders,
     )  # fmt: skip
     after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.advanced(cells, after, steps, steps, inside, pushes)
+    return grid.after_cells(cells, after, steps, steps, inside, pushes)
 
 
 def advance_xpbd(
@@ -292,7 +292,7 @@ def advance_xpbd(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
     return replace(
-        grid.advanced(cells, after, steps, steps, inside, pushes),
+        grid.after_cells(cells, after, steps, steps, inside, pushes),
         piercing=grid.piercing.maximum(Piercing(*piercing)),
         stretch=max(grid.stretch, excess_strain),
         max_contacts=max(grid.max_contacts, contact_count),
@@ -327,7 +327,7 @@ def advance_strands(
     )
     steps, after = cells * state.substeps, replace(state, motion=motion)
     return replace(
-        grid.advanced(cells, after, steps, steps, inside, grid.pushes),
+        grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
         stretch=max(grid.stretch, strain),
         max_contacts=max(grid.max_contacts, contact_count),
     )
@@ -476,5 +476,5 @@ def _advance_implicit(
         state, motion=motion, before=before if has_previous else None, torn=torn,
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
-    end_grid = grid.advanced(cells, after, steps, corrections, inside, pushes)
+    end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
     return PulledSprings(replace(end_grid, lost=unsolved > 0), impulses[0])

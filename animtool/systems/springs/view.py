@@ -45,6 +45,15 @@ class SpringView:
     _measured_surface: MeasuredSurface | None = None
     _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
+    def __post_init__(self) -> None:
+        """Count self-intersections of a surface without self-contact."""
+        simulation, body = self.simulation, self.body
+        has_self_contact = simulation.system.self_contact is not None
+        if isinstance(body.shape, FaceShape) and not has_self_contact:
+            self._self_crossings = SelfCrossings(
+                body.body.triangles, simulation.begin, simulation.last
+            )
+
     @property
     def body(self) -> Any:
         """Particles, springs and display shape of the entry."""
@@ -68,25 +77,12 @@ class SpringView:
         """Return the curves or the mesh of the entry at a state."""
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
-        self._count_crossings(points, t)
+        if self._self_crossings is not None:
+            self._self_crossings.count_if_due(t, points)
         self._measure(points, t, state)
         shape = self._torn_mesh or self.body.shape
         frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
-
-    def _count_crossings(self, points: FloatArray, t: float) -> None:
-        """Count self-intersections of a surface without self-contact."""
-        simulation, shape = self.simulation, self.body.shape
-        if simulation.system.self_contact is not None or not isinstance(
-            shape, FaceShape
-        ):
-            return
-        if self._self_crossings is None:
-            corners = self.body.body.triangles
-            self._self_crossings = SelfCrossings(
-                corners, simulation.begin, simulation.last
-            )
-        self._self_crossings.count_if_due(t, points)
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
         """Measure depth, piercing and strain of a surface in contact."""
