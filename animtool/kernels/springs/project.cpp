@@ -26,10 +26,9 @@ constexpr double COMPLIANT_RATIO = 2;
 constexpr double STIFF_FRACTION = 0.1;
 // Passes of strain limiting in a step.
 constexpr int LIMIT_PASSES = 4;
-// Strain that contacts may cause, over the limit; and passes that reduce it. Two passes leave up to
-// twice the limit around thin objects at 20 m/s; four leave 1.6 times it.
+// Strain that contacts may cause, over the limit; and passes that reduce it.
 constexpr double CONTACT_LIMIT = 1.4;
-constexpr int CONTACT_PASSES = 4;
+constexpr int CONTACT_PASSES = 2;
 // A cell is repeated in shorter steps if its strain exceeds the limit by this factor: strain of 8 %
 // is visible, and the default limit is 5 %. Shorter steps help if they reduce the strain to this
 // ratio.
