@@ -29,10 +29,9 @@ constexpr int LIMIT_PASSES = 4;
 // Strain that contacts may cause, over the limit; and passes that reduce it.
 constexpr double CONTACT_LIMIT = 1.4;
 constexpr int CONTACT_PASSES = 2;
-// A cell is repeated in shorter steps if its strain exceeds the limit by this factor: strain of 8 %
-// is visible, and the default limit is 5 %. Shorter steps help if they reduce the strain to this
-// ratio.
-constexpr double MAX_EXCESS = 1.6, MIN_IMPROVEMENT = 0.7;
+// A cell is repeated in shorter steps if its strain exceeds the limit by this factor; shorter steps
+// help if they reduce the strain to this ratio.
+constexpr double MAX_EXCESS = 2, MIN_IMPROVEMENT = 0.7;
 
 // Correction factors of a spring in a step of h: of its elongation, and of the change of its
 // elongation.
