@@ -177,8 +177,9 @@ def migrate(
             "what would change"
         )
         message = "would be replaced"
-        paths = [str(plan.path) for plan in outdated_documents]
-        raise OptionError([Fault("OUT001", message, path, (), hint) for path in paths])
+        outdated = [str(plan.path) for plan in outdated_documents]
+        faults = [Fault("OUT001", message, path, (), hint) for path in outdated]
+        raise OptionError(faults)
     check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
         for plan in outdated_documents:
