@@ -96,9 +96,7 @@ class ChannelReader:
             ins = outs = np.zeros((count, 1 + components))
             tcb = np.zeros((count, 3))
         else:
-            interps = tuple(
-                Interp(key.interp) if key.interp else interp for key in keys
-            )
+            interps = tuple(Interp(k.interp) if k.interp else interp for k in keys)
             if self._check_interps(location, model, target, allowed_interps):
                 if is_quaternion:
                     self._check_no_slopes(location, model, keys)

@@ -300,10 +300,7 @@ def _evaluate_rotation_channels(
             first_channel.post,
         )
         batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {
-            c.target: channel_rotations
-            for c, channel_rotations in zip(group, batch_rotations, strict=True)
-        }
+        values |= {c.target: r for c, r in zip(group, batch_rotations, strict=True)}
     return values
 
 

@@ -165,9 +165,7 @@ def fit_controls(
             for name, column in changed.items()
         }
         frames = np.arange(take.motion.frames)
-        values = {
-            f"control/{n}": evaluate_keys(fitted, frames) for n, fitted in keys.items()
-        }
+        values = {f"control/{n}": evaluate_keys(f, frames) for n, f in keys.items()}
         ratio = effect.error_ratio(values) if moving_names else 0.0
         if ratio <= CONTROL_FRACTION:
             break

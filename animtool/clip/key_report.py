@@ -84,10 +84,8 @@ def _value_errors(
 ) -> FloatArray:
     """Return the difference of a row of two channels; a missing one is constant."""
     take_values, keyed_values = (
-        np.full((1, 1, 1), default)
-        if channel is None
-        else channel.gather(np.array([row]))
-        for channel in channels
+        np.full((1, 1, 1), default) if c is None else c.gather(np.array([row]))
+        for c in channels
     )
     return np.asarray(np.abs(take_values - keyed_values).max(axis=(1, 2)))
 
@@ -106,10 +104,7 @@ def key_notices(
         *_off_type_notes(rig, joints, tracks),
         *_unreachable_notes(rig, tracks),
     ]
-    return tuple(
-        Fault(code, message, severity=Severity.NOTE, hint=hint)
-        for code, message, hint in notices
-    )
+    return tuple(Fault(c, m, severity=Severity.NOTE, hint=h) for c, m, h in notices)
 
 
 _Note = tuple[str, str, str | None]

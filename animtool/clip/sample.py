@@ -104,11 +104,9 @@ def with_keys(
     limits = RangeLimit(control.low, control.high)
     keys = [
         float(t)
-        for channel in channels
-        if channel.target == notice.target
-        for t in channel.times[
-            np.abs(limits.excess(channel.values[:, 0])) > LIMIT_TOLERANCE
-        ]
+        for c in channels
+        if c.target == notice.target
+        for t in c.times[np.abs(limits.excess(c.values[:, 0])) > LIMIT_TOLERANCE]
         if times.min() <= t <= times.max()
     ]
     if not keys or keys == [notice.frame]:

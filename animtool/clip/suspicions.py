@@ -241,10 +241,8 @@ def warn_of_angle_keys(
         f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
         f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
-    hint = (
-        f"write 'units: {{angle: {likely_unit}}}', or this key in "
-        f"{ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
-    )
+    hint = f"write 'units: {{angle: {likely_unit}}}', or this key in "
+    hint += f"{ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
     document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 
 
@@ -358,10 +356,8 @@ def _warn_of_small_lengths(
         f"rig: no joint moves by more than {length_text(span)}, and the rig is "
         f"{length_text(size)} tall"
     )
-    hint = (
-        f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; "
-        f"else 'units: {{length: {unit}}}'"
-    )
+    hint = f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; else 'units: "
+    hint += f"{{length: {unit}}}'"
     document.warn("CLIP108", (*_key_location(i, k), "v"), message, hint)
     return True
 
@@ -433,10 +429,8 @@ def _warn_of_controls(
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
             for span in (channel_span, driven_span)
         ]
-        message = (
-            f"{target!r} is keyed over {span_texts[0]}, and control {names} moves it "
-            f"over {span_texts[1]}: both are added"
-        )
+        message = f"{target!r} is keyed over {span_texts[0]}, and control {names} "
+        message += f"moves it over {span_texts[1]}: both are added"
         location = (*_key_location(i, 0), "v")
         document.warn("CLIP111", location, message, "remove one of them")
         return

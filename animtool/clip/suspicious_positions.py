@@ -138,10 +138,8 @@ def _warn_of_offsets(
         else:
             result = f"the joint is at {rig.names[joint.parent]!r}"
         numbers = ", ".join(f"{number:.4g}" for number in rest / units.length)
-        message = (
-            f"{channel.target!r} is keyed near [0, 0, 0], but the rest position is "
-            f"[{numbers}]: {result}"
-        )
+        message = f"{channel.target!r} is keyed near [0, 0, 0], but the rest position "
+        message += f"is [{numbers}]: {result}"
         hint = f"for moves from rest, key joint/{name}.translation"
         document.warn("CLIP122", ("channels", i, "keys", k, "v"), message, hint)
         return

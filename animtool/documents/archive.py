@@ -338,9 +338,8 @@ class Archive:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
         if configured_limit is None and not is_plausible:
-            message += (
-                f", more than {MAX_COMPRESSION_RATIO} times what it takes in the file"
-            )
+            message += f", more than {MAX_COMPRESSION_RATIO} times what it takes in "
+            message += "the file"
         else:
             limit = (
                 DEFAULT_ARRAY_LIMIT if configured_limit is None else configured_limit

@@ -76,9 +76,7 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
     """
     edits = list(edits)
     source = _SourceText.of(text, json=path.suffix == ".json")
-    splices = sorted(
-        (source.splice_of(edit) for edit in edits), key=lambda splice: splice[0]
-    )
+    splices = sorted((source.splice_of(e) for e in edits), key=lambda splice: splice[0])
     edited_text = text
     for start, end, replacement in reversed(splices):
         edited_text = edited_text[:start] + replacement + edited_text[end:]

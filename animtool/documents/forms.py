@@ -149,9 +149,7 @@ def paired_entries(
         required_keys = [key for key, info in fields.items() if info.is_required()]
         is_pair = len(required_keys) == 2 and "type" not in fields
         if is_pair and fields.keys().isdisjoint(value):
-            return [
-                dict(zip(required_keys, pair, strict=True)) for pair in value.items()
-            ]
+            return [dict(zip(required_keys, p, strict=True)) for p in value.items()]
     return []
 
 
@@ -244,9 +242,7 @@ def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
 def _example_contains(example: Any, value: Any) -> bool:
     """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(
-            _example_contains(item, value) for item in (*example, *example.values())
-        )
+        return any(_example_contains(i, value) for i in (*example, *example.values()))
     if isinstance(example, list | tuple):
         return any(_example_contains(item, value) for item in example)
     return bool(example == value)

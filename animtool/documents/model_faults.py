@@ -377,9 +377,7 @@ def _group_by_location(
 def _ancestors(faults_by_location: Iterable[tuple[Location, str]]) -> set[Location]:
     """Return the locations that contain a faulty one."""
     return {
-        location[:depth]
-        for location, _ in faults_by_location
-        for depth in range(len(location))
+        location[:d] for location, _ in faults_by_location for d in range(len(location))
     }
 
 

@@ -77,9 +77,7 @@ def expected_structures(faults: Sequence[Any]) -> set[str]:
 def is_euler_angles(faults: Sequence[Any]) -> bool:
     """Return whether a value is three numbers where a quaternion is expected."""
     value = faults[0]["input"]
-    min_lengths = {
-        fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)
-    }
+    min_lengths = {f.get("ctx", {}).get("min_length") for f in likely_faults(faults)}
     return isinstance(value, list) and len(value) == 3 and min_lengths == {4}
 
 

@@ -110,9 +110,7 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _indentation_fault(lines, line, column)
-    known_fault = next(
-        (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
-    )
+    known_fault = next((f for w, f in _SCANNER_FAULTS.items() if w in problem), None)
     message, hint_ = known_fault or (f"invalid YAML: {problem}", None)
     return YamlFault(message, hint_, line, column)
 

@@ -119,9 +119,7 @@ class MarkerFile:
         same, or if it is the requested subject. Duplicate names get a number (MKR101).
         """
         clean_labels = [label.strip() for label in labels]
-        prefixes = {
-            name.rpartition(":")[0] for name in clean_labels if not is_unlabelled(name)
-        }
+        prefixes = {n.rpartition(":")[0] for n in clean_labels if not is_unlabelled(n)}
         if subject is None and len(prefixes) == 1:
             subject = next(iter(prefixes))
         if subject:
@@ -131,11 +129,7 @@ class MarkerFile:
             for i, name in enumerate(clean_labels)
         ]
         unique = numbered_names(label_names)
-        renamed = [
-            unique_name
-            for source_name, unique_name in zip(label_names, unique, strict=True)
-            if source_name != unique_name
-        ]
+        renamed = [u for s, u in zip(label_names, unique, strict=True) if s != u]
         if renamed:
             warning = names_fault(
                 "MKR101", "duplicate names; later ones became ", renamed,

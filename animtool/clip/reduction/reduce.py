@@ -132,15 +132,13 @@ def reduce_motion(
         clock=take.clock,
         channels=tuple(
             ReducedChannel(
-                f"shape/{rig.shapes[track.index].name}"
-                if track.kind is ChannelKind.WEIGHT
-                else f"joint/{rig.joints[track.index].name}.{track.part}",
-                track.order,
-                keys[track.kind, track.index]
-                if track.is_animated
-                else fit_keys(track.samples, 1.0),
+                f"shape/{rig.shapes[t.index].name}"
+                if t.kind is ChannelKind.WEIGHT
+                else f"joint/{rig.joints[t.index].name}.{t.part}",
+                t.order,
+                keys[t.kind, t.index] if t.is_animated else fit_keys(t.samples, 1.0),
             )
-            for track in joint_tracks + weight_tracks
+            for t in joint_tracks + weight_tracks
         ),
         samples=motion.frames * sum(track.is_animated for track in tracks),
         error=float(errors[frame, joint]),

@@ -95,9 +95,7 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     'XZY'
     """
     bvh_order = "".join(
-        channel[0].upper()
-        for channel in joint.channels or ()
-        if channel.lower().endswith("rotation")
+        c[0].upper() for c in joint.channels or () if c.lower().endswith("rotation")
     )
     is_order = bvh_order in euler.ORDERS
     if is_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:

@@ -152,10 +152,7 @@ def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ..
         len(sections.texts("ANALOG", "LABELS")),
     }
     factors = {1, samples, samples_from_rates or 0}
-    candidates = {
-        0,
-        *(channel_count * factor for channel_count in channels for factor in factors),
-    }
+    candidates = {0, *(c * f for c in channels for f in factors)}
     return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 

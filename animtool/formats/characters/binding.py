@@ -92,10 +92,8 @@ class SkinBinder:
         )
         if is_singular.any():
             if where:
-                message = (
-                    f"{int(is_singular.sum())} inverse bind matrices are singular: "
-                    "using the identity"
-                )
+                message = f"{int(is_singular.sum())} inverse bind matrices are "
+                message += "singular: using the identity"
                 path = str(self.file.path)
                 location = f"{where}/inverseBindMatrices"
                 notice = Fault(

@@ -205,11 +205,9 @@ class _ClipBuilder:
             return []
         is_inner = self.fbx_rig.joint_rows[j].kind is RowKind.INNER
         is_root = model.parent < 0 and not is_inner
-        pre_rotation = (
-            so3.multiply(self.axes_rotation, model.pre_rotation)
-            if is_root
-            else model.pre_rotation
-        )
+        pre_rotation = model.pre_rotation
+        if is_root:
+            pre_rotation = so3.multiply(self.axes_rotation, pre_rotation)
         pre_rotation = so3.normalize(pre_rotation)
         channels = []
         if so3.angle_between(pre_rotation, self.defaults[1][j]) > REST_TOLERANCE:
@@ -356,8 +354,6 @@ class _ClipBuilder:
             return []
         message = f"{counted(errors.count, 'channel')} sampled, as a clip has no such "
         message += "keys (layers, pivots, inherited scales, steps of one part): up to "
-        message += (
-            f"{errors.metres * 1e3:.3g} mm, {np.degrees(errors.radians):.3g} degrees "
-        )
-        message += f"and {errors.scale:.3g} of scale off between keys"
+        message += f"{errors.metres * 1e3:.3g} mm, {np.degrees(errors.radians):.3g} "
+        message += f"degrees and {errors.scale:.3g} of scale off between keys"
         return [Fault("FBX121", message, severity=Severity.NOTE)]

@@ -65,20 +65,14 @@ class FbxGeometry:
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
     """Return the mesh of each node that has one, by node id."""
     if file.version < FIRST_NUMBERED_VERSION:
-        mesh_objects = [
-            mesh_object
-            for mesh_object in file.of_kind("Model")
-            if mesh_object.element.find("Vertices")
-        ]
+        mesh_objects = [m for m in file.of_kind("Model") if m.element.find("Vertices")]
         mesh_models = [(mesh_object, mesh_object) for mesh_object in mesh_objects]
         # Instances share the mesh of another object.
         mesh_objects = file.of_kind("Geometry", "Mesh")
     else:
         mesh_models, mesh_objects = [], file.of_kind("Geometry", "Mesh")
     for mesh_object in mesh_objects:
-        mesh_models += [
-            (mesh_object, model) for model in file.targets(mesh_object.id, "Model")
-        ]
+        mesh_models += [(mesh_object, m) for m in file.targets(mesh_object.id, "Model")]
     meshes_by_object: dict[ObjectId, FbxGeometry | None] = {}
     meshes: dict[ObjectId, FbxGeometry] = {}
     for mesh_object, model in mesh_models:
@@ -177,9 +171,7 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    indices = [
-        read_integers(indices_.element, "Indexes", file.notes) for indices_ in clusters
-    ]
+    indices = [read_integers(i.element, "Indexes", file.notes) for i in clusters]
     return any(row is not None and len(row) for row in indices)
 
 
@@ -187,11 +179,7 @@ def _read_cluster(
     file: FbxFile, source: Object, point_count: int, name: str
 ) -> Cluster | None:
     notes, element = file.notes, source.element
-    bones = [
-        bone_object
-        for bone_object in file.sources(source.id, "Model")
-        if bone_object.id not in ROOT_IDS
-    ]
+    bones = [b for b in file.sources(source.id, "Model") if b.id not in ROOT_IDS]
     indices = read_integers(element, "Indexes", notes)
     weights = read_floats(element, "Weights", notes)
     if indices is None or weights is None or not len(indices):
@@ -205,21 +193,17 @@ def _read_cluster(
         message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
         notes.fail("FBX004", element.where, message)
     if len(indices) != len(weights):
-        message = (
-            f"{len(indices)} indices of {source.name!r} have {len(weights)} weights"
-        )
+        message = f"{len(indices)} indices of {source.name!r} have {len(weights)} "
+        message += "weights"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= point_count).any():
-        message = (
-            f"cluster {source.name!r} refers to a point that {name!r} does not have"
-        )
+        message = f"cluster {source.name!r} refers to a point that {name!r} does not "
+        message += "have"
         notes.fail("FBX008", element.where, message)
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
         notes.fail("FBX008", element.where, message)
-    matrices = [
-        _read_matrix(file, element, key) for key in ("Transform", "TransformLink")
-    ]
+    matrices = [_read_matrix(file, element, k) for k in ("Transform", "TransformLink")]
     return Cluster(
         bones[0].id,
         matrices[0],
@@ -321,9 +305,8 @@ def _read_shape_channel(
             full_weights = np.full(len(shapes), 100.0)
     if full_weights is None or len(full_weights) < len(shapes):
         if len(shapes) > 1:
-            message = (
-                f"{counted(len(shapes), 'shape')} of {source.name!r} have no weights"
-            )
+            message = f"{counted(len(shapes), 'shape')} of {source.name!r} have no "
+            message += "weights"
             notes.fail("FBX008", element.where, message)
         full_weights = np.array([100.0])
     percent = read_scalar(source, DEFORM_PERCENT, 0.0, notes)
@@ -345,15 +328,8 @@ def _read_shape_channel(
 def _has_weights_per_point(file: FbxFile) -> bool:
     """Return whether Blender wrote the file, whose full weights are per point."""
     header = file.root.find("FBXHeaderExtension")
-    creators = [
-        creator
-        for element in (file.root, header)
-        if element
-        for creator in element.find_all("Creator")
-    ]
-    return any(
-        creator.text(0).lower().startswith(_BLENDER_EXPORTER) for creator in creators
-    )
+    creators = [c for e in (file.root, header) if e for c in e.find_all("Creator")]
+    return any(c.text(0).lower().startswith(_BLENDER_EXPORTER) for c in creators)
 
 
 def _shape_offsets(
@@ -374,9 +350,8 @@ def _shape_offsets(
     if indices is None or coordinates is None or not len(indices):
         return point_offsets
     if len(coordinates) != 3 * len(indices):
-        message = (
-            f"{len(indices)} indices of shape {name!r} have {len(coordinates)} numbers"
-        )
+        message = f"{len(indices)} indices of shape {name!r} have {len(coordinates)} "
+        message += "numbers"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"shape {name!r} counts a point that its mesh has not"

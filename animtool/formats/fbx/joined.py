@@ -217,21 +217,13 @@ def _segment_interpolations(
     curves: Sequence[_SegmentedCurve], count: int
 ) -> list[Interp] | None:
     """Return the interpolation of each segment; None if components differ."""
-    is_cubic = np.logical_or.reduce(
-        [curve.is_cubic & ~curve.is_flat for curve in curves]
-    )
-    is_moving = np.logical_or.reduce(
-        [~curve.is_flat & ~curve.is_stepped for curve in curves]
-    )
-    is_stepped = np.logical_or.reduce(
-        [curve.is_stepped & ~curve.is_flat for curve in curves]
-    )
+    is_cubic = np.logical_or.reduce([c.is_cubic & ~c.is_flat for c in curves])
+    is_moving = np.logical_or.reduce([~c.is_flat & ~c.is_stepped for c in curves])
+    is_stepped = np.logical_or.reduce([c.is_stepped & ~c.is_flat for c in curves])
     if (is_stepped & is_moving).any():
         return None
     # A stepped segment changes its value only at the end of the unsplit segment.
-    split_step_masks = [
-        curve.is_stepped & curve.is_split & ~curve.is_flat for curve in curves
-    ]
+    split_step_masks = [c.is_stepped & c.is_split & ~c.is_flat for c in curves]
     if len(curves) > 1 and np.logical_or.reduce(split_step_masks).any():
         return None
     interpolation_codes = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))

@@ -197,9 +197,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             if not tracks:
                 continue
             curves = [curve for track in tracks for curve in track.curves()]
-            times = np.unique(
-                np.concatenate([_REST_TICKS, *(curve.times for curve in curves)])
-            )
+            times = np.unique(np.concatenate([_REST_TICKS, *(c.times for c in curves)]))
             # Between equal keys, curves may differ by tangents; outside, by
             # extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))

@@ -79,9 +79,7 @@ def build_rig(
         meters: Size of the file's unit [m]; None is the stated unit.
     """
     unit = scene.settings.meters if meters is None else meters
-    joint_nodes = [
-        node for node in character.nodes if not _is_skinned_mesh_only(scene, node)
-    ]
+    joint_nodes = [n for n in character.nodes if not _is_skinned_mesh_only(scene, n)]
     joint_nodes = joint_nodes or list(character.nodes)
     rows = build_joint_rows(scene, joint_nodes)
     scales, is_folded = find_uniform_scales(scene, rows)
@@ -179,17 +177,13 @@ def _joint_names(
     )
     names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{names_by_model[row.model]}_unscaled"
-        for row in rows
-        if row.kind is RowKind.OUTER
+        f"{names_by_model[r.model]}_unscaled" for r in rows if r.kind is RowKind.OUTER
     ]
     added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
     remaining_names = iter(added_names)
     names = [
-        next(remaining_names)
-        if row.kind is RowKind.OUTER
-        else names_by_model[row.model]
-        for row in rows
+        next(remaining_names) if r.kind is RowKind.OUTER else names_by_model[r.model]
+        for r in rows
     ]
     path = str(scene.path)
     notices = renamed_joints_notice("FBX113", renamed_joints, path)
@@ -216,16 +210,12 @@ def _add_shapes_and_meshes(
         for node, name in zip(mesh_nodes, printable_names, strict=True)
     )
     fbx_rig.mesh_names = dict(zip(mesh_nodes, mesh_names, strict=True))
-    channels = [
-        (node, channel) for node in mesh_nodes for channel in scene.meshes[node].shapes
-    ]
+    channels = [(n, c) for n in mesh_nodes for c in scene.meshes[n].shapes]
     names = shape_names(
         (channel.name, f"{fbx_rig.mesh_names[node]}_shape", fbx_rig.mesh_names[node])
         for node, channel in channels
     )
-    fbx_rig.shape_channels += [
-        (channel, _full_percent(channel)) for _, channel in channels
-    ]
+    fbx_rig.shape_channels += [(c, _full_percent(c)) for _, c in channels]
     shapes = tuple(
         _build_shape(
             name,

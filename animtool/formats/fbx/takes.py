@@ -190,10 +190,7 @@ class _StackReader:
                 )
 
     def _check_not_animated(self, node: Object, name: str, take: AnimTake) -> None:
-        if all(
-            curve is None or curve.is_static()
-            for curve in self._node_curves(node).values()
-        ):
+        if all(c is None or c.is_static() for c in self._node_curves(node).values()):
             return
         message = f"take {take.name!r}: {name} over time is not read"
         hint = "bake the animation before exporting"
@@ -205,10 +202,7 @@ class _StackReader:
         components = COMPONENTS[name]
         curves = self._node_curves(node)
         default = _CHANNEL_DEFAULTS[name]
-        defaults = [
-            read_scalar(node, component, default, self.file.notes)
-            for component in components
-        ]
+        defaults = [read_scalar(node, c, default, self.file.notes) for c in components]
         return LayerValues(
             layer,
             is_first,
@@ -250,11 +244,9 @@ class _StackReader:
         if not values or not isinstance(values[0], int):
             return 0
         ticks = _clamp_ticks(values[0])
-        return (
-            int(convert_new_ticks(np.array([ticks]))[0])
-            if self._has_new_ticks
-            else ticks
-        )
+        if self._has_new_ticks:
+            return int(convert_new_ticks(np.array([ticks]))[0])
+        return ticks
 
     def _read_layer(self, layer_object: Object) -> Layer:
         notes = self.file.notes

@@ -54,9 +54,7 @@ class GltfSampler:
     def values_per_frame(self) -> int:
         """Number of animated values per frame."""
         counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
-        return sum(
-            counts.get(path, 3) * len(tracks) for path, tracks in self.tracks.items()
-        )
+        return sum(counts.get(p, 3) * len(t) for p, t in self.tracks.items())
 
     def sample(self, times: FloatArray) -> Motion:
         """Return the motion at times ``(F,)`` [s]."""
@@ -74,13 +72,8 @@ class GltfSampler:
         rest, row_tracks = self.rest_values[path], self.tracks[path]
         rows = np.array([row_track.row for row_track in row_tracks], np.int64)
         if path is TargetPath.ROTATION and row_tracks:
-            keys_by_row = [
-                self._consecutive_keys(row_track.track, times)
-                for row_track in row_tracks
-            ]
-            channel_keys = [
-                row_keys for row_keys in keys_by_row if row_keys is not None
-            ]
+            keys_by_row = [self._consecutive_keys(r.track, times) for r in row_tracks]
+            channel_keys = [r for r in keys_by_row if r is not None]
             if len(channel_keys) == len(keys_by_row):
                 return Channel(
                     rest, rows, _kernels.unpack_rotations(channel_keys, None)
@@ -139,9 +132,7 @@ class GltfSampler:
             at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
         if fractions is _ON_KEYS:
-            return np.stack(
-                [track.values[key_indices[chunk]] for track in tracks], axis=1
-            )
+            return np.stack([t.values[key_indices[chunk]] for t in tracks], axis=1)
         return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
 
@@ -207,11 +198,9 @@ def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
     """
     dots = np.einsum("fjc,fjc->fj", rotations[1:], rotations[:-1])
     scalar_parts = rotations[0, :, 3]
-    signs = (
-        scalar_parts
-        if previous is None
-        else np.einsum("jc,jc->j", rotations[0], previous)
-    )
+    signs = scalar_parts
+    if previous is not None:
+        signs = np.einsum("jc,jc->j", rotations[0], previous)
     if signs.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
         rotations[:] = so3.align_signs(rotations, previous)
 
@@ -311,10 +300,7 @@ def _weight_rows(
                 track.weight_index in {-1, target}
             ):
                 track_by_row.setdefault(row, _weight_track(track, target))
-    return [
-        (TargetPath.WEIGHTS, AnimatedRow(row, track))
-        for row, track in track_by_row.items()
-    ]
+    return [(TargetPath.WEIGHTS, AnimatedRow(r, t)) for r, t in track_by_row.items()]
 
 
 def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
@@ -351,8 +337,6 @@ def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:
     """Return whether an animation moves the rig."""
     shape_nodes = {node for node, _ in gltf_rig.shape_sources}
     return any(
-        track.mesh >= 0
-        or gltf_rig.joint_of_node[track.node] >= 0
-        or track.node in shape_nodes
-        for track in animation.tracks
+        t.mesh >= 0 or gltf_rig.joint_of_node[t.node] >= 0 or t.node in shape_nodes
+        for t in animation.tracks
     )

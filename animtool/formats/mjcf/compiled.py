@@ -107,9 +107,7 @@ def build_robot(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
     _check_sizes(model, notes)
     equalities = JointEqualities.of(model, notes)
     notes.check()
-    links = [
-        _build_link(model, body, equalities, reduced) for body in range(1, model.nbody)
-    ]
+    links = [_build_link(model, b, equalities, reduced) for b in range(1, model.nbody)]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
@@ -130,9 +128,8 @@ def _check_sizes(model: Any, notes: XmlNotes) -> None:
         if not (
             np.isfinite(values).all() and np.abs(values).max(initial=0) <= MAX_VALUE
         ):
-            message = (
-                f"the compiled model has {name} beyond {MAX_VALUE:g}, or not finite"
-            )
+            message = f"the compiled model has {name} beyond {MAX_VALUE:g}, or not "
+            message += "finite"
             hint = "lengths are in metres: look at positions, sizes and scales"
             notes.add("MJC007", None, message, hint)
             return

@@ -133,9 +133,7 @@ class _Reduction:
         """Add an element with its supported children, or record that it is left out."""
         tag = element.tag
         kept_children = [
-            child
-            for child in element.children
-            if _is_kept(element, child, section, self.notes)
+            c for c in element.children if _is_kept(element, c, section, self.notes)
         ]
         is_body_geom = tag == "geom" and section == "worldbody"
         if is_body_geom and self.meshes.is_mesh(element, classes):
@@ -234,12 +232,7 @@ def element_name_label(element: XmlElement) -> str | None:
 
 def _name_bodies(root: XmlElement) -> None:
     """Give unique names to bodies without a name."""
-    bodies = [
-        element
-        for section in root.all("worldbody")
-        for element in section.walk()
-        if element.tag == "body"
-    ]
+    bodies = [e for s in root.all("worldbody") for e in s.walk() if e.tag == "body"]
     used_names = {body.attributes.get("name") for body in bodies}
     number = 0
     for body in bodies:

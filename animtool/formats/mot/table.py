@@ -34,10 +34,8 @@ _UNSUPPORTED_TYPES = {
     "spatialvec": "rotations and translations",
     "spatial": "rotations and translations",
 }
-_IMU_HINT = (
-    "OpenSim's IMU inverse kinematics turns orientations of sensors into "
-    "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
-)
+_IMU_HINT = "OpenSim's IMU inverse kinematics turns orientations of sensors into "
+_IMU_HINT += "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
 _POINTS_HINT = "animtool convert writes them as markers: .trc, .c3d or .npz"
 _TYPE_HINTS = {"quaternion": _IMU_HINT, "vec3": _POINTS_HINT}
 _BOOLEAN_WORDS = {
@@ -235,11 +233,9 @@ def check_duplicates(
         if key in first_names:
             both_names = f"{excerpt(first_names[key])} and {excerpt(name)}"
             duplicate_message = f"duplicate column {excerpt(name)}"
-            message = (
-                duplicate_message
-                if first_names[key] == name
-                else f"{both_names} are the same coordinate"
-            )
+            message = f"{both_names} are the same coordinate"
+            if first_names[key] == name:
+                message = duplicate_message
             raise _table_error("MOF004", path, message, line)
         first_names[key] = name
 
@@ -339,9 +335,7 @@ def _missing_values_warning(
     if not columns:
         return []
     count = counted(int(is_missing.sum()), "value")
-    message = (
-        f"{count} missing in {listed([names[c] for c in columns])}: interpolated, or "
-        "0 where a column has no values"
-    )
+    message = f"{count} missing in {listed([names[c] for c in columns])}: "
+    message += "interpolated, or 0 where a column has no values"
     row = int(lines[np.flatnonzero(is_missing.any(axis=1))[0]])
     return [Fault("MOF104", message, str(path), (row,), None, Severity.WARNING)]

@@ -55,9 +55,7 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     if words[0].strip(b'"').lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
     name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
-    names_index = next(
-        (i for i, name_match in enumerate(name_matches) if name_match), 0
-    )
+    names_index = next((i for i, n in enumerate(name_matches) if n), 0)
     lines_above = [i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)]
     if len(lines_above) < 2:
         missing_line = (
@@ -92,11 +90,7 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
 def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     """Return the values below the header's keys."""
     separator = find_separator(keys_line)
-    keys = [
-        key
-        for cell in split_cells(keys_line, separator)
-        for key in cell.split() or [""]
-    ]
+    keys = [k for c in split_cells(keys_line, separator) for k in c.split() or [""]]
     values = split_cells(values_line, find_row_separator(values_line, separator))
     if len(values) < len(keys):
         cells = [text for value in values for text in value.split() or [""]]
@@ -264,10 +258,8 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         message = f"the row has {int(rows.value_counts[row])} values, not "
         message += str(2 + 3 * len(names))
         if len(bad_rows):
-            message = (
-                f"the row has {int(rows.value_counts[row])} values, but frame, time "
-                f"and {counted(len(header.names), 'named marker')} take "
-            )
+            message = f"the row has {int(rows.value_counts[row])} values, but frame, "
+            message += f"time and {counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
@@ -319,8 +311,7 @@ def _drop_truncated_row(
     if not is_truncated:
         message = f"the row ends within a marker ({count_text}), which is missing there"
         if len(incomplete_markers) > 1:
-            message += (
-                f", and so do {counted(len(incomplete_markers) - 1, 'other row')}"
-            )
+            message += ", and so do "
+            message += f"{counted(len(incomplete_markers) - 1, 'other row')}"
     file.warn("TRC109", message, "copy or export it again", int(rows.line_numbers[row]))
     return rows.without_last() if is_truncated else rows
