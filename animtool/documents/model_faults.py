@@ -167,7 +167,7 @@ class ModelFaults:
         message = f"unknown key {excerpt(str(key))}"
         hint, meant_key = intended_key_hint(str(key), names)
         if hint.startswith("allowed"):
-            hint = self._key_of_sibling(mapping, node, str(key)) or hint
+            hint = self._key_elsewhere(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
         if meant_key and meant_key not in node:
             # Its names may be referenced, but whether it was meant is unknown.
@@ -175,10 +175,10 @@ class ModelFaults:
             self.document.old_keys[*mapping, meant_key] = str(key)
             self.document.guessed_keys.add((*mapping, meant_key))
 
-    def _key_of_sibling(
+    def _key_elsewhere(
         self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
-        """Return a hint that names a sibling mapping that accepts an unknown key."""
+        """Return a hint that names a related mapping that accepts an unknown key."""
         for sibling, value in node.items():
             first_element = value[0] if isinstance(value, list) and value else value
             index_step = (0,) if first_element is not value else ()
@@ -195,6 +195,18 @@ class ModelFaults:
                 ):
                     where = location_text((*location, only_key))
                     return f"it is a key of {where}: write it there"
+        for absent_key in fields_at(self.model, self.value, mapping):
+            for steps in ((absent_key,), (absent_key, 0)):
+                annotation = annotation_at(self.model, self.value, (*mapping, *steps))
+                if absent_key not in node and any(
+                    key in fields_of(kind) for kind in models_of(annotation)
+                ):
+                    return f"it is a key of {absent_key!r}: write it there"
+        for depth in reversed(range(len(mapping))):
+            if key in fields_at(self.model, self.value, mapping[:depth]):
+                where = location_text(mapping[:depth])
+                owner = f"of {where}" if where else "at the top level of the file"
+                return f"it is a key {owner}: write it there"
         return None
 
     def _record_unrecognised_entry(self, mapping: Location) -> bool:
