@@ -262,9 +262,8 @@ class ChannelReader:
                     property_names = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' has no effect with {property_names}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
-                    self.document.warn(
-                        "CLIP104", (*curve_location, "keys", k, name), message, hint
-                    )
+                    location = (*curve_location, "keys", k, name)
+                    self.document.warn("CLIP104", location, message, hint)
         self._warn_of_path(curve_location, model, {*(interps[:-1] or interps)})
 
     def _warn_of_path(

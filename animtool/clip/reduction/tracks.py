@@ -54,8 +54,9 @@ class KeyTrack:
                 rotation = so3.from_axis_angle(self.axis, np.radians(values[:, 0]))
             else:
                 rotation = euler.to_quaternion(values, self.order)
-            has_reference = self.reference is not None
-            return so3.multiply(self.reference, rotation) if has_reference else rotation
+            if self.reference is None:
+                return rotation
+            return so3.multiply(self.reference, rotation)
         if self.reference is None:
             return values
         vectors = values * np.array(self.axis) if values.shape[1] == 1 else values

@@ -313,7 +313,7 @@ def _read_values(
     accessors = samplers.accessors
     entry = accessors.entries[accessor]
     element_type = "VEC4" if target.path is TargetPath.ROTATION else "SCALAR"
-    component_types = FLOAT_COMPONENT, *SMALL_INTEGERS
+    component_types: tuple[int, ...] = (FLOAT_COMPONENT, *SMALL_INTEGERS)
     if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
         element_type, component_types = "VEC3", (FLOAT_COMPONENT,)
     if entry is None or not entry.has_type(element_type, *component_types):

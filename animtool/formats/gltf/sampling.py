@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
@@ -75,9 +75,8 @@ class GltfSampler:
             keys_by_row = [self._consecutive_keys(r.track, times) for r in row_tracks]
             channel_keys = [r for r in keys_by_row if r is not None]
             if len(channel_keys) == len(keys_by_row):
-                return Channel(
-                    rest, rows, _kernels.unpack_rotations(channel_keys, None)
-                )
+                values = _kernels.unpack_rotations(channel_keys, None)
+                return Channel(rest, rows, values)
         values = np.empty((len(times), len(row_tracks), rest.shape[1]))
         groups = _group_tracks(row_tracks)
         factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
@@ -176,9 +175,8 @@ def find_segments(
     is_on_key |= (times <= keys[0]) | (times >= keys[-1])
     if is_on_key.all():
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
-            return slice(
-                int(key_indices[0]), int(key_indices[0]) + len(key_indices)
-            ), _ON_KEYS
+            first = int(key_indices[0])
+            return slice(first, first + len(key_indices)), _ON_KEYS
         return np.asarray(key_indices), _ON_KEYS
     snapped_times = np.where(is_on_key, keys[key_indices], times)
     return np.minimum(key_indices, last_key - 1), snapped_times
@@ -217,32 +215,26 @@ def build_sampler(
         TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
     tracks: dict[TargetPath, list[AnimatedRow]] = {path: [] for path in rest}
-    is_folded = find_folded_nodes(gltf)
-    for path, row_track in _animated_rows(
-        gltf, gltf_rig, animation.tracks if animation else (), is_folded
-    ):
-        if _is_constant(row_track.track):
-            value = (
-                row_track.track.sample(row_track.track.times[:1])[0] * row_track.factor
-            )
+    gltf_tracks = animation.tracks if animation else ()
+    for path, row_track in _animated_rows(gltf, gltf_rig, gltf_tracks):
+        track = row_track.track
+        if _is_constant(track):
+            value = track.sample(track.times[:1])[0] * row_track.factor
             rest[path][row_track.row] = value
         else:
             tracks[path].append(row_track)
     for channel_tracks in tracks.values():
         channel_tracks.sort(key=lambda row_track: row_track.row)
-    has_scale = bool(tracks[TargetPath.SCALE]) or bool(
-        (rest[TargetPath.SCALE] != 1.0).any()
-    )
+    has_scale = bool(tracks[TargetPath.SCALE] or (rest[TargetPath.SCALE] != 1.0).any())
     return GltfSampler(rest, tracks, has_scale)
 
 
 def _is_constant(track: GltfTrack) -> bool:
     """Return whether a track always has the same value."""
-    slopes = [slope for slope in (track.ins, track.outs) if slope is not None]
     if len(track.times) == 1:
         return True
     values = track.values
-    if any(slope.any() for slope in slopes):
+    if any(slope is not None and slope.any() for slope in (track.ins, track.outs)):
         return False
     return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
 
@@ -252,17 +244,17 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
     weights = np.zeros((len(gltf_rig.shape_sources), 1))
     for row, (node, target) in enumerate(gltf_rig.shape_sources):
         node_weights = gltf.nodes[node].weights
-        mesh_weights = gltf.meshes[gltf.nodes[node].mesh].weights
-        weights[row] = (
-            mesh_weights[target] if node_weights is None else node_weights[target]
-        )
+        if node_weights is None:
+            node_weights = gltf.meshes[gltf.nodes[node].mesh].weights
+        weights[row] = node_weights[target]
     return weights
 
 
 def _animated_rows(
-    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], is_folded: BoolArray
+    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
 ) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return the channel rows that tracks animate."""
+    is_folded = find_folded_nodes(gltf)
     animated_rows: list[tuple[TargetPath, AnimatedRow]] = []
     mesh_tracks: list[GltfTrack] = []
     for track in tracks:
@@ -289,16 +281,13 @@ def _weight_rows(
 ) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return animated shapes; tracks of nodes override those of meshes."""
     track_by_row: dict[int, GltfTrack] = {}
-    for track in sorted(
-        tracks,
-        key=lambda each_track: (each_track.node < 0, each_track.weight_index < 0),
-    ):
+    for track in sorted(tracks, key=lambda t: (t.node < 0, t.weight_index < 0)):
         for row, (node, target) in enumerate(gltf_rig.shape_sources):
             entry = gltf.nodes[node]
-            targets_mesh = track.mesh == entry.mesh and entry.weights is None
-            if (track.node == node or (track.node < 0 and targets_mesh)) and (
-                track.weight_index in {-1, target}
-            ):
+            moves_node = track.node == node
+            if track.node < 0:
+                moves_node = track.mesh == entry.mesh and entry.weights is None
+            if moves_node and track.weight_index in {-1, target}:
                 track_by_row.setdefault(row, _weight_track(track, target))
     return [(TargetPath.WEIGHTS, AnimatedRow(r, t)) for r, t in track_by_row.items()]
 

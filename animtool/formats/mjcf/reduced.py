@@ -77,9 +77,8 @@ def reduce_model(
     _name_bodies(root)
     reduction = _Reduction(_MeshDefaults(root), notes)
     model = root.attributes.get("model")
-    reduction.add(
-        root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>"
-    )
+    attribute = "" if model is None else f" model={quoteattr(model)}"
+    reduction.add(root, f"<mujoco{attribute}>")
     # Written before the file's defaults, which may override these.
     reduction.add(
         XmlElement("compiler", {}, root.path, root.line, root.column),
@@ -298,9 +297,8 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add(
-                "MJC016", element, message, hint, where=element_name_label(element)
-            )
+            where = element_name_label(element)
+            notes.add("MJC016", element, message, hint, where=where)
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"

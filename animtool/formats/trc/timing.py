@@ -184,10 +184,9 @@ def _warn_gaps(
     if len(rows) > 1:
         message += f", and {missing_count - first_gap} in "
         message += f"{counted(len(rows) - 1, 'other gap')}"
+    message += "; markers are missing there"
     hint = "mocap fill computes positions in gaps"
-    file.warn(
-        "TRC105", f"{message}; markers are missing there", hint, int(lines[row + 1])
-    )
+    file.warn("TRC105", message, hint, int(lines[row + 1]))
 
 
 def _warn_irregular(
@@ -220,11 +219,10 @@ def _warn_numbers(
     if not len(rows):
         return
     row = int(rows[0])
-    message = (
-        f"Frame# is {numbers[row]:g}" if is_number[row] else "Frame# is not a number"
-    )
-    if row and is_number[row]:
-        message += f" after {numbers[row - 1]:g}"
+    message = "Frame# is not a number"
+    if is_number[row]:
+        message = f"Frame# is {numbers[row]:g}"
+        message += f" after {numbers[row - 1]:g}" if row else ""
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} too"
     file.warn("TRC107", f"{message}; {result}", None, int(lines[row]))
