@@ -317,11 +317,9 @@ def _warn_of_metres(
         net_distance = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
         in_metres = largest_distance / units.length
         shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
-        if (
-            largest_distance > MAX_TRAVEL * size
-            or not shortest_travel <= in_metres <= longest_travel
-            or net_distance < largest_distance / 2
-        ):
+        is_plausible = shortest_travel <= in_metres <= longest_travel
+        has_returned = net_distance < largest_distance / 2
+        if largest_distance > MAX_TRAVEL * size or not is_plausible or has_returned:
             continue
         message = (
             f"{channel.target!r} moves by {length_text(net_distance)} while limbs "

@@ -138,11 +138,9 @@ def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
     lengths = [length.strip().removesuffix("L") for length in text.split(",")]
     if lengths[-1] == "":
         lengths.pop()
-    if (
-        len(lengths) > MAX_DIMENSIONS
-        or (len(lengths) == 1 and "," not in text)
-        or not all(length.isdecimal() and len(length) < 20 for length in lengths)
-    ):
+    are_numbers = all(length.isdecimal() and len(length) < 20 for length in lengths)
+    is_number = len(lengths) == 1 and "," not in text
+    if len(lengths) > MAX_DIMENSIONS or is_number or not are_numbers:
         raise ArrayError(f"{array_label} has a shape that is not that of an array")
     return tuple(map(int, lengths))
 

@@ -250,13 +250,9 @@ class RowReader:
 
     def _record_counts(self, lines: IntArray) -> None:
         first_row, self._row_count = self._row_count, self._row_count + len(lines)
-        if (
-            self._first_surplus_line is None
-            and self._row_count > self.source.declared_frames
-        ):
-            self._first_surplus_line = int(
-                lines[self.source.declared_frames - first_row]
-            )
+        declared = self.source.declared_frames
+        if self._first_surplus_line is None and self._row_count > declared:
+            self._first_surplus_line = int(lines[declared - first_row])
 
     def _record_invalid(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):

@@ -30,11 +30,8 @@ class Claim:
         """Return the cost of a layout value under this claim; 0 if they agree."""
         if value == self.value or (self.is_saturated and value > self.value):
             return 0.0
-        if (
-            self.can_wrap
-            and value >= WORD_RANGE
-            and value % WORD_RANGE == self.value % WORD_RANGE
-        ):
+        has_wrapped = value >= WORD_RANGE and (value - self.value) % WORD_RANGE == 0
+        if self.can_wrap and has_wrapped:
             return 0.25
         return self.weight
 

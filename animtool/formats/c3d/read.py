@@ -313,11 +313,8 @@ def _frame_rate(
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate
-    if (
-        fps is None
-        and header_rate > 0
-        and not np.isclose(header_rate, parameter_rate, rtol=1e-4)
-    ):
+    are_close = np.isclose(header_rate, parameter_rate, rtol=1e-4)
+    if fps is None and header_rate > 0 and not are_close:
         message = f"its header has {header_rate:g} fps, but its parameters "
         message += f"{parameter_rate:g}"
         file.warn("C3D101", f"{message}; using the parameters")

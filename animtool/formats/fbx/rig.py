@@ -145,11 +145,8 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
         )
         bind = scene.mesh_bind_worlds[index]
         magnitude = float(np.abs(bind[:3]).max())
-        if (
-            is_animated
-            or np.abs(rest.world_matrices(node)[0] - bind).max()
-            > BIND_TOLERANCE * magnitude
-        ):
+        difference = np.abs(rest.world_matrices(node)[0] - bind).max()
+        if is_animated or difference > BIND_TOLERANCE * magnitude:
             names.append(repr(scene.models[node].name))
     if not names:
         return []

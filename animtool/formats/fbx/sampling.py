@@ -181,10 +181,8 @@ def find_frame_range(
     )
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
-    if (
-        count > MAX_FRAMES
-        or count * max(values_per_frame, MIN_VALUES_PER_FRAME) > MAX_TAKE_VALUES
-    ):
+    values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
+    if count > MAX_FRAMES or values > MAX_TAKE_VALUES:
         message = (
             f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
             f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
