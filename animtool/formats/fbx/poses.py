@@ -156,9 +156,8 @@ class AnimatedComponents:
         has_translation, has_rotation, has_scale = self.animated[row.model]
         if (has_rotation or has_scale) and has_pivots(model, self.take):
             has_translation = True
-        has_animated_parent_scale = model.parent >= 0 and self.has_animated_scale(
-            model.parent
-        )
+        has_parent = model.parent >= 0
+        has_animated_parent_scale = has_parent and self.has_animated_scale(model.parent)
         if row.kind is RowKind.OUTER:
             return has_translation, False, has_animated_parent_scale
         if row.kind is RowKind.INNER:
@@ -223,19 +222,15 @@ def find_uniform_scales(
     )
     for take in scene.takes:
         animation = AnimatedComponents(scene.models, take)
-        take_transforms = NodeTransforms(
-            scene, take, np.array([take.start_ticks], np.int64)
-        )
+        start = np.array([take.start_ticks], np.int64)
+        take_transforms = NodeTransforms(scene, take, start)
         for j, row in enumerate(rows):
             if not is_uniform[j] or not _has_scale_tracks(scene.models, row, take):
                 continue
-            difference = np.abs(
-                take_transforms.joint_transforms(row)[2][0] - scales[j]
-            ).max()
-            is_uniform[j] = (
-                not animation.animated_components(row)[2]
-                and difference <= SCALE_TOLERANCE * max_scales[j]
-            )
+            start_scale = take_transforms.joint_transforms(row)[2][0]
+            difference = np.abs(start_scale - scales[j]).max()
+            is_static = not animation.animated_components(row)[2]
+            is_uniform[j] = is_static and difference <= SCALE_TOLERANCE * max_scales[j]
     return scales, np.asarray(is_uniform)
 
 
