@@ -170,9 +170,8 @@ def migrate(
         hint = f"{argument('overwrite', True)} replaces it, {argument('check')} shows "
         hint += "what would change"
         message = "would be replaced"
-        outdated = [str(plan.path) for plan in outdated_documents]
-        faults = [Fault("OUT001", message, path, (), hint) for path in outdated]
-        raise OptionError(faults)
+        names = [str(plan.path) for plan in outdated_documents]
+        raise OptionError([Fault("OUT001", message, name, (), hint) for name in names])
     check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
         for plan in outdated_documents:
