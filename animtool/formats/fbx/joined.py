@@ -104,8 +104,8 @@ def _common_extrapolation(
 def _convert_extrapolation(
     curve: FbxCurve, extrapolation: FbxExtrapolation
 ) -> Extrapolation | None:
-    is_held = extrapolation.count == 0 and extrapolation.mode != "K"
-    if is_held or len(curve.times) == 1:
+    is_constant = extrapolation.count == 0 and extrapolation.mode != "K"
+    if is_constant or len(curve.times) == 1:
         return Extrapolation.HOLD
     if extrapolation.count > 0 and extrapolation.mode in "RAM":
         return None
