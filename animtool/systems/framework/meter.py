@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, percent_text, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -68,6 +68,25 @@ class MeasuredSurface:
     edges: IntArray  # particles of each edge ``(S, 2)``
     rest_lengths: FloatArray  # rest lengths of the edges, above 0 ``(S,)`` [m]
 
+    @staticmethod
+    def of_edges(
+        ends: IntArray, rests: FloatArray, is_fixed: BoolArray, triangles: IntArray
+    ) -> MeasuredSurface:
+        """Return a surface without the edges that are fixed or have no rest length.
+
+        Edges have ends ``(S, 2)`` and rest lengths ``(S,)`` [m]; the mask of fixed
+        particles is ``(N,)``.
+        """
+        is_measured = (rests > 0) & ~is_fixed[ends].all(axis=1)
+        return MeasuredSurface(
+            np.flatnonzero(~is_fixed), triangles, ends[is_measured], rests[is_measured]
+        )
+
+    def lengths(self, points: FloatArray) -> FloatArray:
+        """Return the lengths of the edges at points ``(N, 3)`` [m]."""
+        i, j = self.edges.T
+        return np.asarray(np.linalg.norm(points[j] - points[i], axis=1))
+
 
 @dataclass(slots=True)
 class ContactMeter:
@@ -119,11 +138,9 @@ class ContactMeter:
             count = float(pairs)
             self.pierced = self._larger_peak(self.pierced, count, frame, points, first)
         if len(surface.rest_lengths):
-            i, j = surface.edges.T
-            lengths = np.linalg.norm(points[j] - points[i], axis=1)
-            strains = np.abs(lengths / surface.rest_lengths - 1)
+            strains = np.abs(surface.lengths(points) / surface.rest_lengths - 1)
             largest = int(strains.argmax())
-            particle = int(i[largest])
+            particle = int(surface.edges[largest, 0])
             value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
             self.strain = self._larger_peak(self.strain, value, frame, points, particle)
             self.strain_99 = self._larger_peak(
