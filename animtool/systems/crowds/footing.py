@@ -186,8 +186,8 @@ class Footing:
         detours = np.zeros((len(footholds), 2))
         local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
         leg = self.gaits.walker.leg
-        gap, passing_range = PASSING_GAP * leg, PASSING_RANGE * leg
-        gap, passing_range = gap * self.scales, passing_range * self.scales
+        gap = PASSING_GAP * leg * self.scales
+        passing_range = PASSING_RANGE * leg * self.scales
         for k in range(2):
             side = 1 - 2 * k
             offset = local[:, k] - local[:, 1 - k]

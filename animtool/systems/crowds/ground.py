@@ -164,8 +164,8 @@ class Terrain:
         """Return pairs of points and triangles that may overlap seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size
-        is_inside = (grid_points >= -EDGE_TOLERANCE).all(axis=1)
-        is_inside &= (grid_points <= counts + EDGE_TOLERANCE).all(axis=1)
+        is_inside = np.all(grid_points >= -EDGE_TOLERANCE, axis=1)
+        is_inside &= np.all(grid_points <= counts + EDGE_TOLERANCE, axis=1)
         cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
         cells = np.clip(cells, 0, counts - 1)
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
