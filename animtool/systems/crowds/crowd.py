@@ -124,9 +124,8 @@ class Crowd:
             return state
         x, v = state.points, state.velocities
         preferred = self.steering.preferred_velocities(t, self.begin, state.progress, x)
-        relaxed_velocities = (
-            v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
-        )
+        fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
+        relaxed_velocities = v + (preferred - v) * fractions
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:

@@ -156,9 +156,8 @@ def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatA
     else:
         cosine = (np.sin(end) - np.sin(heading)) / turning
         sine = (np.cos(heading) - np.cos(end)) / turning
-    return np.stack(
-        [np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)], axis=-2
-    )
+    x_row, z_row = np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)
+    return np.stack([x_row, z_row], axis=-2)
 
 
 def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:

@@ -129,9 +129,8 @@ class FallSimulator:
         """Return a record without falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
-        return Falls.no_falls(
-            joints, max(len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs)
-        )
+        body_counts = [len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs]
+        return Falls.no_falls(joints, max(body_counts))
 
     def add_falls(
         self,

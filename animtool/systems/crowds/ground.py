@@ -89,10 +89,8 @@ class Terrain:
         x, z = offsets.T
         weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_areas[faces]
         weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_areas[faces]
-        edge_distance = np.minimum(
-            np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
-        )
-        is_inside = edge_distance >= -EDGE_TOLERANCE
+        weights = np.stack([weight_b, weight_c, 1 - weight_b - weight_c])
+        is_inside = weights.min(axis=0) >= -EDGE_TOLERANCE
         rows, faces = rows[is_inside], faces[is_inside]
         face_heights = (
             a[faces, 1]

@@ -266,9 +266,8 @@ def _gait_swing(
     moving_gaits = gaits.moving
     rows = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
-    swing_rotations = _blend_rotations(
-        [sample_rows(gait.swings[k], rows) for gait in moving_gaits], weights
-    )
+    gait_rotations = [sample_rows(gait.swings[k], rows) for gait in moving_gaits]
+    swing_rotations = _blend_rotations(gait_rotations, weights)
     ankle_offsets = np.asarray(
         sum(
             weight[:, None] * sample_rows(gait.lifts[k], rows)

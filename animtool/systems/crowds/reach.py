@@ -61,9 +61,8 @@ class LegReach:
             thighs += weight[:, None, None] * sample_rows(
                 gait_thighs, rows, cyclic=True
             )
-        return np.asarray(
-            thighs + standing_weights[:, None, None] * (self.standing_thighs - thighs)
-        )
+        offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
+        return np.asarray(thighs + offsets)
 
     def reach_margin(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -177,6 +176,5 @@ def _gait_thighs(gaits: Gaits, gait: Gait) -> FloatArray:
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips
     legs = [leg[0] for leg in gaits.walker.legs]
-    return np.asarray(
-        forward_kinematics(rig, translations, gait.rotations).positions[:, legs]
-    )
+    world = forward_kinematics(rig, translations, gait.rotations)
+    return np.asarray(world.positions[:, legs])

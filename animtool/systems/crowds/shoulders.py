@@ -66,9 +66,8 @@ class Trunk:
             role: tuple(j for j, actual in enumerate(skeleton.roles) if actual == role)
             for role in ("spine", "neck", "head")
         }
-        return Trunk(
-            joints_by_role["spine"], joints_by_role["neck"] + joints_by_role["head"]
-        )
+        neck = joints_by_role["neck"] + joints_by_role["head"]
+        return Trunk(joints_by_role["spine"], neck)
 
     @property
     def joints(self) -> IntArray:

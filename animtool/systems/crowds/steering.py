@@ -114,9 +114,8 @@ class Steering:
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
         """Return each agent's reachable goal position, else ``x`` ``(N, 2)`` [m]."""
-        positions = np.where(
-            (goal_indices >= 0)[:, None], self.goal_points[goal_indices], x
-        )
+        has_goal = (goal_indices >= 0)[:, None]
+        positions = np.where(has_goal, self.goal_points[goal_indices], x)
         for g, route in enumerate(self.flow_fields):
             is_assigned = goal_indices == g
             positions[is_assigned] = route.path_ends(x[is_assigned])

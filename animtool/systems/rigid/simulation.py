@@ -246,9 +246,8 @@ class RigidSimulation(RigidStates):
                 deepest_pairs[k] = np.where(pair < 0, pair, full_pair)
         broken, impulses = self._break_joints(state, phase, impulses, t + dt)
         max_step, oscillating_joint = result[12] * self._spec.step / dt, result[13]
-        is_worse = oscillating_joint >= 0 and (
-            state.swinging < 0 or max_step < state.follows
-        )
+        is_faster = state.swinging < 0 or max_step < state.follows
+        is_worse = oscillating_joint >= 0 and is_faster
         return RigidState(
             next_motion,
             pairs,
