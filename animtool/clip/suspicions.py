@@ -47,7 +47,7 @@ MIN_LARGEST = 1.0
 MIN_EXACT = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
 # many different keys of one channel in 1e-5.
-MIN_WHOLE, WHOLE_TOLERANCE = 4, 0.03
+MIN_INTEGERS, INTEGER_TOLERANCE = 4, 0.03
 # A root that travels less than this fraction of the rig's size does not leave its spot.
 MAX_TRAVEL = 0.05
 # Plausible range of travel in metres, relative to the rig's size.
@@ -244,7 +244,7 @@ def warn_of_angle_keys(
         angles = [
             (curve, values)
             for curve, values in angles
-            if in_degrees and _are_whole_degrees_in_radians(values)
+            if in_degrees and _are_integer_degrees_in_radians(values)
         ]
     if not angles:
         return
@@ -286,14 +286,14 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     )
 
 
-def _are_whole_degrees_in_radians(values: FloatArray) -> bool:
+def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
     """Return whether rounded values are whole degrees if they are radians."""
     numbers = np.array(sorted({*values[values != 0.0].tolist()}))
     degrees = np.degrees(numbers)
     return (
-        len(numbers) >= MIN_WHOLE
+        len(numbers) >= MIN_INTEGERS
         and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION
-        and bool((np.abs(degrees - np.round(degrees)) <= WHOLE_TOLERANCE).all())
+        and bool((np.abs(degrees - np.round(degrees)) <= INTEGER_TOLERANCE).all())
     )
 
 
