@@ -149,8 +149,6 @@ def round_up_error(error: float) -> float:
         return 0.0
     digits = 1 - int(np.floor(np.log10(error)))
     rounded_error = round(error, digits)
-    return (
-        rounded_error
-        if rounded_error >= error
-        else round(rounded_error + 10.0**-digits, digits)
-    )
+    if rounded_error >= error:
+        return rounded_error
+    return round(rounded_error + 10.0**-digits, digits)

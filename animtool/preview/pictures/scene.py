@@ -164,12 +164,12 @@ class SceneRenderer:
             item.grow_bounds(bounds)
         character_bounds.join(characters, shift)
         framed_bounds.join(bounds, shift)
-        return (
-            character_bounds
-            if not character_bounds.is_empty
+        if (
+            not character_bounds.is_empty
             and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius
-            else framed_bounds
-        )
+        ):
+            return character_bounds
+        return framed_bounds
 
     def _update(self, sample: int) -> None:
         """Update all objects to a sample."""
@@ -205,11 +205,9 @@ class SceneRenderer:
         self._update(sample)
         visible = [pose for pose in self._poses if pose.is_visible]
         main_pose = self._poses[0] if self._poses else None
-        root_position = (
-            main_pose.positions[main_pose.root].copy()
-            if main_pose and main_pose.count
-            else None
-        )
+        root_position = None
+        if main_pose and main_pose.count:
+            root_position = main_pose.positions[main_pose.root].copy()
         view.follow_position(root_position)
         accent = self._colors["accent"]
         has_several_takes = len(self._poses) > 1
@@ -306,11 +304,9 @@ class SceneRenderer:
     def _take_color(self, take: int) -> Color:
         """Return the color of a take."""
         has_several_takes = len(self._poses) > 1
-        return (
-            TAKE_COLORS[take % len(TAKE_COLORS)]
-            if has_several_takes
-            else self._colors["bone"]
-        )
+        if has_several_takes:
+            return TAKE_COLORS[take % len(TAKE_COLORS)]
+        return self._colors["bone"]
 
     def _draw_frusta(
         self, eye: EyeMatrices, view: CameraView, shot: int | None

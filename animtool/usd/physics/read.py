@@ -97,11 +97,11 @@ def read_shapes(
     ):
         source.add_notice(prim, f"has a size of {list(sizes)} m: skipped")
         return
-    axis_rotation = (
-        so3.shortest_rotation(AXIS_VECTORS["Y"], _prim_axis(source, prim))
-        if kind in TYPES_WITH_AXIS
-        else so3.IDENTITY
-    )
+    axis_rotation = so3.IDENTITY
+    if kind in TYPES_WITH_AXIS:
+        axis_rotation = so3.shortest_rotation(
+            AXIS_VECTORS["Y"], _prim_axis(source, prim)
+        )
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], axis_rotation)])
     name = str(prim.GetName())
     yield PhysicsShape(

@@ -218,11 +218,9 @@ def read_ball_limit(joint: Any, axis: tuple[float, float, float]) -> BallLimit |
     swing_limits = None
     if swing_y_limits is not None and swing_z_limits is not None:
         swing_limits = (swing_y_limits[1], swing_z_limits[1])
-    return (
-        None
-        if twist is None and swing_limits is None
-        else BallLimit(swing_limits, twist, axis)
-    )
+    if twist is None and swing_limits is None:
+        return None
+    return BallLimit(swing_limits, twist, axis)
 
 
 # USD's fallback rate; animation layers over the rig adopt it.
@@ -235,11 +233,6 @@ def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     The layer has model, SkelRoot, Skeleton, meshes and blend shapes but no animation.
     Properties that USD cannot express are stored as customData.
     """
-    layer, notices = _rig_layer(rig, path)
-    return save_layer(layer, path), notices
-
-
-def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     names = joint_names(rig.joints)
     paths = RigPaths.from_model(f"/{legal_name(rig.name)}")
     layer, meters = new_layer(path), rig.meters_per_unit
@@ -261,7 +254,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute_spec(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
     notices = [replace(fault, path=str(path)) for fault in names.notices + mesh_notices]
-    return layer, notices
+    return save_layer(layer, path), notices
 
 
 def _author_layer_metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:

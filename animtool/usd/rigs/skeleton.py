@@ -80,11 +80,9 @@ def apply_recorded_rest(
     motion_rest, is_animated = motion_placement
     if skeleton is not None and rest_placement is not motion_placement:
         # The Skeleton's rest pose is that of another library take, or has no placement.
-        relative_placement = (
-            motion_rest
-            if rest_placement is None
-            else motion_rest.after(rest_placement[0].inverse())
-        )
+        relative_placement = motion_rest
+        if rest_placement is not None:
+            relative_placement = motion_rest.after(rest_placement[0].inverse())
         rig = transform_rig(rig, relative_placement)
     return replace(
         rig,

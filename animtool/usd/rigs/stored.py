@@ -314,11 +314,9 @@ def _remove_from_control(control: Control, removed: set[str]) -> Control:
 def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
     """Return a driver, or None if the driver reads a removed joint."""
     driver_names = () if driver is None else driver.names
-    return (
-        None
-        if removed & {split_coordinate(name)[0] for name in driver_names}
-        else driver
-    )
+    if removed & {split_coordinate(name)[0] for name in driver_names}:
+        return None
+    return driver
 
 
 # Tolerance of a bind pose equal to rest, for rounding of other tools [rad], [1].

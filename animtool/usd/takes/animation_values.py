@@ -262,11 +262,9 @@ def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> Samp
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
-    return (
-        _integer_grid(times, where)
-        if grid is None
-        else _trim_to_authored_start(grid, span)
-    )
+    if grid is None:
+        return _integer_grid(times, where)
+    return _trim_to_authored_start(grid, span)
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:
