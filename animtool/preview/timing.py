@@ -100,7 +100,7 @@ def fit_to_page(
         )
         # The duration of the take need not be a whole number of frames.
         notices += [fault for fault in faults if fault.code not in ignored_codes]
-        start = Fraction(1) if stream.start is None else stream.start
+        start = stream.first_frame
     if new_rate is not None and take.stream.fps != fps:
         message = (
             f"has {rate_label(take.stream.fps)}, but is shown at {rate_label(fps)}"

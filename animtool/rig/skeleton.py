@@ -257,8 +257,8 @@ class Rig:
         """Return an `animtool.ik.Session` that solves goals one pose per call.
 
         Args:
-            goals: Names of joints, or `animtool.ik.Goal` for more than position and
-                rotation.
+            goals: Names of chains or joints, or `animtool.ik.Goal` for more than
+                position and rotation.
             options: Arguments of `animtool.ik.Session`.
 
         Raises:
