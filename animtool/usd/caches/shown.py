@@ -70,7 +70,7 @@ class ShownPrim:
 
     Attributes:
         name: Path below the default prim.
-        kind: ``mesh``, ``curves``, ``points`` or ``instances``.
+        kind: ``mesh``, ``curves``, ``points`` or ``copies``.
     """
 
     def __init__(self, stage: StageContents, prim: Any, name: str, kind: str) -> None:
@@ -93,6 +93,11 @@ class ShownPrim:
             if xformable and xformable.GetResetXformStack():
                 return False
         return False
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether the prim's points in world space may change over time."""
+        return self.is_deforming or self.is_moving
 
     @cached_property
     def has_changing_faces(self) -> bool:

@@ -194,8 +194,8 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
             suffix = f", as are those of {len(paths_outside) - 1} more"
         message = (
             f"samples are at {span_label(first_code, last_code)}, but the stage's "
+            "range is "
         )
-        message += "range is "
         message += f"{span_label(start, end)}{suffix}"
         yield finding("USD256", paths_outside[0], message)
 

@@ -159,8 +159,10 @@ def _read_friction_and_restitution(
     restitution = source.number(api.GetRestitutionAttr()) or 0.0
     clamped = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
     if clamped != (friction, restitution):
-        message = f"has friction {friction:g} and restitution {restitution:g}: "
-        message += f"using {clamped[0]:g} and {clamped[1]:g}"
+        message = (
+            f"has friction {friction:g} and restitution {restitution:g}: "
+            f"using {clamped[0]:g} and {clamped[1]:g}"
+        )
         source.add_notice(material.GetPrim(), message)
     return clamped
 

@@ -27,6 +27,8 @@ from animtool.usd.layers.sdf import (
     author_xform_order,
     gf_quaternion,
     gf_quatf,
+    gf_vec3f,
+    gf_vector,
     new_layer,
     prim_spec,
     save_layer,
@@ -74,9 +76,7 @@ def _author_body(
     spec = prim_spec(layer, path, "Xform")
     apply_schemas(spec, ["PhysicsRigidBodyAPI"])
     attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    attribute_spec(
-        spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist())
-    )
+    attribute_spec(spec, "xformOp:translate", _TYPES.Double3, gf_vector(position))
     attribute_spec(spec, "xformOp:orient", _TYPES.Quatd, gf_quaternion(rotation))
     author_xform_order(spec, "xformOp:translate", "xformOp:orient")
 
@@ -102,9 +102,7 @@ def _author_joint(
     position = np.array(joint.translation) / meters_per_unit
     parent_frame = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
-    attribute_spec(
-        spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist())
-    )
+    attribute_spec(spec, "physics:localPos0", _TYPES.Point3f, gf_vec3f(position))
     attribute_spec(spec, "physics:localPos1", _TYPES.Point3f, zero)
     attribute_spec(spec, "physics:localRot0", _TYPES.Quatf, gf_quatf(parent_frame))
     attribute_spec(spec, "physics:localRot1", _TYPES.Quatf, gf_quatf(frame))

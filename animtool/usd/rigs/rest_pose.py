@@ -139,8 +139,9 @@ def rest_faults(
     if not len(rest):
         yield _missing_rest_fault(skeleton, joints, is_animated=is_animated)
     elif len(rest) != len(joints):
-        message = f"{counted(len(rest), 'restTransform')}"
-        message += f" for {counted(len(joints), 'joint')}"
+        message = (
+            f"{counted(len(rest), 'restTransform')} for {counted(len(joints), 'joint')}"
+        )
         yield finding("USD223", attr.GetPath(), message)
     else:
         yield from non_finite_faults(attr, rest, joints)

@@ -30,6 +30,7 @@ from animtool.usd.layers.sdf import (
     author_model,
     author_relationship,
     gf_quaternion,
+    gf_vector,
     prim_spec,
 )
 
@@ -54,7 +55,7 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
         return {}
     rest_placement = rig.placement or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
-        "translate": Gf.Vec3d(*rest_placement.translations[0].tolist()),
+        "translate": gf_vector(rest_placement.translations[0]),
         "rotate": gf_quaternion(rest_placement.rotations[0]),
     }
     return record | ({"rides": True} if rig.has_animated_parents else {})

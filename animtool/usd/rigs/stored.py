@@ -157,8 +157,10 @@ def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
         f"{unit * stored_size / size:.4g}: it measures {length_text(size)} instead of "
         f"{length_text(stored_size)}"
     )
-    hint = f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "
-    hint += "again if it is meant to have another size"
+    hint = (
+        f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "
+        "again if it is meant to have another size"
+    )
     return Fault("USD126", message, str(path), (), hint, Severity.WARNING)
 
 

@@ -71,8 +71,10 @@ def read_samples(
     for i, time in enumerate(time_codes):
         value = number_rows(attr, component_count, time)
         if len(value) != item_count:
-            message = f"{attr.GetName()} has {counted(len(value), 'value')}"
-            message += f" for {counted(item_count, noun)}"
+            message = (
+                f"{attr.GetName()} has {counted(len(value), 'value')}"
+                f" for {counted(item_count, noun)}"
+            )
             hint = f"{_time_label(time)}; UsdSkel falls back to rest"
             where.at_prim(attr).fail(
                 "USD206" if noun == "shape" else "USD200", message, hint
