@@ -124,7 +124,6 @@ def mesh_entry(
     color: Sequence[float] | None,
     *,
     take: int | None = None,
-    double_sided: bool = True,
     colors: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Return the manifest entry of a mesh with its points and triangles.
@@ -148,7 +147,6 @@ def mesh_entry(
         else draft.packer.add_static(
             np.rint(colors.clip(0, 1) ** (1 / 2.2) * 255).astype(np.uint8), "u8"
         ),
-        "doubleSided": double_sided,
     }
 
 

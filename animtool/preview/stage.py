@@ -72,7 +72,6 @@ def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str
         faces.counts,
         faces.indices,
         faces.color,
-        double_sided=faces.double_sided,
         colors=faces.colors,
     )
 
@@ -106,7 +105,6 @@ def _add_rigid(
                 draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]
             ),
             "visible": visibility,
-            "names": None,
         }
     )
 
@@ -292,7 +290,6 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
                     "visible": None
                     if visible.all()
                     else draft.packer.add(Quantized(visible.astype("<u1"), "u8")),
-                    "names": None,
                 }
             )
 
@@ -347,9 +344,6 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     draft.record_error(
         position=positions_stored.error, rotation=2 * rotations_stored.error
     )
-    clip = [0.01, 1e5]
-    if "clippingRange" in names:
-        clip = sampled.values[names.index("clippingRange")][0].tolist()
     draft.cameras.append(
         {
             "name": track.path,
@@ -366,7 +360,6 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
                     ("verticalAperture", 15.2908),
                 )
             ],
-            "clip": clip,
         }
     )
 

@@ -20,8 +20,7 @@
  * @typedef {{name: string, take?: number|null, points: number, faces: number,
  *   skin?: Skin|null, shapes?: Shape[]|null, color?: Vec|null,
  *   colors?: number|null,
- *   doubleSided?: boolean, cache?: number|null,
- *   prototype?: boolean, visible?: number|null}} MeshRecord
+ *   cache?: number|null, prototype?: boolean, visible?: number|null}} MeshRecord
  * @typedef {{name: string, counts: number, points: number, width?: number, take?: number|null,
  *   joint?: number|null, bind?: number[]|null, color?: Vec|null}} StrandsRecord
  * @typedef {{name: string, positions: number, radius?: number, radii?: number|null,
