@@ -62,7 +62,7 @@ def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
         factor = unit.meters / rig.meters_per_unit
         distance = float(np.linalg.norm(factor * point - start))
         if factor < 1 and distance <= MAX_REACH * limb_length:
-            root = solved_take.tracks.goals[goal_index].goal.root
+            root = rig.names[_limb_root(solved_take, goal_index)]
             return (
                 f"the rig is in {unit_name(rig.meters_per_unit)}; with "
                 f"'units: {{length: {unit}}}' the target is "
@@ -82,14 +82,13 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
         frame: Time code of a miss.
     """
     target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
-    root = solved_take.tracks.goals[goal_index].goal.root
-    if target is None or root is None:
+    if target is None:
         return None
     point, start, limb_length = target
     if float(np.linalg.norm(point - start)) <= limb_length:
         return None
     positions = rest_world(rig).positions[0]
-    limb_root = rig.index(root)
+    limb_root = _limb_root(solved_take, goal_index)
     for joint in ([*rig.upwards(limb_root)][-1], limb_root):
         distance = float(np.linalg.norm(positions[joint] + point - start))
         if distance <= limb_length:
@@ -149,15 +148,25 @@ def _point_text(point: FloatArray) -> str:
     return f"[{', '.join(f'{round(float(number), 3) + 0.0:g}' for number in point)}]"
 
 
+def _limb_root(solved_take: TakeIk, goal_index: int) -> int:
+    """Return the topmost joint that a goal moves."""
+    rig, goal = solved_take.take.rig, solved_take.tracks.goals[goal_index].goal
+    return (
+        rig.upwards(rig.index(goal.joint))[-1]
+        if goal.root is None
+        else rig.index(goal.root)
+    )
+
+
 def _limb_target(
     solved_take: TakeIk, goal_index: int, frame: float
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Return a target, the root of its limb at rest, and the limb's length [m]."""
     track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
-    value, root = track.values.get("position"), track.goal.root
-    if value is None or root is None:
+    value = track.values.get("position")
+    if value is None:
         return None
-    joint, start = rig.index(track.goal.joint), rig.index(root)
+    joint, start = rig.index(track.goal.joint), _limb_root(solved_take, goal_index)
     chain = list(rig.upwards(joint))
     chain = chain[: chain.index(start) + 1]
     positions = rest_world(rig).positions[0]
