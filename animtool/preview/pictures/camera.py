@@ -31,7 +31,8 @@ VIEW_ANGLES = {
     "top": (0.0, MAX_PITCH),
 }
 # Direction to the key light, in view space.
-KEY_LIGHT = np.array([-0.35, 0.65, 0.68]) / np.linalg.norm([-0.35, 0.65, 0.68])
+KEY_LIGHT = np.array([-0.35, 0.65, 0.68])
+KEY_LIGHT /= np.linalg.norm(KEY_LIGHT)
 
 
 class Bounds:
