@@ -180,11 +180,9 @@ class OutputReader:
         fps: Fraction | None,
         frames: FrameRange | None,
     ) -> SceneOutput:
-        path = (
-            None
-            if model.file is None
-            else self._file((*entry_path, "file"), model.file)
-        )
+        path = None
+        if model.file is not None:
+            path = self._file((*entry_path, "file"), model.file)
         writer = None if path is None else writer_of(path)
         if writer is not None and not writer.stage:
             self._check_keys(entry_path, model, writer)

@@ -137,7 +137,7 @@ def test_blocks_share_what_was_read() -> None:
 def test_phases_take_half_of_what_is_left() -> None:
     told: list[float] = []
     phases = ProgressPhases(told.append)
-    for tell in (phases.phase(), phases.phase(), phases.last()):
+    for tell in (phases.phase(), phases.phase(), phases.phase(is_last=True)):
         tell(1.0)
         tell(0.5)
     assert told == [0.5, 1.0]
