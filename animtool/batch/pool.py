@@ -183,9 +183,11 @@ class _Pool:
             worker.is_ready, self.failed_starts = True, 0
         elif isinstance(received_message, FileBeingRead):
             pass
-        elif isinstance(
-            received_message, ItemOutcome
-        ) and received_message.number == _item_number(worker):
+        elif (
+            isinstance(received_message, ItemOutcome)
+            and worker.item is not None
+            and received_message.number == worker.item.number
+        ):
             yield from self._end_item(worker, received_message)
         elif not worker.is_ready:
             self._failed_to_start(worker)
@@ -360,10 +362,6 @@ def _worker_environment() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def _item_number(worker: _Worker) -> int | None:
-    return None if worker.item is None else worker.item.number
 
 
 def _start_error(reason: str) -> OutputError:

@@ -148,7 +148,7 @@ def _parse_variable(text: str) -> tuple[str, str]:
 
 
 def _parse_codes(text: str) -> tuple[str, ...]:
-    return tuple(code.strip().upper() for code in text.split(",") if code.strip())
+    return tuple(code.upper() for code in names_of(text))
 
 
 def _parse_severity(text: str) -> tuple[str, Severity]:

@@ -67,18 +67,9 @@ def written_options_record(
 
     more_options: Additional options of this command.
     """
-    names = (
-        "rig_layer",
-        "force_fit",
-        "prim_path",
-        "reduce",
-        "overwrite",
-        *more_options,
-    )
-    usd_form = "split" if params["split"] else None
-    return BakeOptions(
-        form=usd_form, **{name: params[name] for name in names}, **values
-    )
+    names = ("rig_layer", "force_fit", "prim_path", "reduce", "overwrite")
+    values |= {name: params[name] for name in (*names, *more_options)}
+    return BakeOptions(form="split" if params["split"] else None, **values)
 
 
 @contextmanager

@@ -25,13 +25,7 @@ from animtool.core.options import changed_options
 from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
 
 _SOURCE_OPTIONS = (
-    "rig",
-    "take",
-    "positions",
-    "remap",
-    "dropped",
-    "template",
-    "cameras",
+    *("rig", "take", "positions", "remap", "dropped", "template", "cameras"),
 )
 
 
@@ -77,7 +71,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     from animtool.cli import preview_page, preview_picture
     from animtool.preview.pictures.kinds import picture_kind
 
-    output, as_json = params["output"], params["report_format"] == "json"
+    output, report_format = params["output"], params["report_format"]
     show_options = ShowOptions(**read_values(ShowOptions, params))
     file_options = read_values(PreviewOptions, params)
     pictures = PictureOptions(**read_values(PictureOptions, params))
@@ -87,7 +81,8 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             f"--{next(iter(picture_flags))} applies to pictures, such as -o walk.png."
         )
         raise click.UsageError(message)
-    if show_options.watch and (output is not None or as_json or show_options.plan):
+    is_json = report_format == "json"
+    if show_options.watch and (output is not None or is_json or show_options.plan):
         message = "--watch serves the page: remove -o, --plan and --format json."
         raise click.UsageError(message)
     options = PreviewOptions(
@@ -96,7 +91,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
         **{name: value for name, value in file_options.items() if value is not None},
     )
     if show_options.plan:
-        preview_page.print_plan(console, files, output, options, as_json=as_json)
+        preview_page.print_plan(console, files, output, options, report_format)
     elif show_options.watch:
         preview_page.serve_preview(console, files, options, show_options)
     elif output is not None and is_picture:
@@ -106,8 +101,8 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             output,
             options,
             pictures,
+            report_format,
             overwrite=params["overwrite"],
-            as_json=as_json,
         )
     else:
         preview_page.write_preview(
@@ -116,6 +111,6 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
             output,
             options,
             show_options,
+            report_format,
             overwrite=params["overwrite"],
-            as_json=as_json,
         )

@@ -26,9 +26,9 @@ def write_picture(
     output: Path,
     options: PreviewOptions,
     pictures: PictureOptions,
+    report_format: str,
     *,
     overwrite: bool,
-    as_json: bool,
 ) -> None:
     """Write a still picture, a contact sheet or a film."""
     with console.progress(f"preview {files[0].name}") as progress:
@@ -36,4 +36,4 @@ def write_picture(
             files, output, options, pictures, overwrite=overwrite, progress=progress
         )
     console.faults(report.page.notices)
-    console.report("json" if as_json else "text", report, PICTURE)
+    console.report(report_format, report, PICTURE)

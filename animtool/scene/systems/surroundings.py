@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, refuse
@@ -213,8 +213,8 @@ class Surroundings:
                 )
                 continue
             surface = system_run.surface()
-            values = {"radius": surface.radius, "closed": surface.closed}
-            values |= {"motion": surface, "name": surface_entry.system}
+            values: dict[str, Any] = {"motion": surface, "name": surface_entry.system}
+            values |= {"radius": surface.radius, "closed": surface.closed}
             sheets.append(record_of(Sheet, surface_entry, **values))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)
