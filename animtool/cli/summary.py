@@ -54,11 +54,9 @@ def channel_lines(errors: Sequence[ChannelError]) -> list[str]:
         if error.error > NEGLIGIBLE_ERROR
     ]
     summary_lines = [f"keys on {', '.join(counts)}"]
-    return (
-        [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
-        if error_texts
-        else summary_lines
-    )
+    if error_texts:
+        return [*summary_lines, f"largest errors of channels: {', '.join(error_texts)}"]
+    return summary_lines
 
 
 _PRINTERS: Mapping[str, Callable[..., Any]] = {
@@ -161,11 +159,9 @@ def _curve_error_text(curves: Sequence[CurveReport]) -> str:
 
 
 def _precision_text(take: TakeReport) -> str:
-    return (
-        "float32 and half scales"
-        if take.written.rounding.has_rounded_scales
-        else "float32"
-    )
+    if take.written.rounding.has_rounded_scales:
+        return "float32 and half scales"
+    return "float32"
 
 
 def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
@@ -204,11 +200,9 @@ def _point_count_text(mesh: MeshReport) -> str:
 
 def _worst_point(cached_mesh: Any) -> str:
     point = cached_mesh.error_vertex
-    return (
-        f"body {excerpt(cached_mesh.names[point])}"
-        if cached_mesh.names
-        else f"vertex {point}"
-    )
+    if cached_mesh.names:
+        return f"body {excerpt(cached_mesh.names[point])}"
+    return f"vertex {point}"
 
 
 def _kept_text(characters: Any) -> str:

@@ -229,11 +229,9 @@ def _indices(names: list[str], other_names: list[str]) -> IntArray:
 def _gather_or_rest(
     channel: Channel | None, indices: IntArray, rest_values: FloatArray
 ) -> Channel | None:
-    return (
-        None
-        if channel is None or not len(indices)
-        else _gather_entries(channel, indices, rest_values)
-    )
+    if channel is None or not len(indices):
+        return None
+    return _gather_entries(channel, indices, rest_values)
 
 
 def _gather_entries(
