@@ -179,7 +179,8 @@ class _ClusterRun:
                 yield from self._reclaim_lost_items(self._addresses())
                 last_count_time = time.monotonic()
             has_more = self._send()
-            yield from self._pop_faults()
+            yield from self.pending_warnings
+            self.pending_warnings.clear()
             if has_more and not self.undelivered:
                 self._refuse_unfit()
             if not (
@@ -193,10 +194,6 @@ class _ClusterRun:
                 if future in self.sent:
                     yield from self._handle_answer(self.sent.pop(future), value)
             yield from self._delivered_outcomes()
-
-    def _pop_faults(self) -> Iterator[Fault]:
-        while self.pending_warnings:
-            yield self.pending_warnings.pop(0)
 
     def _addresses(self) -> Mapping[str, int]:
         """Return the number of threads of each current worker, by address."""

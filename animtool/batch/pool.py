@@ -220,7 +220,11 @@ class _Pool:
 
     def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
-        is_retired = outcome.retired or self._leaks_memory(worker)
+        # A process that uses more than half of the limit likely leaks memory.
+        limit = self.limits.memory
+        is_retired = outcome.retired or (
+            limit is not None and _used_bytes(worker.process) > limit / 2
+        )
         # The failure may be the last allowed one, which is known only after reporting
         # it.
         if self.queue_next and outcome.status is ItemStatus.DONE and not is_retired:
@@ -265,11 +269,6 @@ class _Pool:
         if worker.item is not None:
             folders = [folder.resolve() for folder in worker.item.folders]
             remove_leftovers(folders, worker.process.pid)
-
-    def _leaks_memory(self, worker: _Worker) -> bool:
-        """Return whether a worker uses more than half of the memory limit."""
-        limit = self.limits.memory
-        return limit is not None and _used_bytes(worker.process) > limit / 2
 
     def _time_left(self) -> float | None:
         """Return the time until the next limit must be checked [s]."""

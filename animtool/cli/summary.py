@@ -135,10 +135,6 @@ _MESHES = Each(
 _PROPS = "  beside: {props:list}]"
 
 
-def _speed_text(report: BakeReport) -> str:
-    return size_text(report.source_bytes / report.seconds["total"])
-
-
 def _file_names_text(files: Sequence[Path]) -> str:
     """Format the files of an output: all, or the main file and a count."""
     if len(files) <= MAX_FILES:
@@ -252,7 +248,7 @@ BAKE_TEMPLATE = Template(
         "points": _point_count_text,
         "worst_point": _worst_point,
         "kept": _kept_text,
-        "speed": _speed_text,
+        "speed": lambda bake: size_text(bake.source_bytes / bake.seconds["total"]),
         "rounded": _precision_text,
         "beyond": _beyond_limits_text,
         "posed": lambda take: [take] if take.posed else [],
