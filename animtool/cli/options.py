@@ -175,6 +175,13 @@ DISTANCE = ParsedType("length", _parse_distance)
 TOLERANCE = ParsedType("tolerance", _parse_tolerance)
 
 
+def output_option(
+    help_text: str, *, kind: click.Path = INPUT, **settings: Any
+) -> Callable[[Command], Command]:
+    """Return a decorator that adds ``-o``; ``settings`` are those of `click.option`."""
+    return click.option("-o", "--output", type=kind, help=help_text, **settings)
+
+
 def _console_callback(name: str, value: Any) -> Callable[..., None]:
     def apply(ctx: click.Context, _: click.Parameter, option_value: Any) -> None:
         console = ctx.find_object(Console)

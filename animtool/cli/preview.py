@@ -14,6 +14,7 @@ from animtool.cli.options import (
     bake_option,
     common_options,
     format_option,
+    output_option,
     read_values,
     record_option,
     set_option,
@@ -42,13 +43,10 @@ Examples:
   animtool preview hero.rig.yaml -o hero.webm --turntable"""
 )
 @click.argument("files", nargs=-1, required=True, type=INPUT)
-@click.option(
-    "-o",
-    "--output",
-    type=INPUT,
-    metavar="FILE",
-    help="Write the page (.html), or a picture or film of it (.png, .gif, .webp, "
+@output_option(
+    "Write the page (.html), or a picture or film of it (.png, .gif, .webp, "
     ".mp4, .webm).  [default: a temporary page, which is opened]",
+    metavar="FILE",
 )
 @record_option(ShowOptions)
 @record_option(PreviewOptions, "frame_range", "findings")
