@@ -143,8 +143,8 @@ def test_phases_take_half_of_what_is_left() -> None:
     assert told == [0.5, 1.0]
     phases = ProgressPhases(told.append)
     told.clear()
-    for begin in (phases.phase, phases.phase, phases.last):
-        begin()(1.0)
+    for is_last in (False, False, True):
+        phases.phase(is_last=is_last)(1.0)
     assert told == [0.5, 0.75, 1.0]
 
 
