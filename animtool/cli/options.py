@@ -108,8 +108,10 @@ class Count(click.IntRange):
             return super().convert(value, param, ctx)
         except click.BadParameter:
             range_end = f" to {self.max}" if self.max is not None else " up"
-            rule = f"{value!r} is not a whole number from {self.min}{range_end}."
-            self.fail(rule, param, ctx)
+            rule = f"{value!r} is not a whole number from {self.min}{range_end}"
+            if param is not None and param.metavar == "FRAMES":
+                rule += "; it counts frames, not seconds"
+            self.fail(f"{rule}.", param, ctx)
 
 
 def _parse_integer(text: str) -> int:

@@ -385,10 +385,8 @@ class _LayerPlan:
             motion = align_signs(operation(block, other_motion, strength), previous)
             displaced.add(times, block, motion)
             yield motion
-            frame_count, previous = (
-                frame_count + block.frames,
-                motion.rotations.values[-1],
-            )
+            frame_count += block.frames
+            previous = motion.rotations.values[-1]
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
         stream.notices.extend(displaced.warnings())

@@ -442,10 +442,8 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
 
 def _unchanged_controls(source_take: Take, result_take: Take) -> set[str]:
     """Return the controls with equal values in every frame."""
-    before_controls, after_controls = (
-        source_take.motion.controls,
-        result_take.motion.controls,
-    )
+    before_controls = source_take.motion.controls
+    after_controls = result_take.motion.controls
     has_same_controls = (
         source_take.clock == result_take.clock
         and source_take.rig.controls == result_take.rig.controls

@@ -184,10 +184,8 @@ def _range_in_stage(
     """Return the first and last frame of a take within its stage's range, if any."""
     if stage_range is None or timed.shift:
         return timed.first_frame, timed.last
-    first, last = (
-        max(timed.first_frame, stage_range[0]),
-        min(timed.last, stage_range[1]),
-    )
+    first = max(timed.first_frame, stage_range[0])
+    last = min(timed.last, stage_range[1])
     return (first, last) if first <= last else (timed.first_frame, timed.last)
 
 

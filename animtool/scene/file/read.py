@@ -404,7 +404,10 @@ class _PassReader:
         converted_values = self.units.convert_pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            document.add(fault.code, (*location, *key), fault.message, fault.hint)
+            at_key = fault.code == "SCN001"
+            document.add(
+                fault.code, (*location, *key), fault.message, fault.hint, at_key=at_key
+            )
         if options is None:
             return None
         options, files = self._with_colliders(location, options)

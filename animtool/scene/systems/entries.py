@@ -71,7 +71,10 @@ class EntryReader:
     def note(self, location: Location, fault: Fault) -> None:
         """Record a fault at a location."""
         self.sound = False
-        self.document.add(fault.code, location, fault.message, fault.hint)
+        at_key = fault.code == "SCN001"
+        self.document.add(
+            fault.code, location, fault.message, fault.hint, at_key=at_key
+        )
 
     def note_all(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
