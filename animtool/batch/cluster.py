@@ -39,7 +39,7 @@ from animtool.batch.cluster_worker import (
 from animtool.batch.delivery import Delivery
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
-from animtool.batch.work import ItemOutcome, ItemStatus
+from animtool.batch.work import RESUME, ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import FileState, changed_error
@@ -55,7 +55,6 @@ MAX_WORKERLESS_SECONDS = 300.0
 MAX_DELIVERY_SECONDS = 90.0
 # Number of times that an item is sent again after its worker was lost.
 MAX_LOSSES = 3
-RESUME = "finished items are recorded; run the same command again to resume"
 
 
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:

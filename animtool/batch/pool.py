@@ -24,6 +24,7 @@ from animtool.batch.item import Item, ItemTask
 from animtool.batch.spec import Limits, bytes_text
 from animtool.batch.work import (
     READY,
+    RESUME,
     FileBeingRead,
     ItemBuilder,
     ItemOutcome,
@@ -64,10 +65,9 @@ MAX_START = 900.0
 MAX_FAILED_STARTS = 3
 JOIN_TIMEOUT = 5.0
 # Hints by exit code of a process.
-_RESUME = "finished items are recorded; run the same command again to resume"
 _HINTS = {
-    -9: f"lower {argument('jobs')}, or allow more memory or time; {_RESUME}",
-    -6: f"the system may be out of memory: lower {argument('jobs')}; {_RESUME}",
+    -9: f"lower {argument('jobs')}, or allow more memory or time; {RESUME}",
+    -6: f"the system may be out of memory: lower {argument('jobs')}; {RESUME}",
 }
 
 
@@ -204,7 +204,7 @@ class _Pool:
             message = f"the process that built it {_exit_text(worker.process)}"
             hint = _HINTS.get(code)
             if self.limits.memory is not None:
-                hint = hint and f"raise {argument('memory_limit')}; {_RESUME}"
+                hint = hint and f"raise {argument('memory_limit')}; {RESUME}"
             yield self._fail_item(worker, Fault("BAT020", message, hint=hint))
 
     def _failed_to_start(self, worker: _Worker) -> None:

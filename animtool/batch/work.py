@@ -30,6 +30,9 @@ from animtool.motion.scores import PassScores
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
+# Hint of errors that end a run.
+RESUME = "finished items are recorded; run the same command again to resume"
+
 
 class ItemStatus(StrEnum):
     """Status of an item after a run."""
