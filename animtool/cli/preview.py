@@ -66,7 +66,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     takes are compared. The page is one file that needs no network. A scene is baked
     first. Pictures need the extra `pictures`, but no graphics card.
     """
-    from animtool.cli import preview_page, preview_picture
+    from animtool.cli import preview_page
     from animtool.preview.pictures.kinds import picture_kind
 
     output, report_format = params["output"], params["report_format"]
@@ -93,7 +93,7 @@ def preview(console: Console, /, files: tuple[Path, ...], **params: Any) -> None
     elif show_options.watch:
         preview_page.serve_preview(console, files, options, show_options)
     elif output is not None and is_picture:
-        preview_picture.write_picture(
+        preview_page.write_picture(
             console,
             files,
             output,

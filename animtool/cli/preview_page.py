@@ -1,4 +1,4 @@
-"""Writes, serves or describes preview pages."""
+"""Writes, serves or describes preview pages, and writes preview pictures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from animtool.cli.console import Console
 from animtool.cli.summary import PLAN
 from animtool.core.files.output import check_outputs
 from animtool.preview.build import PreviewPage, check_page_output, make_page, write_page
-from animtool.preview.options import PreviewOptions, ShowOptions
+from animtool.preview.options import PictureOptions, PreviewOptions, ShowOptions
+from animtool.preview.pictures.build import write_pictures
 from animtool.preview.pictures.kinds import picture_kind
 from animtool.preview.plan import page_steps
 from animtool.preview.serve import PageServer, WatchedPage, rebuild_on_changes
@@ -51,6 +52,15 @@ PAGE = Template(
         "{path}: {size:size}",
     ),
 )
+PICTURE = Template(
+    "animtool.preview.pictures.build:PictureReport",
+    (
+        Each("page.manifest.notices", ("  {self}",)),
+        "{path}: {frames:n frame}[{?rate} at {rate:g} a second"
+        "[, every {every}. of the motion]], {width}x{height} pixels, {about}, "
+        "{size:size}",
+    ),
+)
 
 
 def write_preview(
@@ -79,6 +89,25 @@ def write_preview(
         opens_browser = False
     if output is None and not opens_browser and report_format != "json":
         console.result(str(target))
+
+
+def write_picture(
+    console: Console,
+    files: tuple[Path, ...],
+    output: Path,
+    options: PreviewOptions,
+    pictures: PictureOptions,
+    report_format: str,
+    *,
+    overwrite: bool,
+) -> None:
+    """Write a still picture, a contact sheet or a film."""
+    with console.progress(f"preview {files[0].name}") as progress:
+        report = write_pictures(
+            files, output, options, pictures, overwrite=overwrite, progress=progress
+        )
+    console.faults(report.page.notices)
+    console.report(report_format, report, PICTURE)
 
 
 def serve_preview(
