@@ -7,6 +7,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
+from animtool.ik.goals import PARTS
 from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
@@ -98,6 +99,28 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
                 f"{_point_text(positions[joint])}"
             )
     return None
+
+
+def pole_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
+    """Return a hint if a missed target is in reach, so that its pole is in the way.
+
+    Args:
+        solved_take: The solved take.
+        goal_index: A goal whose position is missed.
+        frame: Time code of a miss.
+    """
+    track = solved_take.tracks.goals[goal_index]
+    row = int(np.abs(solved_take.take.clock.times - frame).argmin())
+    is_active = solved_take.active[row, goal_index]
+    if not is_active[PARTS.index("pole")]:
+        return None
+    target = _limb_target(solved_take, goal_index, frame)
+    if target is not None and np.linalg.norm(target[0] - target[1]) > target[2]:
+        return None
+    return (
+        f"the target is in reach of {track.name!r}, but not with its pole: move the "
+        "pole to the side on which the limb bends, or write weight: {pole: 0}"
+    )
 
 
 def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
