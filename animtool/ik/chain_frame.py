@@ -17,7 +17,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, Targets, TargetValue, targets_of_frames
+from animtool.ik.goals import KINDS, Goal, Targets, targets_of_frames
 from animtool.ik.problem import build
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -55,7 +55,7 @@ class SolveSpan:
         values_by_kind = {}
         for kind in KINDS:
             values = np.asarray(getattr(span_targets, kind.targets_field))
-            if kind.value_type is TargetValue.ROTATION:
+            if kind.is_rotation:
                 values_by_kind[kind.targets_field] = so3.multiply(rotation, values)
             else:
                 offsets = so3.rotate(rotation, values - self.carrier_positions)

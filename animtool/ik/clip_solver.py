@@ -99,13 +99,9 @@ def follow(
     if options.smooth > 0:
         source_motion = start if clip.is_motion else None
         result = smooth(
-            result,
-            targets,
-            options.smooth,
-            fps=options.fps,
-            start=source_motion,
-            options=options.solving,
-        )
+            result, targets, options.smooth,
+            fps=options.fps, start=source_motion, options=options.solving,
+        )  # fmt: skip
     return replace(result, jumps=find_clip_jumps(result, targets, start, options.fps))
 
 
@@ -170,12 +166,11 @@ def _is_avoidable(clip: ClipPath, poses: FloatArray, frame: int) -> bool:
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     frame_pairs, costs = find_branches(interval, options.branches, options.solving.seed)
+    frame_pairs = frame_pairs[(costs <= interval.costs + EQUAL_COST).all(axis=1)]
     current_ratio = clip.max_jump_ratio(poses[window], window.start)
     return any(
         clip.max_jump_ratio(frame_pair, window.start) < MIN_REDUCTION * current_ratio
-        for frame_pair in frame_pairs[
-            (costs <= interval.costs + EQUAL_COST).all(axis=1)
-        ]
+        for frame_pair in frame_pairs
     )
 
 
@@ -211,27 +206,22 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     interval = clip.interval(poses, all_frames, int(frames[0]))
     costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
     clip.least_costs = np.minimum(interval.costs, costs)
-    equalized_costs = equalize_near_misses(
-        np.stack([interval.costs, costs]), clip.slack
-    )
-    improvements = np.where(
-        equalized_costs[0] > equalized_costs[1], interval.costs - costs, 0.0
-    )
+    all_costs = np.stack([interval.costs, costs])
+    current, independent = equalize_near_misses(all_costs, clip.slack)
+    improvements = np.where(current > independent, interval.costs - costs, 0.0)
     if not improvements.any():
         return result
-    paths = [poses[None], independent_poses[None]]
-    all_costs = [interval.costs[None], costs[None]]
+    paths, path_costs = [poses[None], independent_poses[None]], [all_costs]
     for row in np.argsort(-improvements, kind="stable")[:MAX_SEARCHES]:
         if improvements[row] > 0:
             tracks, cost = track_both_directions(
                 interval, independent_poses[row : row + 1], int(row)
             )
             paths.append(tracks)
-            all_costs.append(cost)
-    candidates = np.concatenate(paths), np.concatenate(all_costs)
-    return clip.with_window(
-        result, all_frames, clip.best_route(interval, *candidates, free_start=True)
-    )
+            path_costs.append(cost)
+    candidates = np.concatenate(paths), np.concatenate(path_costs)
+    route = clip.best_route(interval, *candidates, free_start=True)
+    return clip.with_window(result, all_frames, route)
 
 
 def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult:
@@ -270,9 +260,8 @@ def _best_window_path(
     interval = clip.interval(poses[window], window, frame)
     options = clip.options
     paths, costs = find_branches(interval, options.branches, options.solving.seed)
-    fixed_end = (clip.is_motion or _has_small_solution_set(clip)) and window.stop < len(
-        clip
-    )
+    is_inside = window.stop < len(clip)
+    fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
     return _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
 
 
@@ -290,9 +279,8 @@ def _best_even_path(
     """
     window = slice(interval.frames.start, interval.frames.stop)
     path = clip.frame_path.select_frames(window)
-    best_even_path = path.even_speed(
-        clip.best_route(interval, paths, costs, fixed_end=fixed_end)
-    )[0]
+    route = clip.best_route(interval, paths, costs, fixed_end=fixed_end)
+    best_even_path = path.even_speed(route)[0]
     smallest_ratio = clip.max_jump_ratio(best_even_path, window.start)
     if window.start > 0 or smallest_ratio <= 1:
         return best_even_path
@@ -300,12 +288,8 @@ def _best_even_path(
         interval, paths, costs, fixed_end=fixed_end, free_start=True
     )
     free_route = path.even_speed(free_route, free_start=True)[0]
-    return (
-        free_route
-        if clip.max_jump_ratio(free_route, window.start)
-        < MIN_REDUCTION * smallest_ratio
-        else best_even_path
-    )
+    ratio = clip.max_jump_ratio(free_route, window.start)
+    return free_route if ratio < MIN_REDUCTION * smallest_ratio else best_even_path
 
 
 def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
@@ -347,9 +331,8 @@ def _even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
     for frame in clip.find_jumping_frames(poses).tolist():
         for seconds in (FIRST_INTERVAL, 2 * FIRST_INTERVAL, 4 * FIRST_INTERVAL):
             half_width = max(round(seconds * clip.options.fps), 2)
-            window = slice(
-                max(frame - half_width, 0), min(frame + half_width, len(clip))
-            )
+            end = min(frame + half_width, len(clip))
+            window = slice(max(frame - half_width, 0), end)
             path = clip.frame_path.select_frames(window)
             smallest_ratio = clip.max_jump_ratio(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.

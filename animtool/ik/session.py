@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
@@ -16,7 +16,13 @@ from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, rest_pose
 from animtool.ik.result import IkResult
 from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
-from animtool.ik.solving import check_options, pose_rows, result_of_kernel, solve
+from animtool.ik.solving import (
+    option_faults,
+    pose_rows,
+    raise_faults,
+    result_of_kernel,
+    solve,
+)
 
 if TYPE_CHECKING:
     from animtool import _kernels
@@ -87,7 +93,7 @@ class Session:
         """Store the rig, goals and options that all calls share."""
         self.rig = rig
         self.options = options or IkOptions()
-        check_options(self.options)
+        raise_faults(option_faults(self.options))
         self._joints = None if joints is None else tuple(joints)
         self._pose, self._rest_weight = pose, rest_weight
         self._goals = _goals_by_name(rig, goals, self._joints or ())
@@ -123,13 +129,8 @@ class Session:
         values_by_goal = named if targets is None else {**targets, **named}
         packed, values = self._fill_buffer(values_by_goal)
         if self.options.near or self.rig.is_driven:
-            return solve(
-                packed.problem,
-                start,
-                _targets_of_buffer(values),
-                self.options,
-                prefer=prefer,
-            )
+            buffered = _targets_of_buffer(values)
+            return solve(packed.problem, start, buffered, self.options, prefer=prefer)
         problem = packed.problem
         rows = packed.rest if start is None else np.asarray(start, np.float64)[None]
         preferred = None if prefer is None else np.asarray(prefer, np.float64)[None]
@@ -187,7 +188,10 @@ class Session:
         values: list[Any] = []
         for name, value in values_by_goal.items():
             if name not in self._goals:
-                raise self._unknown_goal_error(name)
+                suggestion = most_similar(name, self._goals)
+                hint = f"did you mean {suggestion}?" if suggestion else None
+                message = f"the session has no goal {excerpt(name)}"
+                refuse("TGT001", message, hint=hint)
             goal_parts, kind_mask = _target_parts(name, self._goals[name], value)
             requested.append((name, kind_mask))
             values += goal_parts
@@ -203,18 +207,12 @@ class Session:
             raise _shape_error(values_by_goal) from error
         return packed, packed.targets
 
-    def _unknown_goal_error(self, name: str) -> OptionError:
-        """Return the error of a goal that the session does not have."""
-        suggestions = most_similar(name, self._goals)
-        hint = f"did you mean {suggestions}?" if suggestions else None
-        message = f"the session has no goal {excerpt(name)}"
-        return OptionError(Fault("TGT001", message, hint=hint))
-
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
         goals = [
-            _goal_of_call(self._goals[name], name, kind_mask)
-            for name, kind_mask in requested
+            self._goals[name]
+            or Goal(name, position=float(mask[0]), orientation=float(mask[1]))
+            for name, mask in requested
         ]
         problem = build(
             self.rig,
@@ -279,13 +277,6 @@ def _target_parts(
     return [part for part in value if part is not None], kind_mask
 
 
-def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
-    """Return the session's goal, or one with the kinds of a call's targets."""
-    if goal is not None:
-        return goal
-    return Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))
-
-
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
     """Return the error that the shapes of targets do not match the goals."""
     message = f"targets of {', '.join(values_by_goal)} are not what their goals ask for"
@@ -297,9 +288,6 @@ def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:
 def _targets_of_buffer(values: FloatArray) -> Targets:
     """Return targets from a packed buffer."""
     return Targets(
-        **{
-            kind.targets_field: values[:, :, TARGET_COLUMNS[kind.name]]
-            for kind in KINDS
-        },
+        **{k.targets_field: values[:, :, TARGET_COLUMNS[k.name]] for k in KINDS},
         weights=values[:, :, WEIGHT_COLUMNS],
     )

@@ -19,7 +19,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
-from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 # Bones shorter than this fraction of the skeleton have zero length.
@@ -56,9 +56,7 @@ class SkeletonTree:
         cls, rig: Rig, votes: Sequence[dict[str, float]], kinds: Sequence[str]
     ) -> SkeletonTree:
         """Return the tree of a skeleton at rest."""
-        rest_transforms = forward_kinematics(
-            rig, rig.rest_translations[None], rig.rest_rotations[None]
-        )
+        rest_transforms = rest_world(rig)
         tips = np.zeros((len(rig.joints), 3))
         for j, joint in enumerate(rig.joints):
             if joint.tips:

@@ -19,7 +19,7 @@ from animtool.rig.joints import (
     coordinate_slices,
     local_from_coordinates,
 )
-from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import JointType, Rig
 
 # Minimum number of markers that determine a rotation.
@@ -86,9 +86,7 @@ class MarkerProblem:
             np.where(visible[:, :, None], positions, 0.0),
             visible * joint_weights * self.template.weights,
         )
-        rest_pose = forward_kinematics(
-            rig, rig.rest_translations[None], rig.rest_rotations[None]
-        )
+        rest_pose = rest_world(rig)
         rest_position = rest_pose.positions[0, root]
         rest_rotation = rest_pose.rotations[0, root]
         # world = T(rest) R(rest) motion: the remaining rotation.
