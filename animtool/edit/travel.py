@@ -131,9 +131,9 @@ class FramePositions:
         spline_values = b + t / 2 * (
             c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
         )
-        values_at_frames[is_between] = (
-            so3.normalize(spline_values) if is_rotation else spline_values
-        )
+        if is_rotation:
+            spline_values = so3.normalize(spline_values)
+        values_at_frames[is_between] = spline_values
         return Channel(channel.rest, channel.animated, values_at_frames)
 
 
@@ -158,9 +158,8 @@ def even_positions(
         fractions = remainders / float(scale)
     else:
         quotients = [divmod((int(i) + shift) * ratio, 1) for i in index]
-        frames = np.array(
-            [min(max(frame, -1), count) for frame, _ in quotients], np.int64
-        )
+        bounded_frames = [min(max(frame, -1), count) for frame, _ in quotients]
+        frames = np.array(bounded_frames, np.int64)
         fractions = np.array([float(remainders) for _, remainders in quotients])
     return _clamp_positions(frames, fractions, count)
 
@@ -175,11 +174,8 @@ def nearby_positions(positions: ArrayLike, count: int) -> FramePositions:
     """
     clamped_positions = np.clip(np.asarray(positions, np.float64), 0, count - 1)
     nearest = np.round(clamped_positions)
-    clamped_positions = np.where(
-        np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE,
-        nearest,
-        clamped_positions,
-    )
+    is_on_frame = np.abs(clamped_positions - nearest) <= FRAME_TOLERANCE
+    clamped_positions = np.where(is_on_frame, nearest, clamped_positions)
     frames = np.floor(clamped_positions).astype(np.int64)
     return _clamp_positions(frames, clamped_positions - frames, count)
 
@@ -204,9 +200,8 @@ def _clamp_positions(
 ) -> FramePositions:
     """Return positions clamped to the first and last frame."""
     is_outside = (frames < 0) | (frames >= count - 1)
-    return FramePositions(
-        np.clip(frames, 0, count - 1), np.where(is_outside, 0.0, fractions)
-    )
+    fractions = np.where(is_outside, 0.0, fractions)
+    return FramePositions(np.clip(frames, 0, count - 1), fractions)
 
 
 # A joint that moves by less than this fraction of the rig's size, or rotates by less
@@ -236,9 +231,8 @@ def travelling_joint(
     below static joints only: the one with the most descendants, then the first. None if
     nothing travels.
     """
-    if not exclude_root and (
-        _is_translated(rig, motion, root) or _is_rotated(motion, root)
-    ):
+    is_moving = _is_translated(rig, motion, root) or _is_rotated(motion, root)
+    if is_moving and not exclude_root:
         return root
     moving_joints = _travelling_joints(rig, motion, root)
     return max(moving_joints, key=lambda j: (_subtree_size(rig, j), -j), default=None)
@@ -293,18 +287,14 @@ def _store_travel(
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
     frame = parent_frame(rig, ends, joint)
-    position, rotation, linear = (
-        part[0] for part in (frame.position, frame.rotation, frame.linear)
-    )
+    position, rotation, linear = frame.position[0], frame.rotation[0], frame.linear[0]
     if np.linalg.det(linear) == 0:
         return
-    travel.rotations[joint] = so3.multiply(
-        so3.multiply(so3.conjugate(rotation), world_rotation), rotation
-    )
+    local_rotation = so3.multiply(so3.conjugate(rotation), world_rotation)
+    travel.rotations[joint] = so3.multiply(local_rotation, rotation)
     shift = so3.rotate(world_rotation, position) + displacement - position
-    travel.linear[joint] = np.linalg.solve(
-        linear, so3.to_matrix(world_rotation) @ linear
-    )
+    rotated_linear = so3.to_matrix(world_rotation) @ linear
+    travel.linear[joint] = np.linalg.solve(linear, rotated_linear)
     travel.shifts[joint] = np.linalg.solve(linear, shift)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import field, replace
+from typing import Any
 
 import numpy as np
 
@@ -234,7 +235,7 @@ class ClipPath:
 
 def _concatenate(results: Sequence[IkResult]) -> IkResult:
     """Concatenate results along the frame axis."""
-    arrays = {
+    arrays: dict[str, Any] = {
         name: np.concatenate([getattr(result, name) for result in results])
         for name in PER_PROBLEM_ARRAYS
     }

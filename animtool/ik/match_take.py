@@ -84,11 +84,7 @@ def array_file_of(path: Path) -> Path:
 
 
 def match_take(
-    take: Take,
-    chains: Sequence[IkChain],
-    path: Path,
-    *,
-    reduce: float | None = None,
+    take: Take, chains: Sequence[IkChain], path: Path, *, reduce: float | None = None
 ) -> TargetTracks:
     """Return targets that reproduce the limbs of a take.
 
@@ -187,11 +183,7 @@ def _joints_off_rest(channel: Channel, rest: FloatArray, joints: set[int]) -> se
 
 
 def _track(
-    rig: Rig,
-    chain: IkChain,
-    index: int,
-    matched: Matched,
-    builder: _ValueBuilder,
+    rig: Rig, chain: IkChain, index: int, matched: Matched, builder: _ValueBuilder
 ) -> GoalTrack:
     """Return the target track of a chain."""
     goal = matched.goals[index]

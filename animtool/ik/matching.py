@@ -174,7 +174,8 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
 
 def _part_along(directions: FloatArray, vectors: FloatArray) -> FloatArray:
     """Return the parts of vectors along unit directions, each ``(F, 3)``."""
-    return np.sum(vectors * directions, axis=1, keepdims=True) * directions
+    products = np.sum(vectors * directions, axis=1, keepdims=True)
+    return np.asarray(products * directions)
 
 
 def _normalize(vectors: FloatArray, min_length: float) -> tuple[FloatArray, BoolArray]:

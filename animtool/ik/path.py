@@ -12,13 +12,7 @@ from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.ik.chain import REVOLUTION_EXCESS, difference, unwrap_angles
-from animtool.ik.goals import (
-    KINDS,
-    TARGET_COLUMNS,
-    WEIGHT_COLUMNS,
-    Targets,
-    by_unit,
-)
+from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Targets, by_unit
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import SoftReach, extend_softly
 from animtool.ik.options import IkOptions

@@ -147,10 +147,7 @@ def build(
 
 
 def _faults(
-    rig: Rig,
-    goals: Sequence[Goal],
-    joints: Collection[str] | None,
-    rest_weight: float,
+    rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None, rest_weight: float
 ) -> list[Fault]:
     """Return the faults of goals and options, before any geometry."""
     faults = [] if goals else [Fault("IK006", "the problem has no goals")]

@@ -148,11 +148,7 @@ class IkResult:
             local[:, list(limb.joints)] *= self.stretches[:, limb.goal, None, None]
         return local
 
-    def take(
-        self,
-        fps: FractionLike = 24,
-        start: Fraction | int = 1,
-    ) -> Take:
+    def take(self, fps: FractionLike = 24, start: Fraction | int = 1) -> Take:
         """Return the poses as a take of B consecutive frames.
 
         Args:

@@ -43,8 +43,7 @@ from animtool.rig.skeleton import Rig
 _LIMB_ROLES = {"arm": ARM_ROLES, "leg": LEG_ROLES}
 _LIMB_SHAPES = {
     f"{name}_{side}": LimbShape(
-        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))),
-        *lengths,
+        (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))), *lengths
     )
     for side in SIDES
     for name, roles, lengths in (

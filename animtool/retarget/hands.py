@@ -10,11 +10,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.maths.runs import runs
-from animtool.motion.contacts import (
-    find_contacts,
-    gaussian_smooth,
-    remove_short_runs,
-)
+from animtool.motion.contacts import find_contacts, gaussian_smooth, remove_short_runs
 from animtool.retarget.feet import fill_between
 from animtool.retarget.legs import limb_rotations, up_index
 from animtool.retarget.props import PropMotion

@@ -214,11 +214,7 @@ class Retargeting:
         self.moving_joints.update(np.flatnonzero(is_moving).tolist())
 
     def _plant_feet(
-        self,
-        legs: str,
-        tracks: Sequence[LegTracks],
-        feet: Sequence[Foot],
-        fps: float,
+        self, legs: str, tracks: Sequence[LegTracks], feet: Sequence[Foot], fps: float
     ) -> PlacedFeet:
         """Return the planted feet; store hip positions and knee swivels that reach."""
         transfer = self.transfer
@@ -249,8 +245,9 @@ class Retargeting:
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
-        source_points = map(transfer.to_target_axes, (positions, balls))
-        return _PosedFrames(*source_points, posed, bones, relative, hips)
+        source_positions = transfer.to_target_axes(positions)
+        balls = transfer.to_target_axes(balls)
+        return _PosedFrames(source_positions, balls, posed, bones, relative, hips)
 
     @property
     def clamped(self) -> Mapping[int, float]:

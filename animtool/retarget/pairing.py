@@ -316,8 +316,9 @@ class _PairCollector:
             )
         ]
         if len(source_joints) > 1 or len(target_joints) > 1:
-            chain = map(tuple, (source_joints, target_joints, *positions))
-            self.chains.append(JointChain(role, *chain))
+            joints = tuple(source_joints), tuple(target_joints)
+            chain = JointChain(role, *joints, *map(tuple, positions))
+            self.chains.append(chain)
         for i, j in enumerate(target_joints):
             nearest = i
             if len(source_joints) != len(target_joints):

@@ -24,12 +24,7 @@ from animtool.retarget.verdict import Verdict, assess_take
 from animtool.rig.kinematics import WorldTransforms
 
 # Roles whose bones are compared, with the role at the end of each bone.
-BONE_ENDS = {
-    "upper_arm": "forearm",
-    "forearm": "hand",
-    "thigh": "shin",
-    "shin": "foot",
-}
+BONE_ENDS = {"upper_arm": "forearm", "forearm": "hand", "thigh": "shin", "shin": "foot"}
 
 
 ARM_ROLES = ("upper_arm", "forearm", "hand")
@@ -218,7 +213,9 @@ class FitMeter:
                         directions.append(points[:, end_joint] - points[:, start_joint])
                 if len(directions) < 2:
                     continue
-                cross_length = np.linalg.norm(np.cross(*directions), axis=1)
+                cross_length = np.linalg.norm(
+                    np.cross(directions[0], directions[1]), axis=1
+                )
                 cosine = (directions[0] * directions[1]).sum(axis=1)
                 angle = np.arctan2(cross_length, cosine)
                 rows: BoolArray | slice = slice(None)

@@ -292,7 +292,7 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
     cosine = float(trunk @ mean_drop) / (lengths[0] * lengths[1])
     if cosine >= _MAX_UPRIGHT_COSINE:
         return None
-    return trunk / lengths[0] - mean_drop / lengths[1]
+    return np.asarray(trunk / lengths[0] - mean_drop / lengths[1])
 
 
 def find_left_direction(

@@ -330,7 +330,9 @@ def _leg_ratio(
             (target.first(role), source.first(role))
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY_ROLES and role in target.roles
-        ] or [(j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0)]
+        ] or [
+            (j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0).tolist()
+        ]
         leg_lengths = [
             (float(path_lengths[0][j]), float(path_lengths[1][k]))
             for j, k in joint_pairs

@@ -256,10 +256,10 @@ class _CalibrationEntry:
     def _matrix_of_storage(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
-        has_size = isinstance(rows, int) and isinstance(columns, int)
-        if not (has_size and rows > 0 < columns and isinstance(data, list)):
+        if not (isinstance(rows, int) and isinstance(columns, int)):
             return None
-        if rows * columns != len(data):
+        is_full = rows > 0 < columns and isinstance(data, list)
+        if not is_full or rows * columns != len(data):
             return None
         return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 

@@ -9,13 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import (
-    AnimtoolError,
-    Fault,
-    FormatError,
-    OptionError,
-    listed,
-)
+from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
 from animtool.core.names import decimal_text, flow_list, nearest, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, location_text
