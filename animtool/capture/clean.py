@@ -115,7 +115,19 @@ class _JointCleaner:
                 lowpass_filter = lowpass_rotations if rotation else lowpass
                 filtered = lowpass_filter(signal, cutoff, self.rate)
                 if self.options.cutoff is not None:
-                    cleaned_signal = _with_change(cleaned_signal, signal, filtered)
+                    mean = signal.mean(axis=0)
+                    if cleaned_signal.rotation:
+                        deviation = so3.angle_between(signal, so3.normalize(mean))
+                        change = so3.angle_between(signal, filtered)
+                    else:
+                        deviation = np.linalg.norm(signal - mean, axis=-1)
+                        change = np.linalg.norm(signal - filtered, axis=-1)
+                    cleaned_signal = replace(
+                        cleaned_signal,
+                        motion=float(np.sqrt(np.mean(deviation**2))),
+                        change=float(np.sqrt(np.mean(change**2))),
+                        max_change=float(change.max()),
+                    )
                 signal = filtered
             values[:, i] = signal
             self.signals.append(cleaned_signal)
@@ -128,25 +140,6 @@ class _JointCleaner:
         if self.options.cutoff is not None:
             return self.options.cutoff
         return find_best_cutoff(signal, self.rate, rotation=rotation)
-
-
-def _with_change(
-    cleaned: CleanedSignal, signal: FloatArray, filtered: FloatArray
-) -> CleanedSignal:
-    """Return a cleaning result completed with the sizes of motion and change."""
-    mean = signal.mean(axis=0)
-    if cleaned.rotation:
-        deviation = so3.angle_between(signal, so3.normalize(mean))
-        change = so3.angle_between(signal, filtered)
-    else:
-        deviation = np.linalg.norm(signal - mean, axis=-1)
-        change = np.linalg.norm(signal - filtered, axis=-1)
-    return replace(
-        cleaned,
-        motion=float(np.sqrt(np.mean(deviation**2))),
-        change=float(np.sqrt(np.mean(change**2))),
-        max_change=float(change.max()),
-    )
 
 
 def is_above_nyquist(options: CleanOptions, rate: float) -> bool:

@@ -307,7 +307,11 @@ def _best_cycle(
             starts[lag], largest_extents[lag] = start_index, extents[start_index]
     if not np.isfinite(scores).any():
         return None
-    lag = _shortest_cycle(scores)
+    # The shortest cycle that is nearly as good as the best.
+    is_acceptable = scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET
+    shortest = int(np.argmax(is_acceptable))
+    nearby_scores = scores[shortest : math.floor(shortest * LENGTH_RANGE) + 1]
+    lag = shortest + int(np.argmin(nearby_scores))
     return int(starts[lag]), lag, float(largest_extents[lag])
 
 
@@ -327,14 +331,6 @@ def _first_minimum(values: FloatArray) -> tuple[float, int]:
     coarse = np.round(values, 3)
     index = int(np.argmin(coarse))
     return float(coarse[index]), index
-
-
-def _shortest_cycle(scores: FloatArray) -> int:
-    """Return the length of the shortest cycle that is nearly as good as the best."""
-    is_acceptable = scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET
-    shortest = int(np.argmax(is_acceptable))
-    nearby_scores = scores[shortest : math.floor(shortest * LENGTH_RANGE) + 1]
-    return shortest + int(np.argmin(nearby_scores))
 
 
 def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArray:

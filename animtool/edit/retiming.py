@@ -38,7 +38,6 @@ from animtool.motion.passes import (
     RETIMED_PARTS,
     FrameScope,
     LinearTime,
-    OptionChecks,
     Pass,
     PassContext,
     TakePart,
@@ -131,11 +130,6 @@ def _trim_hint(options: TrimOptions, start: Fraction, fps: Fraction) -> str | No
     return seconds_hint(stated_ends, start, fps)
 
 
-def _trim_checks(options: TrimOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"last": lambda: check_range(options.first, options.last)}
-
-
 def _trim_blocks(
     stream: TakeStream,
     first_index: int,
@@ -187,7 +181,7 @@ TRIM = Pass(
     TrimOptions,
     FrameScope.FRAME,
     _run_trim,
-    _trim_checks,
+    lambda options: {"last": lambda: check_range(options.first, options.last)},
     reads=frozenset({TakePart.CLOCK}),
     changes=frozenset({TakePart.CLOCK}),
 )
@@ -295,11 +289,6 @@ def _percentage_warnings(
     return [Fault("SCN117", message, hint=hint, severity=Severity.WARNING)]
 
 
-def _scale_checks(options: TimeScaleOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"speed": lambda: _check_speed(options.speed)}
-
-
 def _run_time_scale(
     take: Take, options: TimeScaleOptions, context: PassContext
 ) -> Take:
@@ -325,7 +314,7 @@ TIME_SCALE = Pass(
     TimeScaleOptions,
     FrameScope.CLIP,
     _run_time_scale,
-    _scale_checks,
+    lambda options: {"speed": lambda: _check_speed(options.speed)},
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
     linear_time=_linear_time,
@@ -416,18 +405,15 @@ def _run_time_warp(take: Take, options: TimeWarpOptions, context: PassContext) -
     return result
 
 
-def _warp_checks(options: TimeWarpOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"curve": lambda: options.curve and key_arrays(options.curve, "curve")}
-
-
 TIME_WARP = Pass(
     "time_warp",
     "Retime by a curve",
     TimeWarpOptions,
     FrameScope.CLIP,
     _run_time_warp,
-    _warp_checks,
+    lambda options: {
+        "curve": lambda: options.curve and key_arrays(options.curve, "curve")
+    },
     reads=RETIMED_PARTS,
     changes=RETIMED_PARTS,
 )

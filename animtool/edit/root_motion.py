@@ -29,7 +29,7 @@ from animtool.edit.tree import (
 from animtool.maths import so3
 from animtool.motion.keyed import parse_choice
 from animtool.motion.motion import Channel
-from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
@@ -140,11 +140,6 @@ def _check_axes(axes: str) -> None:
         raise _root_error(message, "write xz, for example")
 
 
-def _option_checks(options: RootMotionOptions) -> OptionChecks:
-    """Return the function that checks each option, by option name."""
-    return {"axes": lambda: _check_axes(options.axes)}
-
-
 def _root_error(message: str, hint: str) -> OptionError:
     """Return the error of a root joint that cannot be used (SCN020)."""
     return OptionError(Fault("SCN020", message, hint=hint))
@@ -237,7 +232,7 @@ PASS = Pass(
     RootMotionOptions,
     FrameScope.CLIP,
     _run,
-    _option_checks,
+    lambda options: {"axes": lambda: _check_axes(options.axes)},
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.RIG, TakePart.JOINTS}),
 )

@@ -251,26 +251,20 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
         np.tile(np.eye(3), (count, 1, 1)),
         np.zeros((count, 3)),
     )
-    end_frames = motion.select(np.array([0, -1]))
+    end_frames, up = motion.select(np.array([0, -1])), np.array(rig.up.vector)
     for root in rig.roots:
         main_joint = travelling_joint(rig, motion, root)
         if main_joint is None:
             continue
         joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
-        rotation, displacement = _ground_step(rig, end_frames, main_joint)
+        frame = joint_frame(rig, end_frames, main_joint)
+        change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
+        rotation = vertical_twist(change, up)
+        displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
+        displacement = displacement - (displacement @ up) * up
         for joint in joints:
             _store_travel(travel, joint, rig, end_frames, rotation, displacement)
     return travel
-
-
-def _ground_step(rig: Rig, ends: Motion, joint: int) -> tuple[FloatArray, FloatArray]:
-    """Return world rotation ``(4,)`` and displacement ``(3,)`` of the full cycle."""
-    up = np.array(rig.up.vector)
-    frame = joint_frame(rig, ends, joint)
-    change = so3.multiply(frame.rotation[1], so3.conjugate(frame.rotation[0]))
-    rotation = vertical_twist(change, up)
-    displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
-    return rotation, displacement - (displacement @ up) * up
 
 
 def _store_travel(

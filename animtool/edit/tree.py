@@ -313,7 +313,9 @@ def hang(
     rows, world = np.array([j]), take.world()
     _check_scales(take, world, j)
     rotation = world.rotations[:, j]
-    local_axis = _hanging_axis(take, j)
+    down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
+    rest_rotation = rest_world(take.rig).rotations[0, j]
+    local_axis = so3.rotate(so3.conjugate(rest_rotation), down_vector)
     if axis is not None:
         local_axis = np.asarray(axis, np.float64)
     if local_axis.any():
@@ -329,13 +331,6 @@ def hang(
         rotations=motion.rotations.put(rows, rotations[:, None]).compact(),
     )
     return replace(take, motion=motion)
-
-
-def _hanging_axis(take: Take, joint: int) -> FloatArray:
-    """Return the axis that points down at rest, in a joint's frame."""
-    down_vector = -np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[take.rig.up]]
-    rest_rotation = rest_world(take.rig).rotations[0, joint]
-    return np.asarray(so3.rotate(so3.conjugate(rest_rotation), down_vector))
 
 
 def _shortest_rotations(

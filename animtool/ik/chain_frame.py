@@ -120,11 +120,10 @@ def spans_of_take(
         name for name, values in controls.items() if (values != values[0]).any()
     ]
     count = len(coordinates)
-    spans = (
-        [slice(f, f + 1) for f in range(count)]
-        if moving_between or changing_controls
-        else [slice(0, count)]
-    )
+    if moving_between or changing_controls:
+        spans = [slice(f, f + 1) for f in range(count)]
+    else:
+        spans = [slice(0, count)]
     positions, rotations = _carrier_transforms(world, carriers)
     path_joint_list = sorted({j for path in paths for j in path})
     spans_of_frames = [

@@ -114,10 +114,10 @@ class ClipPath:
         frame_options = replace(
             self.options.solving, ordered=True, warm=not self.is_motion
         )
-        has_own_starts = self.is_motion or not len(starts)
+        is_per_frame = self.is_motion or not len(starts)
         return solve(
             self.problem,
-            starts[frames] if has_own_starts else starts[frames.start],
+            starts[frames] if is_per_frame else starts[frames.start],
             targets_of_frames(self.targets, frames),
             frame_options,
             prefer=self.prefer[frames],

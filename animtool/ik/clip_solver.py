@@ -229,20 +229,6 @@ def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult
     poses = clip.chain_poses(result)
     smallest_ratio = clip.max_jump_ratio(poses[frame - 1 : frame + 1], frame - 1)
     best_result: tuple[slice, FloatArray] | None = None
-    for first in _window_starts(clip, frame):
-        frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
-        window = slice(first, min(frame + frames_after + 1, len(clip)))
-        detour = _best_window_path(clip, poses, window, frame)
-        ratio = clip.max_jump_ratio(detour, first)
-        if ratio < MIN_REDUCTION * smallest_ratio:
-            smallest_ratio, best_result = ratio, (window, detour)
-        if smallest_ratio <= SMOOTH_ENOUGH:
-            break
-    return result if best_result is None else clip.with_window(result, *best_result)
-
-
-def _window_starts(clip: ClipPath, frame: int) -> list[int]:
-    """Return the first frames of the intervals to search, the shortest first."""
     starts: list[int] = []
     seconds_before = FIRST_INTERVAL
     while seconds_before <= clip.options.back and (not starts or starts[-1] > 0):
@@ -250,19 +236,21 @@ def _window_starts(clip: ClipPath, frame: int) -> list[int]:
         if start < frame and start not in starts:
             starts.append(start)
         seconds_before *= 2
-    return starts
-
-
-def _best_window_path(
-    clip: ClipPath, poses: FloatArray, window: slice, frame: int
-) -> FloatArray:
-    """Return the best path through a window, with its speed evened out."""
-    interval = clip.interval(poses[window], window, frame)
-    options = clip.options
-    paths, costs = find_branches(interval, options.branches, options.solving.seed)
-    is_inside = window.stop < len(clip)
-    fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
-    return _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+    for first in starts:
+        frames_after = min(frame - first, round(MAX_INTERVAL_AFTER * clip.options.fps))
+        window = slice(first, min(frame + frames_after + 1, len(clip)))
+        interval = clip.interval(poses[window], window, frame)
+        options = clip.options
+        paths, costs = find_branches(interval, options.branches, options.solving.seed)
+        is_inside = window.stop < len(clip)
+        fixed_end = is_inside and (clip.is_motion or _has_small_solution_set(clip))
+        detour = _best_even_path(clip, interval, paths, costs, fixed_end=fixed_end)
+        ratio = clip.max_jump_ratio(detour, first)
+        if ratio < MIN_REDUCTION * smallest_ratio:
+            smallest_ratio, best_result = ratio, (window, detour)
+        if smallest_ratio <= SMOOTH_ENOUGH:
+            break
+    return result if best_result is None else clip.with_window(result, *best_result)
 
 
 def _best_even_path(

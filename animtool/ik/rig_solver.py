@@ -77,24 +77,17 @@ def build_solver(problem: Problem, options: IkOptions) -> _kernels.RigSolver:
         **problem.solver_cache["arrays"],
         rest_weight=problem.rest_weight,
         closed=int(form),
-        **kernel_options(options),
+        length_tolerance=options.tolerance,
+        angle_tolerance=options.angle_tolerance,
+        damping=WARM_DAMPING if options.warm else COLD_DAMPING,
+        iterations=options.iterations,
+        restarts=options.restarts,
+        seed=options.seed,
+        seconds=options.seconds,
+        ordered=options.ordered,
+        warm=options.warm,
+        method=KERNEL_METHODS[options.method],
     )
-
-
-def kernel_options(options: IkOptions) -> dict[str, Any]:
-    """Return options as arguments of kernel solvers."""
-    return {
-        "length_tolerance": options.tolerance,
-        "angle_tolerance": options.angle_tolerance,
-        "damping": WARM_DAMPING if options.warm else COLD_DAMPING,
-        "iterations": options.iterations,
-        "restarts": options.restarts,
-        "seed": options.seed,
-        "seconds": options.seconds,
-        "ordered": options.ordered,
-        "warm": options.warm,
-        "method": KERNEL_METHODS[options.method],
-    }
 
 
 def _kernel_arrays(problem: Problem) -> dict[str, Any]:

@@ -213,10 +213,9 @@ class FitMeter:
                         directions.append(points[:, end_joint] - points[:, start_joint])
                 if len(directions) < 2:
                     continue
-                cross_length = np.linalg.norm(
-                    np.cross(directions[0], directions[1]), axis=1
-                )
-                cosine = (directions[0] * directions[1]).sum(axis=1)
+                a, b = directions
+                cross_length = np.linalg.norm(np.cross(a, b), axis=1)
+                cosine = (a * b).sum(axis=1)
                 angle = np.arctan2(cross_length, cosine)
                 rows: BoolArray | slice = slice(None)
                 if role in {"thigh", "shin"} and side in contact_frames.sides:

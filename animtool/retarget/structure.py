@@ -360,7 +360,15 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
-            score = _name_score(body, path, labels)
+            # How well names agree with roles; the first joint of a role counts most.
+            score, previous = 0.0, ""
+            for j, label in zip(path, labels, strict=True):
+                votes = body.votes[j]
+                if label in votes:
+                    score += (20.0 if label != previous else 12.0) * votes[label]
+                elif votes:
+                    score -= 12.0
+                previous = label
             score += _shape_score(distances, boundaries, limb)
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
@@ -370,21 +378,6 @@ def split_limb(
             if score > best_score:
                 best_labels, best_score = labels, score
     return best_labels + [""] * len(remaining_joints)
-
-
-def _name_score(
-    body: SkeletonTree, path: Sequence[int], labels: Sequence[str]
-) -> float:
-    """Score how well names agree with roles; the first joint of a role counts most."""
-    score, previous = 0.0, ""
-    for j, label in zip(path, labels, strict=True):
-        votes = body.votes[j]
-        if label in votes:
-            score += (20.0 if label != previous else 12.0) * votes[label]
-        elif votes:
-            score -= 12.0
-        previous = label
-    return score
 
 
 def _shape_score(

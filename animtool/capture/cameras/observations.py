@@ -117,11 +117,6 @@ def _solve_hint(path: Path) -> str:
     return f"they are triangulated already: animtool mocap solve {path}"
 
 
-def _positions_hint(message: str, path: Path) -> str:
-    """Return the hint for an npz without pixels, which may have positions."""
-    return _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
-
-
 def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
@@ -130,7 +125,8 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         return "the file is empty", "export or copy it again"
     if first_bytes[:2] == b"PK":
         is_damaged = message.startswith("is incomplete")
-        return message, None if is_damaged else _positions_hint(message, path)
+        hint = _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
+        return message, None if is_damaged else hint
     signature = signature_of(first_bytes)
     if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
         return f"is {signature.about}, not pixels of cameras", _solve_hint(path)

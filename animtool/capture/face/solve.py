@@ -214,11 +214,9 @@ class _Fit:
         self.deltas = np.ascontiguousarray(face.deltas)
         self.start_poses = self._initial_poses()
         # The image scale at the face's median distance [px/m].
-        self.pixels_per_unit = (
-            1.0
-            if camera is None
-            else float(camera[0] / np.median(self.start_poses[:, 6]))
-        )
+        self.pixels_per_unit = 1.0
+        if camera is not None:
+            self.pixels_per_unit = float(camera[0] / np.median(self.start_poses[:, 6]))
         self.noise = self._measure_noise()
         speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2

@@ -63,7 +63,18 @@ class PointNaming:
         chain_evidence = pair_weights * chain_likelihoods(moving, overlap)
         for name in range(markers):
             self.pair_scores[:, :, name, name] += chain_evidence.astype(np.float32)
-        self.rigid_pairs = _rigid_pairs(moving, overlap_fraction)
+        # Pairs of points that stay rigid, few for each point.
+        is_known = (overlap_fraction > 0) & np.isfinite(moving.spread)
+        spread = np.where(is_known, moving.spread, np.inf)
+        partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
+        pairs = {
+            (min(point, other), max(point, other))
+            for point, others in enumerate(partners.tolist())
+            for other in others
+            if spread[point, other] < RIGID_SPREAD
+        }
+        pair_array = np.array(sorted(pairs), np.int64).reshape(-1, 2)
+        self.rigid_pairs = pair_array[:, 0], pair_array[:, 1]
         self.exchanges = find_exchanges(rest_distances)
         self.names_of = np.full(count, -1)
         self.scores = np.zeros((count, markers))
@@ -180,11 +191,10 @@ class PointNaming:
                 current_score = float(self.scores[point, current])
             score = np.where(blocked_counts > 0, -np.inf, self.scores[point])
             candidate = int(score.argmax())
-            min_score = (
-                current_score + MIN_GAIN
-                if current >= 0
-                else MIN_EVIDENCE * self.visible_fraction[point]
-            )
+            if current >= 0:
+                min_score = current_score + MIN_GAIN
+            else:
+                min_score = MIN_EVIDENCE * self.visible_fraction[point]
             if candidate != current and score[candidate] > min_score:
                 self.assign(point, candidate)
                 has_changed = True
@@ -362,23 +372,6 @@ def compute_pair_evidence(
         pair_scores[point, later_points] = table
         pair_scores[later_points, point] = table.transpose(0, 2, 1)
     return np.asarray(pair_scores)
-
-
-def _rigid_pairs(
-    moving: MarkerDistances, overlap: FloatArray
-) -> tuple[IntArray, IntArray]:
-    """Return the pairs of points that stay rigid, few for each point."""
-    is_known = (overlap > 0) & np.isfinite(moving.spread)
-    spread = np.where(is_known, moving.spread, np.inf)
-    partners = np.argsort(spread, axis=1, kind="stable")[:, :PARTNERS]
-    pairs = {
-        (min(point, other), max(point, other))
-        for point, others in enumerate(partners.tolist())
-        for other in others
-        if spread[point, other] < RIGID_SPREAD
-    }
-    pair_array = np.array(sorted(pairs), np.int64).reshape(-1, 2)
-    return pair_array[:, 0], pair_array[:, 1]
 
 
 def compute_exchange_gains(
