@@ -226,7 +226,7 @@ def _run_difference(
 ) -> TakeStream:
     """Run the pass: subtract the base or the rest pose."""
     if options.base is None:
-        first_code = Fraction(1) if stream.start is None else stream.start
+        first_code = stream.first_frame
         base = rest_take(stream.rig, Clock(stream.fps, first_code, stream.step, 1))
     else:
         base = context.take(options.base, "base")
@@ -362,7 +362,7 @@ class _LayerPlan:
 
     def _layered_blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
         """Yield the layered motion; warn about the weights at the end."""
-        first_code = Fraction(1) if stream.start is None else stream.start
+        first_code = stream.first_frame
         delay = exact_fraction(self.delay, "delay") / stream.step
         is_override = self.mode is LayerMode.OVERRIDE
         operation = interpolate_motions if is_override else add_delta

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.ik.axes import unit_hint, up_axis_hint
+from animtool.ik.axes import space_hint, unit_hint, up_axis_hint
 from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -230,6 +230,10 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
     worst = max(report.spans, key=lambda span: span.distance)
     hint = up_axis_hint(solved_take, i, worst.frame) if worst.distance > 0 else None
+    if hint is not None:
+        return hint
+    if worst.distance > 0:
+        hint = space_hint(solved_take, i, worst.frame)
     if hint is not None:
         return hint
     far_miss = FAR_MISS * solved_take.problem.length

@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import nearest
-from animtool.core.old_names import old_object, rename_attributes, renamed_arguments
+from animtool.core.old_names import old_objects, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -294,9 +294,8 @@ rename_attributes(Pass, **_OLD_FIELDS)
 setattr(Pass, "__init__", renamed_arguments(**_OLD_FIELDS)(Pass.__init__))  # noqa: B010
 
 
-def __getattr__(name: str) -> Any:
-    """Return `FrameScope` by its old name, which plug-ins may import."""
-    return old_object(__name__, name, {"Scope": FrameScope})
+# Plug-ins may import `FrameScope` by its old name.
+__getattr__ = old_objects(__name__, Scope=FrameScope)
 
 
 def find_pass(name: str) -> Pass:

@@ -11,7 +11,7 @@ from animtool.rig.surfaces import surfaces_of
 from animtool.sim.colliders.on_joints import JointCapsules
 from animtool.skin.character import character_meshes
 from animtool.skin.deform import deform
-from animtool.systems.attach.strands import capsule_distances
+from animtool.systems.attach.colliders import capsule_distances
 
 from .skins import Array, of_world
 

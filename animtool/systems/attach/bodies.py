@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, listed
+from animtool.core.errors import Fault, OptionError, Refusals, listed
 from animtool.core.record import dataclass
 from animtool.maths.faces import edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
@@ -16,9 +16,9 @@ from animtool.rig.parts import AttachKind, Attachment
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, strands_of, surfaces_of
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
-from animtool.skin.deform import deform
-from animtool.systems.attach.network import Network, fold_pairs, quad_diagonals
+from animtool.systems.attach.network import Network, fold_pairs
 from animtool.systems.attach.poses import PosePath
+from animtool.systems.springs.shapes import face_diagonals
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +69,7 @@ class SurfaceBody(AttachedBody):
 
     def targets(self, path: PosePath) -> FloatArray:
         """Return the animated points, deformed by shapes and skin."""
-        weights = None
-        if path.weights is not None:
-            weights = self.mesh.weights(path.weights)
-        return deform(self.mesh.mesh, weights, path.world).points
+        return path.deform(self.mesh)
 
 
 def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
@@ -101,16 +98,12 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
 
 def build_bodies(rig: Rig, names: tuple[str, ...]) -> list[AttachedBody]:
     """Return the named attachments of a rig as particles."""
-    entries = find_attachments(rig, names)
     bodies: list[AttachedBody] = []
-    faults: list[Fault] = []
-    for entry in entries:
-        try:
+    refusals = Refusals()
+    for entry in find_attachments(rig, names):
+        with refusals.collect():
             bodies.append(_BUILDERS[AttachKind(entry.kind)](rig, entry))
-        except OptionError as error:
-            faults += error.faults
-    if faults:
-        raise OptionError(faults)
+    refusals.check()
     return bodies
 
 
@@ -167,9 +160,7 @@ def _bone_end(rig: Rig, joints: list[int]) -> FloatArray:
 
 def _build_strands(rig: Rig, entry: Attachment) -> AttachedBody:
     """Build the particles of strands."""
-    (strands,) = [
-        candidate for candidate in strands_of(rig) if candidate.name == entry.name
-    ]
+    (strands,) = [strands for strands in strands_of(rig) if strands.name == entry.name]
     (mesh,) = character_strands([strands], rig.names, bind_matrices(rig))
     count, length = strands.points.shape[:2]
     particles = np.arange(count * length).reshape(count, length)
@@ -187,9 +178,7 @@ def _build_strands(rig: Rig, entry: Attachment) -> AttachedBody:
 
 def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     """Build the particles of cloth from its mesh."""
-    (surface,) = [
-        candidate for candidate in surfaces_of(rig) if candidate.name == entry.mesh
-    ]
+    (surface,) = [mesh for mesh in surfaces_of(rig) if mesh.name == entry.mesh]
     shapes = [shape.name for shape in rig.shapes]
     (mesh,) = character_meshes([surface], rig.names, bind_matrices(rig), shapes)
     faces = surface.counts, surface.indices
@@ -210,11 +199,14 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     bind_points = (
         surface.points @ surface.geom_bind[:3, :3].T + surface.geom_bind[:3, 3]
     )
+    # Larger faces have no diagonals.
+    is_quad = surface.counts == 4
+    is_quad_corner = np.repeat(is_quad, surface.counts)
     network = Network(
         bind_points,
         pins,
         ends,
-        quad_diagonals(*faces),
+        face_diagonals(surface.counts[is_quad], surface.indices[is_quad_corner]),
         fold_pairs(*faces),
         triangulate(*faces),
     )

@@ -8,7 +8,7 @@ from dataclasses import field
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.maths.faces import (
@@ -54,9 +54,14 @@ class Network:
         return len(self.points)
 
     @property
+    def is_pinned(self) -> BoolArray:
+        """Mask of the pinned particles ``(N,)``."""
+        return np.isin(np.arange(self.count), self.pinned)
+
+    @property
     def free(self) -> IntArray:
         """Indices of free particles, ascending."""
-        return np.setdiff1d(np.arange(self.count), self.pinned)
+        return np.flatnonzero(~self.is_pinned)
 
     @property
     def rests(self) -> FloatArray:
@@ -84,14 +89,13 @@ class Network:
 
     def body(self, diagonals: float, bends: float) -> Body:
         """Return the spring body, with shear and bend frequencies [Hz]."""
-        is_free = np.isin(np.arange(self.count), self.pinned, invert=True)
         families = (
             (self.sides, RIGID_FREQUENCY / (2 * math.pi)),
             (self.diagonals, diagonals),
             (self.bends, bends),
         )
         springs = [
-            (ends[is_free[ends].any(axis=1)], Family(frequency=frequency))
+            (ends[~self.is_pinned[ends].all(axis=1)], Family(frequency=frequency))
             for ends, frequency in families
             if frequency
         ]
@@ -159,26 +163,13 @@ def surface_defects(network: Network) -> list[str]:
     degenerate_count = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     nonmanifold_count = int((face_counts > 2).sum())
-    defects = (
-        [f"{counted(degenerate_count, 'triangle')} without area"]
-        if degenerate_count
-        else []
-    )
-    if nonmanifold_count:
-        defects.append(
-            f"{counted(nonmanifold_count, 'edge')} of more than two triangles"
-        )
-    return defects
-
-
-def quad_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return both diagonals of each quadrangle ``(L, 2)``.
-
-    >>> quad_diagonals(np.array([4]), np.array([0, 1, 2, 3])).tolist()
-    [[0, 2], [1, 3]]
-    """
-    corners = indices[np.repeat(counts == 4, counts)].reshape(-1, 4)
-    return unique_pairs(corners[:, [[0, 2], [1, 3]]].reshape(-1, 2))
+    defects = {
+        f"{counted(degenerate_count, 'triangle')} without area": degenerate_count,
+        f"{counted(nonmanifold_count, 'edge')} of more than two triangles": (
+            nonmanifold_count
+        ),
+    }
+    return [text for text, count in defects.items() if count]
 
 
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:

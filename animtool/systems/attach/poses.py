@@ -9,9 +9,11 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.motion import Channel, Motion
+from animtool.motion.motion import Motion
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
+from animtool.skin.character import CharacterMesh
+from animtool.skin.deform import deform
 
 # A root is stationary if a cycle ends within this many steps of its start [1].
 STATIONARY_STEPS = 2.0
@@ -39,29 +41,22 @@ class PosePath:
     # Shape weights ``(K, S)`` [1]; None without shapes.
     weights: FloatArray | None
 
+    def deform(self, mesh: CharacterMesh) -> FloatArray:
+        """Return the points of a mesh, deformed by shapes and skin ``(K, V, 3)``."""
+        weights = None if self.weights is None else mesh.weights(self.weights)
+        return deform(mesh.mesh, weights, self.world).points
+
 
 def pose_at(motion: Motion, frame: int) -> LocalPose:
     """Return the local pose at a frame of a motion."""
-
-    def frame_values(channel: Channel | None) -> FloatArray | None:
-        if channel is None:
-            return None
-        dense = channel.rest.copy()
-        dense[channel.animated] = channel.values[frame]
-        return dense
-
-    translations, rotations = (
-        frame_values(motion.translations),
-        frame_values(motion.rotations),
-    )
-    assert translations is not None
-    assert rotations is not None
-    weights = frame_values(motion.weights)
+    one_frame = motion.select(slice(frame, frame + 1))
+    translations, rotations, scales = one_frame.dense()
+    weights = one_frame.weights
     return LocalPose(
-        translations,
-        rotations,
-        frame_values(motion.scales),
-        None if weights is None else weights[:, 0],
+        translations[0],
+        rotations[0],
+        None if scales is None else scales[0],
+        None if weights is None else weights.dense()[0, :, 0],
     )
 
 

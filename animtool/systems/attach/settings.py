@@ -30,14 +30,14 @@ from animtool.systems.framework.fields import (
     SystemSurfaceModel,
 )
 
-# Default frequency of the pull to the animated pose by kind [Hz].
-_DEFAULT_FREQUENCIES = {AttachKind.SPRING_CHAIN: 2.0, AttachKind.STRANDS: 2.0}
-# Default strain limit by kind [1]. Long rows of particles need many steps, and strain
-# of cloth and hair is hardly visible.
-_DEFAULT_STRAINS = {AttachKind.STRANDS: 0.05, AttachKind.CLOTH: 0.05}
-DEFAULT_STRAIN = 0.01
-# Default frequency of bending by kind [Hz].
-_DEFAULT_BENDS = {AttachKind.CLOTH: 2.0, AttachKind.STRANDS: 2.0}
+# Defaults by kind: frequencies of the pull to the animated pose and of bending [Hz],
+# and the strain limit [1]. Long rows of particles need many steps, and strain of cloth
+# and hair is hardly visible.
+_DEFAULTS = {
+    AttachKind.SPRING_CHAIN: {"frequency": 2.0, "bend": 0.0, "stretch": 0.01},
+    AttachKind.STRANDS: {"frequency": 2.0, "bend": 2.0, "stretch": 0.05},
+    AttachKind.CLOTH: {"frequency": 0.0, "bend": 2.0, "stretch": 0.05},
+}
 
 
 class PreRoll(StrEnum):
@@ -143,27 +143,17 @@ class AttachSettings:
 
 def settings_for(options: SimulateOptions, kind: str) -> AttachSettings:
     """Return the option values for a kind of attachment."""
-    attach_kind = AttachKind(kind)
-    frequency, bend, stretch = options.frequency, options.bend, options.stretch
-    if frequency is None:
-        frequency = _DEFAULT_FREQUENCIES.get(attach_kind, 0.0)
-    if bend is None:
-        bend = _DEFAULT_BENDS.get(attach_kind, 0.0)
-    if stretch is None:
-        stretch = _DEFAULT_STRAINS.get(attach_kind, DEFAULT_STRAIN)
     thickness: float | None = 0.0
-    if options.self_contact and attach_kind is AttachKind.CLOTH:
+    if options.self_contact and kind == AttachKind.CLOTH:
         thickness = None
         if options.thickness is not None:
             thickness = length_in_metres(options.thickness)
-    return AttachSettings(
-        options,
-        frequency,
-        bend,
-        stretch,
-        length_in_metres(options.radius),
-        thickness,
-    )
+    values = dict(_DEFAULTS[AttachKind(kind)])
+    for name in values:
+        if getattr(options, name) is not None:
+            values[name] = getattr(options, name)
+    radius = length_in_metres(options.radius)
+    return AttachSettings(options, radius=radius, thickness=thickness, **values)
 
 
 def length_in_metres(value: str | float) -> float:

@@ -20,14 +20,10 @@ from animtool.motion.motion import Channel, Motion
 from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import (
-    AttachmentActor,
-    CollisionSurroundings,
-    PosePaths,
-    move_rigidly,
-    up_direction,
-)
+from animtool.systems.attach.actor import AttachmentActor, move_rigidly, up_direction
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
+from animtool.systems.attach.chains import chain_rotations
+from animtool.systems.attach.colliders import CollisionSurroundings
 from animtool.systems.attach.poses import (
     STEERED_FRACTION,
     CycleShift,
@@ -39,9 +35,8 @@ from animtool.systems.attach.poses import (
     seam_weights,
 )
 from animtool.systems.attach.settings import PreRoll, SimulateOptions, settings_for
-from animtool.systems.attach.skins import SkinSurface, build_skins
+from animtool.systems.attach.skins import PosePaths, SkinSurface, build_skins
 from animtool.systems.attach.stepping import CycleSteering
-from animtool.systems.attach.strands import chain_rotations
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
@@ -54,10 +49,6 @@ MAX_STALE_REPEATS = 3
 BLOCK_VALUES = 1 << 20
 
 
-def _no_piercings() -> IntArray:
-    return np.zeros((0, 3), np.int64)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class AttachState:
     """Positions and velocities of N particles, as saved in a file."""
@@ -65,7 +56,9 @@ class AttachState:
     positions: FloatArray  # ``(N, 3)`` [m], world
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Particles that pierced the cloth ``(C, 3)``: particle, triangle, side.
-    passages: IntArray = field(default_factory=_no_piercings, metadata=growing())
+    passages: IntArray = field(
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,9 +120,8 @@ class AttachSimulation:
         """
         self._world = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = rig, bodies, options
-        self.actors: list[
-            AttachmentActor
-        ] = []  # one for each body, from the first frame on
+        # One for each body, from the first frame on.
+        self.actors: list[AttachmentActor] = []
         # Requested states, with the steps per frame.
         self.saved: dict[str, tuple[StateClock, ReachedState[AttachState]]] = {}
         self.codes: list[float] = []  # visited time codes
@@ -138,9 +130,8 @@ class AttachSimulation:
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
             self._skins = build_skins(rig)
-        self.last_joint_angles: dict[
-            str, float
-        ] = {}  # largest rotation of last joints [rad]
+        # Largest rotations of last joints by name of the chain [rad].
+        self.last_joint_angles: dict[str, float] = {}
         self._rate, self._start, self._step = rate, start, step
         self._prepended_frames = prepended_frames
         # Index of the next frame; 0 is the first of the take.
@@ -175,10 +166,8 @@ class AttachSimulation:
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield blocks of the motion with simulated attachments."""
         if self.options.loop:
-            motion, prepended_frames = (
-                Motion.concatenate(list(motions)),
-                self._prepended_frames,
-            )
+            motion = Motion.concatenate(list(motions))
+            prepended_frames = self._prepended_frames
             cycle = self._close_cycle(motion.select(slice(prepended_frames, None)))
             yield cycle.select(
                 np.maximum(np.arange(-prepended_frames, cycle.frames), 0)
@@ -227,57 +216,50 @@ class AttachSimulation:
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
-            sheets = [
-                earlier_actor.sheet
-                for earlier_actor in self.actors
-                if earlier_actor.sheet is not None
-            ]
-            actor = AttachmentActor(
-                self.rig,
-                body,
-                settings_for(options, body.kind),
-                1 / rate,
-                start_pose,
-                self._skins_of(body),
-                self._world,
-                sheets if is_skinned else (),
+            sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
+            self.actors.append(
+                AttachmentActor(
+                    self.rig,
+                    body,
+                    settings_for(options, body.kind),
+                    1 / rate,
+                    start_pose,
+                    self._skins_of(body),
+                    self._world,
+                    sheets if is_skinned else (),
+                )
             )
-            self.actors.append(actor)
         if self.resumed is not None:
             return
-        static_paths = self._paths(start_pose, start_pose)
+        static_paths = PosePaths(self.rig, start_pose, start_pose)
         settle_frames = math.ceil(options.settle * rate)
         self._frame -= settle_frames + preroll_frames
         self._total_frames += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_paths)
-        root = self.rig.roots[0]
-        step = next_pose.translations[root] - pose.translations[root]
-        for i in range(preroll_frames):
-            earlier, later = pose, pose
-            if extrapolates:
-                earlier, later = (
-                    extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i - k)
-                    for k in (0, 1)
-                )
-            if extrapolates and not i:
-                for actor in self.actors:
-                    actor.add_velocity(step * rate)
-            self._advance_actors(self._paths(earlier, later))
+        poses = [pose] * (preroll_frames + 1)
+        if extrapolates and preroll_frames:
+            poses = [
+                extrapolate_roots(self.rig, pose, next_pose, preroll_frames - i)
+                for i in range(preroll_frames + 1)
+            ]
+            root = self.rig.roots[0]
+            step = next_pose.translations[root] - pose.translations[root]
+            for actor in self.actors:
+                actor.add_velocity(step * rate)
+        for earlier, later in pairwise(poses):
+            self._advance_actors(PosePaths(self.rig, earlier, later))
 
     def _advance(self, pose: LocalPose, code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""
         assert self._previous_pose is not None
-        paths = self._paths(self._previous_pose, pose)
+        paths = PosePaths(self.rig, self._previous_pose, pose)
         if self.resumed is not None and code <= self.resumed.frame:
             for actor in self.actors:
                 actor.follow_animation(paths)
             self._frame += 1
             return
         self._advance_actors(paths, has_teleport=code in self.options.teleports)
-
-    def _paths(self, before: LocalPose, after: LocalPose) -> PosePaths:
-        return PosePaths(self.rig, before, after)
 
     def _advance_actors(
         self,
@@ -318,11 +300,7 @@ class AttachSimulation:
             for actor in self.actors:
                 name, clock = state_name_and_clock(actor.body, code)
                 spring_state = actor.grid.state
-                state = AttachState(
-                    spring_state.motion[0],
-                    spring_state.motion[1],
-                    spring_state.passages,
-                )
+                state = AttachState(*spring_state.motion, spring_state.passages)
                 self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:
@@ -338,12 +316,9 @@ class AttachSimulation:
         self._advanced_frames, self._total_frames = 0, count * self.options.loop_repeats
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
-        rows, best_residual, stale_repeats, max_repeats = (
-            list[_AttachmentFrames](),
-            math.inf,
-            0,
-            self.options.loop_repeats,
-        )
+        max_repeats = self.options.loop_repeats
+        stale_repeats, best_residual = 0, math.inf
+        rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
             is_steered = bool(rows) and (
@@ -362,10 +337,8 @@ class AttachSimulation:
             self.loop_closure = LoopClosure(repeat, residual, tolerance, is_steered)
             if residual <= tolerance or is_steered:
                 break
-            best_residual, stale_repeats = (
-                min(best_residual, residual),
-                0 if residual < best_residual else stale_repeats + 1,
-            )
+            stale_repeats = 0 if residual < best_residual else stale_repeats + 1
+            best_residual = min(best_residual, residual)
             for actor, end in zip(self.actors, end_states, strict=True):
                 actor.set_motion(end)
         weights = seam_weights(count)
@@ -412,9 +385,8 @@ class AttachSimulation:
                 for row in last_frames
             ]
             has_teleport = codes[i + 1] in self.options.teleports
-            self._advance_actors(
-                self._paths(pose, next_pose), steering, has_teleport=has_teleport
-            )
+            paths = PosePaths(self.rig, pose, next_pose)
+            self._advance_actors(paths, steering, has_teleport=has_teleport)
         for row, actor in zip(rows, self.actors, strict=True):
             row.motions.append(actor.grid.state.motion)
         return rows

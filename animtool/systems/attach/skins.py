@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import field
 
 import numpy as np
 
-from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths.faces import directed_edges, triangulate
@@ -16,10 +15,8 @@ from animtool.rig.parts import AttachKind
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.sim.colliders import Collider, Colliders, Mesh
-from animtool.sim.contact import SPEED_LIMIT
 from animtool.skin.character import CharacterMesh, character_meshes
-from animtool.skin.deform import deform
-from animtool.systems.attach.poses import PosePath
+from animtool.systems.attach.poses import LocalPose, PosePath, interpolate_poses
 from animtool.systems.framework.meter import ClosedSurface
 
 # Minimum distance of cloth from skins, relative to its edge length [1]. It limits how
@@ -39,16 +36,39 @@ class SkinSurface:
 
     def points(self, path: PosePath) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
-        weights = None
-        if path.weights is not None:
-            weights = self.mesh.weights(path.weights)
-        points = deform(self.mesh.mesh, weights, path.world).points
+        points = path.deform(self.mesh)
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):
             corners = self.border_points[self.borders == border]
             middles[:, border] = points[:, corners].mean(axis=1)
         return np.ascontiguousarray(np.concatenate([points, middles], axis=1))
+
+
+@dataclass
+class PosePaths:
+    """Poses of a character within one frame, cached by number of steps."""
+
+    rig: Rig  # the character
+    before: LocalPose  # pose at the start
+    after: LocalPose  # pose at the end
+    _by_steps: dict[int, PosePath] = field(default_factory=dict)
+    _skin_points: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+
+    def sample(self, steps: int) -> PosePath:
+        """Return the poses at the start and end of each of ``steps`` equal steps."""
+        if steps not in self._by_steps:
+            self._by_steps[steps] = interpolate_poses(
+                self.rig, self.before, self.after, steps
+            )
+        return self._by_steps[steps]
+
+    def skin_points(self, skin: SkinSurface, steps: int) -> FloatArray:
+        """Return the points of a skin at the ends of the steps ``(K, P, 3)`` [m]."""
+        key = id(skin), steps
+        if key not in self._skin_points:
+            self._skin_points[key] = skin.points(self.sample(steps))
+        return self._skin_points[key]
 
 
 def build_skins(rig: Rig, moving_joints: Sequence[int] = ()) -> list[SkinSurface]:
@@ -164,71 +184,3 @@ def contact_offsets(
     distances = collider.sample(points, 0.0, 1.0).distances[0]
     min_distance = -np.inf if inside else 0.0
     return np.asarray(np.clip(distances, min_distance, distance) - distance)
-
-
-class SkinContacts:
-    """Skins of a character as kernel surfaces, frame by frame."""
-
-    def __init__(
-        self,
-        skins: Sequence[SkinSurface],
-        friction: float,
-        margin: float,
-        depenetration: float,
-    ) -> None:
-        """Store the skins and the contact settings that all frames share."""
-        self._skins = skins
-        self._kernels: list[Any] = []
-        self._has_distinct_points: list[
-            bool
-        ] = []  # whether no two points of a skin coincide
-        self._contact_settings = (0.0, friction, margin, depenetration, SPEED_LIMIT)
-
-    def depths(
-        self, path: PosePath, targets: FloatArray, radius: float, *, inside: bool
-    ) -> list[FloatArray]:
-        """Return offsets of the contact distance for each skin ``(N,)`` [m].
-
-        Distances are measured in the first pose of a path.
-        """
-        search_distance = radius + self._contact_settings[2]
-        solids = [
-            ClosedSurface(skin.points(path)[0], skin.triangles) for skin in self._skins
-        ]
-        return [
-            contact_offsets(solid, targets, search_distance, inside=inside)
-            for solid in solids
-        ]
-
-    def __bool__(self) -> bool:
-        """Return whether there are any skins."""
-        return bool(self._skins)
-
-    def kernel_surfaces(self, points: list[FloatArray]) -> list[tuple[Any, ...]]:
-        """Return kernel arguments for the cells between K poses.
-
-        Args:
-            points: Points of each skin ``(K, P, 3)`` [m].
-        """
-        if not self._kernels:
-            self._kernels = [
-                _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
-                for skin, rows in zip(self._skins, points, strict=True)
-            ]
-            self._has_distinct_points = [
-                len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
-            ]
-        return [
-            (kernel, rows, self._contact_settings, 1, 0)
-            for kernel, rows in zip(self._kernels, points, strict=True)
-        ]
-
-    def solids(self, points: list[FloatArray]) -> list[ClosedSurface]:
-        """Return the skins at the last of K poses, after `kernel_surfaces`."""
-        skins = zip(
-            self._skins, points, self._kernels, self._has_distinct_points, strict=True
-        )
-        return [
-            ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
-            for skin, rows, kernel, is_distinct in skins
-        ]

@@ -20,6 +20,7 @@ from animtool.systems.attach.network import (
 )
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.framework.bounds import MAX_VALUE
+from animtool.systems.framework.meter import MeasuredSurface
 from animtool.systems.springs.contacts import CellColliders
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.paths import Pins, PointTargets
@@ -134,15 +135,16 @@ class AttachedSprings:
         """
         min_steps = math.ceil(step_rate(network, settings) * frame_duration - 1e-9)
         self.cells, self.substeps = cells_and_substeps(max(1, min_steps))
-        self.thickness, self._frame_duration = (
-            self_contact_distance(network, settings),
-            frame_duration,
-        )
+        self.thickness = self_contact_distance(network, settings)
+        self._frame_duration = frame_duration
         self._network, self._settings, self._down = network, settings, down
         if network.strands:
             self._strands = _build_strands(network, settings, down)
         else:
             self._system = _build_system(network, settings, down, self.thickness)
+            self._sides = MeasuredSurface.of_edges(
+                network.sides, network.rests, network.is_pinned, network.triangles
+            )
 
     def with_steering(
         self, path: FloatArray, steering: CycleSteering
@@ -153,33 +155,23 @@ class AttachedSprings:
         ``(K, N, 3)`` [m] and that motion, weighted by stiffness.
         """
         settings, options = self._settings, self._settings.options
-        pull_stiffness, steer_stiffness = (
-            settings.frequency**2,
-            (steering.weight * STEERING_FREQUENCY) ** 2,
-        )
-        frequency = math.sqrt(pull_stiffness + steer_stiffness)
-        damping = (
-            options.ratio * settings.frequency + steering.weight * STEERING_FREQUENCY
+        pull_stiffness = settings.frequency**2
+        steering_frequency = steering.weight * STEERING_FREQUENCY
+        stiffness = pull_stiffness + steering_frequency**2
+        frequency = math.sqrt(stiffness)
+        damping = options.ratio * settings.frequency + steering_frequency
+        steered = replace(
+            settings,
+            frequency=frequency,
+            options=replace(options, ratio=damping / frequency),
         )
         springs = AttachedSprings(
-            self._network,
-            replace(
-                settings,
-                frequency=frequency,
-                options=replace(options, ratio=damping / frequency),
-            ),
-            self._down,
-            self._frame_duration,
+            self._network, steered, self._down, self._frame_duration
         )
-        goal, free_particles = path.copy(), self._network.free
-        other_points = steering.path(len(path) - 1, self._frame_duration)[
-            :, free_particles
-        ]
-        goal[:, free_particles] += (
-            steer_stiffness
-            / (pull_stiffness + steer_stiffness)
-            * (other_points - goal[:, free_particles])
-        )
+        goal, free = path.copy(), self._network.free
+        motion = steering.path(len(path) - 1, self._frame_duration)
+        fraction = steering_frequency**2 / stiffness
+        goal[:, free] += fraction * (motion[:, free] - goal[:, free])
         return springs, goal
 
     def start(self, positions: FloatArray) -> TimeGrid:
@@ -207,7 +199,6 @@ class AttachedSprings:
             character_colliders: First index and count of the rigid colliders of the
                 character. Only the particles of strands collide with these.
         """
-        min_substeps, previous_strain = self.substeps, grid.stretch
         if self._network.strands:
             grid = advance_strands(
                 self._strands,
@@ -219,38 +210,33 @@ class AttachedSprings:
                 thread_count(),
             )
         else:
-            system, strain_limit = self._system, self._settings.stretch
-            system.set_paths(self._frame_duration, path)
-            state = replace(grid.state, substeps=min_substeps, calm=0)
-            grid = replace(grid, index=0, state=state)
-            max_substeps = (
-                min_substeps
-                if self._settings.options.rate
-                else MAX_REFINEMENT * min_substeps
-            )
-            # The strain of stiff cloth springs is clamped too.
-            clamped_strain = strain_limit if len(self._network.triangles) else 0.0
-            grid = advance_xpbd(
-                system.network(0),
-                grid,
-                self.cells,
-                colliders,
-                system.kernel_self_contact,
-                strain_limit,
-                max_substeps,
-                clamped_strain,
-            )
-            frame_strain = self._strain(grid.state.motion[0])
-            grid = replace(grid, stretch=max(previous_strain, frame_strain))
+            grid = self._advance_cloth(grid, path, colliders)
         check_motion(grid.state.motion)
         return grid
 
-    def _strain(self, x: FloatArray) -> float:
-        """Return the largest strain of structural springs at positions ``x`` [1]."""
-        rests, (i, j) = self._network.rests, self._network.sides.T
-        is_measured = ~(self._system.fixed[i] & self._system.fixed[j]) & (rests > 0)
-        lengths = np.linalg.norm(x[j[is_measured]] - x[i[is_measured]], axis=1)
-        return float((lengths / rests[is_measured] - 1).max(initial=0.0))
+    def _advance_cloth(
+        self, grid: TimeGrid, path: FloatArray, colliders: CellColliders
+    ) -> TimeGrid:
+        """Return the time grid one frame later, with the largest strain of cloth."""
+        system, strain_limit = self._system, self._settings.stretch
+        has_rate = self._settings.options.rate is not None
+        # The strain of stiff cloth springs is clamped too.
+        clamped_strain = strain_limit if len(self._network.triangles) else 0.0
+        system.set_paths(self._frame_duration, path)
+        state = replace(grid.state, substeps=self.substeps, calm=0)
+        end = advance_xpbd(
+            system.network(0),
+            replace(grid, index=0, state=state),
+            self.cells,
+            colliders,
+            system.kernel_self_contact,
+            strain_limit,
+            self.substeps if has_rate else MAX_REFINEMENT * self.substeps,
+            clamped_strain,
+        )
+        lengths = self._sides.lengths(end.state.motion[0])
+        strain = float((lengths / self._sides.rest_lengths - 1).max(initial=0.0))
+        return replace(end, stretch=max(grid.stretch, strain))
 
 
 def self_contact_distance(network: Network, settings: AttachSettings) -> float:

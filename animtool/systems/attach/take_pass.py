@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, replace
-from fractions import Fraction
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +12,7 @@ import numpy as np
 from animtool.core.errors import (
     Fault,
     OptionError,
+    Refusals,
     Severity,
     counted,
     listed,
@@ -20,7 +20,6 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.quantities import plain_number
-from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     ColliderBuilder,
@@ -47,7 +46,7 @@ from animtool.systems.attach.simulation import (
     SavedFrame,
     state_name_and_clock,
 )
-from animtool.systems.framework.meter import VISIBLE_DEPTH, PeakValue
+from animtool.systems.framework.meter import VISIBLE_DEPTH
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import open_states, write_states
 from animtool.systems.springs.motion import piercing_notices
@@ -72,12 +71,15 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
     frames_by_option = {"save_at": options.save_at, "teleports": options.teleports}
     if resumed is not None:
         frames_by_option["resume"] = (resumed.frame,)
-    visited_codes = set(codes)
-    notices = [
-        _missing_frames(name, missing, codes)
-        for name, frames in frames_by_option.items()
-        if (missing := [frame for frame in frames if frame not in visited_codes])
-    ]
+    visited_codes, notices = set(codes), []
+    for option, frames in frames_by_option.items():
+        missing = [f"{frame:g}" for frame in frames if frame not in visited_codes]
+        if missing:
+            noun = "frame" if len(missing) == 1 else "frames"
+            message = f"{option} names {noun} {listed(missing)}, but the take has "
+            message += f"{codes[0]:g} to {codes[-1]:g}"
+            hint = "frames are time codes of the take"
+            notices.append(warning("SIM185", message, hint))
     if resumed is not None and codes[0] < resumed.frame <= codes[-1]:
         frame = f"{resumed.frame:g}"
         message = f"it resumes from frame {frame}; earlier frames are as in the take"
@@ -85,108 +87,66 @@ def named_frame_notices(simulation: AttachSimulation) -> list[Fault]:
     return notices
 
 
-def _missing_frames(option: str, frames: list[float], codes: list[float]) -> Fault:
-    """Return a warning about frames of an option that the take lacks (SIM185)."""
-    noun = "frame" if len(frames) == 1 else "frames"
-    message = f"{option} names {noun} {listed([f'{frame:g}' for frame in frames])}"
-    message += f", but the take has {codes[0]:g} to {codes[-1]:g}"
-    hint = "frames are time codes of the take"
-    return warning("SIM185", message, hint)
-
-
-@dataclass(frozen=True, slots=True)
-class AttachReport:
-    """Result of one simulated attachment."""
-
-    name: str  # name in the rig
-    kind: str  # one of `AttachKind`
-    # ``ok``, ``stretched`` beyond the target, or ``unresolved``: particles stay inside
-    # a collider or passed through the cloth.
-    status: str
-    particles: int  # particle count
-    steps: int  # steps per frame
-    stretch: float  # largest strain of a spring [1]
-    aimed: float  # target strain [1]
-    contacts: int  # maximum number of particles in contact at one time
-    unresolved: int  # maximum number of particles left inside colliders
-    passed: int  # maximum number of particles that pass through the cloth
-    cut: int  # maximum number of edge pairs that pass through each other
-    depth: PeakValue  # largest depth in a skin or a capsule [m]
-    pierced: PeakValue  # maximum number of intersecting pairs of edge and triangle
-    strain: PeakValue  # largest strain of a cloth side [1]
-    strain_99: PeakValue  # largest 99th percentile of strain [1]
-    jumps: int  # number of teleports
-    seconds: float  # time spent [s]
-
-
-def attachment_reports(simulation: AttachSimulation) -> list[AttachReport]:
-    """Return the result of each attachment up to the current frame."""
-    return [_report(actor) for actor in simulation.actors]
-
-
-def _report(actor: AttachmentActor) -> AttachReport:
-    """Return the result of an attachment up to the current frame."""
+def attachment_report(actor: AttachmentActor) -> dict[str, object]:
+    """Return the result of an attachment up to the current frame, by report key."""
     grid, target_strain = actor.grid, actor.settings.stretch
     status = "ok"
     if grid.stretch > STRAIN_TOLERANCE * target_strain:
         status = "stretched"
     if grid.unresolved or grid.piercing.passed or grid.piercing.cut:
+        # Particles stay inside a collider or passed through the cloth.
         status = "unresolved"
-    return AttachReport(
-        actor.body.name,
-        actor.body.kind,
-        status,
-        actor.body.network.count,
-        actor.steps,
-        grid.stretch,
-        target_strain,
-        grid.max_contacts,
-        grid.unresolved,
-        grid.piercing.passed,
-        grid.piercing.cut,
-        actor.meter.depth,
-        actor.meter.pierced,
-        actor.meter.strain,
-        actor.meter.strain_99,
-        actor.teleport_count,
-        actor.seconds,
-    )
+    return {
+        "name": actor.body.name,
+        "kind": actor.body.kind,
+        "status": status,
+        "particles": actor.body.network.count,
+        "steps": actor.steps,  # per frame
+        "stretch": grid.stretch,  # largest strain of a spring [1]
+        "aimed": target_strain,  # [1]
+        # Maximum numbers of particles at one time: in contact, left inside colliders,
+        # passing through the cloth; and of edge pairs that pass through each other.
+        "contacts": grid.max_contacts,
+        "unresolved": grid.unresolved,
+        "passed": grid.piercing.passed,
+        "cut": grid.piercing.cut,
+        **actor.meter.values,
+        "jumps": actor.teleport_count,
+        "seconds": actor.seconds,
+    }
 
 
 def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
     """Return all notices of a finished simulation."""
-    reports = attachment_reports(simulation)
-    notices = [
-        _summary_notice(report, actor)
-        for report, actor in zip(reports, simulation.actors, strict=True)
-    ]
-    for actor, report in zip(simulation.actors, reports, strict=True):
-        notices += _start_notices(actor) + _contact_warnings(report)
+    notices = [_summary_notice(actor) for actor in simulation.actors]
+    for actor in simulation.actors:
+        name = actor.body.name
+        notices += _start_notices(actor) + _contact_warnings(actor)
         if isinstance(actor.body, ChainBody) and actor.body.has_free_tip:
             notices += _last_joint_notices(simulation, actor.body)
-        notices += piercing_notices(actor.grid.piercing, f"the cloth {report.name}")
+        notices += piercing_notices(actor.grid.piercing, f"the cloth {name}")
         if isinstance(actor.body, SurfaceBody):
-            notices += actor.meter.notices(report.name)
+            notices += actor.meter.notices(name)
     if simulation.loop_closure is not None:
-        names = listed([report.name for report in reports])
+        names = listed([actor.body.name for actor in simulation.actors])
         notices.append(_cycle_notice(names, simulation.loop_closure))
     return notices + named_frame_notices(simulation)
 
 
-def _summary_notice(report: AttachReport, actor: AttachmentActor) -> Fault:
+def _summary_notice(actor: AttachmentActor) -> Fault:
     """Return a note about steps, strain and contact of an attachment (SIM130)."""
     phrases = [
-        f"{report.name}: {counted(report.steps, 'step')} per frame",
-        f"springs stretch by up to {percent_text(report.stretch)}",
+        f"{actor.body.name}: {counted(actor.steps, 'step')} per frame",
+        f"springs stretch by up to {percent_text(actor.grid.stretch)}",
     ]
-    if report.contacts:
-        phrases.append(f"up to {counted(report.contacts, 'particle')} in contact")
+    if actor.grid.max_contacts:
+        particles = counted(actor.grid.max_contacts, "particle")
+        phrases.append(f"up to {particles} in contact")
     if actor.meter.text:
         phrases.append(actor.meter.text)
-    if report.jumps:
-        phrases.append(
-            f"moved with the character over {counted(report.jumps, 'teleport')}"
-        )
+    if actor.teleport_count:
+        teleports = counted(actor.teleport_count, "teleport")
+        phrases.append(f"moved with the character over {teleports}")
     return Fault("SIM130", ", ".join(phrases), severity=Severity.NOTE)
 
 
@@ -198,12 +158,9 @@ def _start_notices(actor: AttachmentActor) -> list[Fault]:
         message = f"{name}: {listed(defects)}; it is simulated as it is"
         notices.append(Fault("SIM106", message, severity=Severity.NOTE))
     if actor.coincident_links:
-        are_all_coincident = actor.coincident_links == len(network.sides)
-        springs = (
-            "every spring"
-            if are_all_coincident
-            else counted(actor.coincident_links, "spring")
-        )
+        springs = counted(actor.coincident_links, "spring")
+        if actor.coincident_links == len(network.sides):
+            springs = "every spring"
         message = (
             f"{name}: the ends of {springs} are at the same position in the first pose"
         )
@@ -226,20 +183,18 @@ def _last_joint_notices(simulation: AttachSimulation, chain: ChainBody) -> list[
     return [warning("SIM191", message, hint)]
 
 
-def _contact_warnings(report: AttachReport) -> list[Fault]:
+def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
     """Return warnings about strain and particles inside colliders (SIM131, SIM132)."""
-    warnings = []
-    if report.stretch > STRAIN_TOLERANCE * report.aimed:
-        message = (
-            f"{report.name}: springs stretch by up to "
-            f"{percent_text(report.stretch)}, but "
-            f"{100 * report.aimed:g}% was the target"
-        )
+    warnings, name, grid = [], actor.body.name, actor.grid
+    target_strain = actor.settings.stretch
+    if grid.stretch > STRAIN_TOLERANCE * target_strain:
+        message = f"{name}: springs stretch by up to {percent_text(grid.stretch)}, but "
+        message += f"{100 * target_strain:g}% was the target"
         hint = "use a higher rate, or let it settle from a pose that it can hold"
         warnings.append(warning("SIM131", message, hint))
-    if report.unresolved:
-        points = counted(report.unresolved, "particle")
-        message = f"{report.name}: {points} remain inside colliders"
+    if grid.unresolved:
+        points = counted(grid.unresolved, "particle")
+        message = f"{name}: {points} remain inside colliders"
         hint = "closing colliders leave them no way out"
         warnings.append(warning("SIM132", message, hint))
     return warnings
@@ -288,7 +243,13 @@ def simulate(
         build_colliders: Builds the characters, systems and meshes named by options;
             None uses only ``colliders``.
     """
-    _check(options)
+    refusals = Refusals()
+    for name, check in option_checks(options).items():
+        if name == "what" and not options.what:
+            continue
+        with refusals.collect():
+            check()
+    refusals.check()
     if not has_effect(options):
         return stream
     bodies = build_bodies(stream.rig, options.what)
@@ -300,7 +261,7 @@ def simulate(
         stream, world = build_colliders(
             stream, options, prepended_frames * frame_duration
         )
-    start = Fraction(1) if stream.start is None else stream.start
+    start = stream.first_frame
     simulation = AttachSimulation(
         stream.rig,
         bodies,
@@ -329,7 +290,7 @@ def _blocks(
     if simulation.options.save and folder is not None:
         write_states(folder / simulation.options.save, simulation.saved)
     stream.notices.extend(simulation_notices(simulation))
-    stream.simulated.extend(asdict(report) for report in attachment_reports(simulation))
+    stream.simulated.extend(map(attachment_report, simulation.actors))
 
 
 def _load_states(
@@ -340,7 +301,7 @@ def _load_states(
         return None
     path = folder / options.resume
     states: dict[str, AttachState] = {}
-    faults: list[Fault] = []
+    refusals = Refusals()
     with open_states(path) as saved:
         # The single state of a system has no name.
         frames = [float(name.partition("/")[0]) for name in saved.names if name]
@@ -349,22 +310,19 @@ def _load_states(
             raise OptionError(Fault("SIM035", message, str(path)))
         frame = max(frames)
         for body in bodies:
-            count = body.network.count
-            start = ReachedState(
-                0, AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
-            )
-            try:
-                state = saved.read(*state_name_and_clock(body, frame), start).state
-            except OptionError as error:
-                faults += error.faults
-                continue
-            passages = state.passages
-            if (abs(passages) > MAX_INDEX).any() or (passages[:, 0] >= count).any():
-                message = f"{body.name} has passages with an index that no cloth has"
-                faults.append(Fault("SIM035", message, str(path)))
-            states[body.name] = state
-    if faults:
-        raise OptionError(faults)
+            with refusals.collect():
+                count = body.network.count
+                start = AttachState(np.zeros((count, 3)), np.zeros((count, 3)))
+                name_and_clock = state_name_and_clock(body, frame)
+                state = saved.read(*name_and_clock, ReachedState(0, start)).state
+                passages = state.passages
+                if (abs(passages) > MAX_INDEX).any() or (passages[:, 0] >= count).any():
+                    message = (
+                        f"{body.name} has passages with an index that no cloth has"
+                    )
+                    raise OptionError(Fault("SIM035", message, str(path)))
+                states[body.name] = state
+    refusals.check()
     return SavedFrame(frame, states)
 
 
@@ -374,20 +332,6 @@ def has_effect(options: SimulateOptions) -> bool:
     keys = [(0.0, weight)] if isinstance(weight, (int, float)) else weight
     # Between keys of weight 0 the weight is 0 too.
     return bool(options.what) and any(value for _, value in keys)
-
-
-def _check(options: SimulateOptions) -> None:
-    """Raise all faults of the options together."""
-    faults: list[Fault] = []
-    for name, check in option_checks(options).items():
-        if name == "what" and not options.what:
-            continue
-        try:
-            check()
-        except OptionError as error:
-            faults += error.faults
-    if faults:
-        raise OptionError(faults)
 
 
 def _run(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, counted, percent_text, warning
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -68,6 +68,25 @@ class MeasuredSurface:
     edges: IntArray  # particles of each edge ``(S, 2)``
     rest_lengths: FloatArray  # rest lengths of the edges, above 0 ``(S,)`` [m]
 
+    @staticmethod
+    def of_edges(
+        ends: IntArray, rests: FloatArray, is_fixed: BoolArray, triangles: IntArray
+    ) -> MeasuredSurface:
+        """Return a surface without the edges that are fixed or have no rest length.
+
+        Edges have ends ``(S, 2)`` and rest lengths ``(S,)`` [m]; the mask of fixed
+        particles is ``(N,)``.
+        """
+        is_measured = (rests > 0) & ~is_fixed[ends].all(axis=1)
+        return MeasuredSurface(
+            np.flatnonzero(~is_fixed), triangles, ends[is_measured], rests[is_measured]
+        )
+
+    def lengths(self, points: FloatArray) -> FloatArray:
+        """Return the lengths of the edges at points ``(N, 3)`` [m]."""
+        i, j = self.edges.T
+        return np.asarray(np.linalg.norm(points[j] - points[i], axis=1))
+
 
 @dataclass(slots=True)
 class ContactMeter:
@@ -80,9 +99,8 @@ class ContactMeter:
     # Largest number of intersecting edge-triangle pairs, with itself and with skins.
     pierced: PeakValue = field(default_factory=PeakValue)
     strain: PeakValue = field(default_factory=PeakValue)  # largest strain of a side [1]
-    strain_99: PeakValue = field(
-        default_factory=PeakValue
-    )  # 99th percentile of strain [1]
+    # 99th percentile of strain [1].
+    strain_99: PeakValue = field(default_factory=PeakValue)
 
     def measure(
         self,
@@ -108,9 +126,8 @@ class ContactMeter:
         max_depths = np.zeros(len(points)) if depths is None else depths.copy()
         free = surface.free_particles
         for solid in solids:
-            max_depths[free] = np.maximum(
-                max_depths[free], surface_depths(solid, points[free])
-            )
+            depths_in_solid = surface_depths(solid, points[free])
+            max_depths[free] = np.maximum(max_depths[free], depths_in_solid)
         if len(free):
             deepest = int(free[max_depths[free].argmax()])
             depth = float(max_depths[deepest])
@@ -121,11 +138,9 @@ class ContactMeter:
             count = float(pairs)
             self.pierced = self._larger_peak(self.pierced, count, frame, points, first)
         if len(surface.rest_lengths):
-            i, j = surface.edges.T
-            lengths = np.linalg.norm(points[j] - points[i], axis=1)
-            strains = np.abs(lengths / surface.rest_lengths - 1)
+            strains = np.abs(surface.lengths(points) / surface.rest_lengths - 1)
             largest = int(strains.argmax())
-            particle = int(i[largest])
+            particle = int(surface.edges[largest, 0])
             value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
             self.strain = self._larger_peak(self.strain, value, frame, points, particle)
             self.strain_99 = self._larger_peak(
@@ -163,9 +178,8 @@ class ContactMeter:
         if self.strain.value > 0:
             quantile = percent_text(self.strain_99.value)
             phrases.append(f"99th percentile of strain {quantile}")
-            phrases.append(
-                f"largest strain {percent_text(self.strain.value)} ({self.strain.text})"
-            )
+            largest = percent_text(self.strain.value)
+            phrases.append(f"largest strain {largest} ({self.strain.text})")
         return ", ".join(phrases)
 
     def notices(self, subject: str) -> list[Fault]:
@@ -182,21 +196,15 @@ class ContactMeter:
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
-            message = (
-                f"{pairs} of edges and triangles of {subject} and what it touches "
-            )
-            message += f"intersect ({self.pierced.when})"
+            message = f"{pairs} of edges and triangles of {subject} and what it "
+            message += f"touches intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
-        if (
-            self.strain_99.value > VISIBLE_STRAIN_99
-            or self.strain.value > VISIBLE_STRAIN
-        ):
-            message = (
-                f"{subject} is strained by up to {percent_text(self.strain.value)} "
-            )
-            message += f"({self.strain.text}), 99th percentile "
-            message += f"{percent_text(self.strain_99.value)}"
+        is_strained = self.strain.value > VISIBLE_STRAIN
+        if is_strained or self.strain_99.value > VISIBLE_STRAIN_99:
+            message = f"{subject} is strained by up to "
+            message += f"{percent_text(self.strain.value)} ({self.strain.text}), 99th "
+            message += f"percentile {percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
             hint += " or a higher stiffness" if self.seconds else ""
             notices.append(warning("SIM182", message, hint))

@@ -193,11 +193,9 @@ class BodyColliders(_StateObserver):
             replace(shape, restitution=restitution, friction=friction)
             for shape in shared.shapes
         ]
-        self.owners, self.count, self.masses = (
-            shared.owners,
-            shared.count,
-            shared.masses,
-        )
+        self.owners = shared.owners
+        self.count = shared.count
+        self.masses = shared.masses
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)

@@ -95,20 +95,16 @@ class TiedBodies(BodyColliders):
         wrenches, begin, end = pull
         end_state, _ = self._run.past_state(end)
         end_centres = self.system.inertias(end_state)[0]
-        fraction, current_centres = (
-            (t - begin) / (end - begin),
-            self.system.inertias(state)[0],
-        )
+        fraction = (t - begin) / (end - begin)
+        current_centres = self.system.inertias(state)[0]
 
         def scale_wrench(wrench_rows: FloatArray, fraction: float) -> FloatArray:
             rows = fraction * wrench_rows
             rows[:, 3:] += so3.cross(current_centres - end_centres, rows[:, :3])
             return rows
 
-        impulses, delayed = (
-            scale_wrench(wrenches.impulses, fraction),
-            scale_wrench(wrenches.delayed, fraction**2),
-        )
+        impulses = scale_wrench(wrenches.impulses, fraction)
+        delayed = scale_wrench(wrenches.delayed, fraction**2)
         return self.system.pushed(state, Wrenches(impulses, delayed))
 
     def step_over(self, t0: float, t1: float) -> TiedStep:
@@ -130,13 +126,10 @@ class TiedStep:
         t1: float,
     ) -> None:
         self._simulation, self._end_state, self._t1 = simulation, end_state, t1
-        self.start_poses = simulation.body_poses(
-            start_state, t0
-        )  # poses of all bodies ``(B, 7)``
-        self.start_state, self.duration = (
-            start_state,
-            t1 - t0,
-        )  # state at the start; duration [s]
+        # Poses of all bodies ``(B, 7)``.
+        self.start_poses = simulation.body_poses(start_state, t0)
+        self.start_state = start_state
+        self.duration = t1 - t0
         self.is_free = simulation.is_free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(end_state)
         self._end_velocities = simulation.body_velocities(end_state)[:, :3]

@@ -14,7 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.record import dataclass
 from animtool.maths.rows import Rows
-from animtool.systems.springs.records import Family, SelfContact
+from animtool.systems.springs.records import Family
 
 # Torn flags of springs in kernel order ``(S,)``.
 Flags: TypeAlias = npt.NDArray[np.uint8]
@@ -262,11 +262,3 @@ class SpringForces:
             anchor_path=paths.target_positions,
             winds=paths.wind,
         )
-
-
-def kernel_self_contact(
-    network: _kernels.SpringNetwork, contact: SelfContact, rest: FloatArray
-) -> _kernels.SpringLayers:
-    """Return the kernel self-contact of a surface; rest positions ``(N, 3)`` [m]."""
-    settings = contact.thickness, contact.friction, contact.speed
-    return _kernels.SpringLayers(network, rest, *settings)

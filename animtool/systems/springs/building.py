@@ -140,20 +140,8 @@ class _SystemBuilder:
             contact = entry.spec.contact or contact
         system = SpringSystem(
             welded.body,
-            pins=merge_constraints(
-                [
-                    constraint
-                    for constraint in all_constraints
-                    if isinstance(constraint, Pins)
-                ]
-            ),
-            targets=merge_constraints(
-                [
-                    constraint
-                    for constraint in all_constraints
-                    if isinstance(constraint, PointTargets)
-                ]
-            ),
+            pins=merge_constraints(all_constraints, Pins),
+            targets=merge_constraints(all_constraints, PointTargets),
             gravity=spec.gravity,
             resistance=resistance,
             air=air,

@@ -14,7 +14,8 @@ from animtool.core.record import dataclass
 from animtool.maths.faces import directed_edges
 from animtool.sim.colliders import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Sphere
-from animtool.systems.springs.drawing import CurveShape, FaceShape, Shape
+from animtool.systems.springs.drawing import CurveShape, Shape
+from animtool.systems.springs.shapes import face_diagonals
 
 # Intersection checks per motion; each costs as much as several steps.
 CHECKS_PER_MOTION = 12
@@ -78,30 +79,13 @@ def widest_gap(shape: Shape, points: FloatArray) -> float:
         is_same_curve[np.cumsum(shape.counts)[:-1] - 1] = False
         pairs = np.stack([first, first + 1], axis=1)[is_same_curve]
     else:
-        pairs = _side_and_diagonal_pairs(shape)
+        sides = directed_edges(shape.counts, shape.indices)
+        diagonals = face_diagonals(shape.counts, shape.indices)
+        pairs = np.concatenate([sides, diagonals])
     if not len(pairs):
         return 0.0
     gaps = points[pairs[:, 1]] - points[pairs[:, 0]]
     return float(np.linalg.norm(gaps, axis=1).max())
-
-
-def _side_and_diagonal_pairs(shape: FaceShape) -> IntArray:
-    """Return the corner pairs of face sides and diagonals ``(P, 2)``."""
-    pairs = [directed_edges(shape.counts, shape.indices)]
-    starts = np.cumsum(shape.counts) - shape.counts
-    for stride in range(2, int(shape.counts.max(initial=0)) // 2 + 1):
-        has_diagonal = shape.counts >= 2 * stride
-        face_of_corner = np.repeat(np.arange(len(starts)), shape.counts)
-        corners = np.arange(len(shape.indices))
-        opposite = (
-            starts[face_of_corner]
-            + (corners - starts[face_of_corner] + stride) % shape.counts[face_of_corner]
-        )
-        stride_pairs = np.stack(
-            [shape.indices[corners], shape.indices[opposite]], axis=1
-        )
-        pairs.append(stride_pairs[has_diagonal[face_of_corner]])
-    return np.concatenate(pairs)
 
 
 def collider_thickness(collider: Collider) -> float:

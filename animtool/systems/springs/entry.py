@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import Fault, Refusals, counted
 from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
 from animtool.documents.fields import record_of
@@ -109,8 +109,10 @@ class SpringEntry:
             and self.spec.contact is None
             and "solver" in self.spec.shared()
         ):
-            solver = Solver(self.spec.options.solver)
-            faults += _collect_faults(lambda: check_supports_self_contact(solver))
+            refusals = Refusals()
+            with refusals.collect():
+                check_supports_self_contact(Solver(self.spec.options.solver))
+            faults += refusals.faults
         return faults
 
 
@@ -153,7 +155,12 @@ def read_entry(
     entry.mass = entry.checked_mass("mass", spec.mass)
     body = BODY_BUILDERS[type(spec)](entry, spec)
     _check_wind(entry)
-    for fault in _collect_faults(lambda: _check_solver(spec)):
+    refusals = Refusals()
+    with refusals.collect():
+        solver = check_options(spec.options)
+        if spec.contact is not None:
+            check_supports_self_contact(solver)
+    for fault in refusals.faults:
         entry.add_fault(fault)
     if spec.error is not None and any(system.two_way for system in spec.systems):
         message = "adaptive steps repeat the simulation, and "
@@ -229,22 +236,6 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     for fault in faults:
         entry.add_fault(fault, "springs", name, recoverable=True)
     return Family() if faults else family
-
-
-def _collect_faults(check: Callable[[], object]) -> Sequence[Fault]:
-    """Return the faults that a check raises."""
-    try:
-        check()
-    except OptionError as error:
-        return error.faults
-    return ()
-
-
-def _check_solver(spec: SpringsModel) -> None:
-    """Raise if the solver is unknown or does not support the entry."""
-    solver = check_options(spec.options)
-    if spec.contact is not None:
-        check_supports_self_contact(solver)
 
 
 def _check_wind(entry: BodyEntry) -> None:

@@ -90,7 +90,7 @@ class TimeGrid:
         """Current time [s]."""
         return self.origin + self.index * self.cell
 
-    def advanced(
+    def after_cells(
         self,
         cells: int,
         state: SpringState,

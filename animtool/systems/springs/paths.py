@@ -90,20 +90,23 @@ def resample_to_shared_times(
     return knots, resampled
 
 
-def merge_constraints(constraints: Sequence[Constraint]) -> Constraint | None:
-    """Merge timed pins or targets into one record; None if there are none."""
-    if not constraints:
+def merge_constraints(
+    constraints: Sequence[Pins | PointTargets], kind: type[Constraint]
+) -> Constraint | None:
+    """Merge timed pins or targets of a kind into one record; None if there are none."""
+    merged = [row for row in constraints if isinstance(row, kind)]
+    if not merged:
         return None
-    names = {field.name for field in fields(constraints[0])} - {"positions", "times"}
+    names = {field.name for field in fields(kind)} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(constraint, name) for constraint in constraints])
+        name: np.concatenate([getattr(constraint, name) for constraint in merged])
         for name in names
     }
     paths: list[Any] = [
-        (constraint.times, constraint.positions) for constraint in constraints
+        (constraint.times, constraint.positions) for constraint in merged
     ]
     times, positions = _merge_paths(paths)
-    return type(constraints[0])(positions=positions, times=times, **columns)
+    return kind(positions=positions, times=times, **columns)
 
 
 def _merge_paths(paths: Sequence[Path]) -> Path:

@@ -150,10 +150,8 @@ def _claim_particles(
 
 def _same_pin(first: PinModel, second: PinModel) -> bool:
     """Return whether two pins are equal except for their particles."""
-    first_keys, second_keys = (
-        pin.model_dump(exclude={"particles"}) for pin in (first, second)
-    )
-    return first_keys == second_keys
+    keys = [pin.model_dump(exclude={"particles"}) for pin in (first, second)]
+    return keys[0] == keys[1]
 
 
 def _particles_of(
@@ -215,19 +213,12 @@ def _check_exclusive_keys(
 ) -> None:
     """Report keys that conflict with the carrier key of a pin."""
     keys = {"moves", *CARRIER_KEYS, "to", "stiffness", "damping"}
-    exclusive = {"to", "body"}  # keys that exclude stiffness and damping
-    allowed = (
-        {carrier_key}
-        if carrier_key in exclusive
-        else {carrier_key, "stiffness", "damping"}
-    )
+    allowed = {carrier_key}
+    if carrier_key not in {"to", "body"}:
+        allowed |= {"stiffness", "damping"}
     for key in sorted((keys & model.model_fields_set) - allowed):
-        entry.report_fault(
-            "SIM052",
-            f"{key} does not apply to a pin that has {carrier_key}",
-            *location,
-            key,
-        )
+        message = f"{key} does not apply to a pin that has {carrier_key}"
+        entry.report_fault("SIM052", message, *location, key)
 
 
 def _carrier(

@@ -158,32 +158,27 @@ def surface(
     face_sizes, corners = np.asarray(counts, np.int64), np.asarray(indices, np.int64)
     triangles = triangulate(face_sizes, corners)
     mesh_edges = edges(face_sizes, corners)
-    face_diagonals = _face_diagonals(face_sizes, corners)
+    diagonal_pairs = face_diagonals(face_sizes, corners)
     # Inner edges of a fan are not mesh edges and get no bend springs.
     hinges = _hinges(triangles, mesh_edges)
-    families = [(mesh_edges, structural), (face_diagonals, diagonals), (hinges, bend)]
+    families = [(mesh_edges, structural), (diagonal_pairs, diagonals), (hinges, bend)]
     return build_body(positions, mass, families, triangles)
 
 
-def _face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
-    """Return pairs of non-adjacent corners of each face ``(D, 2)``."""
-    pairs = [np.zeros((0, 2), np.int64)]
-    for step in range(2, int(counts.max(initial=0)) // 2 + 1):
-        has_diagonal = np.repeat(counts >= 2 * step, counts)
-        pairs.append(
-            _corner_pairs(counts, indices, np.full_like(counts, step))[has_diagonal]
-        )
-    return unique_pairs(np.concatenate(pairs))
+def face_diagonals(counts: IntArray, indices: IntArray) -> IntArray:
+    """Return pairs of non-adjacent corners of each face ``(D, 2)``.
 
-
-def _corner_pairs(counts: IntArray, indices: IntArray, steps: IntArray) -> IntArray:
-    """Return pairs of corners that are ``steps`` apart around a face ``(C, 2)``."""
+    >>> face_diagonals(np.array([4]), np.array([0, 1, 2, 3])).tolist()
+    [[0, 2], [1, 3]]
+    """
     starts = np.repeat(np.cumsum(counts) - counts, counts)
     corner_offsets, sizes = np.arange(len(indices)) - starts, np.repeat(counts, counts)
-    partners = starts + (corner_offsets + np.repeat(steps, counts)) % np.maximum(
-        sizes, 1
-    )
-    return np.stack([indices, indices[partners]], axis=1)
+    pairs = [np.zeros((0, 2), np.int64)]
+    for step in range(2, int(counts.max(initial=0)) // 2 + 1):
+        partners = indices[starts + (corner_offsets + step) % sizes]
+        has_diagonal = sizes >= 2 * step
+        pairs.append(np.stack([indices, partners], axis=1)[has_diagonal])
+    return unique_pairs(np.concatenate(pairs))
 
 
 def _hinges(triangles: IntArray, mesh_edges: IntArray) -> IntArray:

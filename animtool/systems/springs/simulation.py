@@ -50,7 +50,6 @@ class SpringPlan:
     system: SpringSystem
     options: SpringOptions
     choice: SolverChoice
-    reason: str  # why this solver and these steps, in words
     error: float | None = None  # estimated position error, if requested [m]
     planning_notices: Sequence[Fault] = ()  # warnings of trial runs
 
@@ -96,7 +95,7 @@ class SpringSimulation:
         clock: Progress = None,
     ) -> None:
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
-        self.reason, self.error = plan.reason, plan.error
+        self.error = plan.error
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
         self.grid, self.wrenches = start_grid, list[Wrenches]()
@@ -116,9 +115,11 @@ class SpringSimulation:
         self._initial_stretch = self.stretch
 
     def _divergence_limits(self) -> IntegrateOptions:
-        # Residual strain of xpbd, and of implicit steps with colliders, is not energy
-        # that the motion continues with.
-        """Return limits of energy and length beyond which the motion diverges."""
+        """Return limits of energy and length beyond which the motion diverges.
+
+        Residual strain of xpbd, and of implicit steps with colliders, is not energy
+        that the motion continues with.
+        """
         solver, has_colliders = self.choice.solver, self.system.colliders.active
         implicit_contacts = solver is not Solver.SYMPLECTIC_EULER and has_colliders
         ignores_growth = (
@@ -137,7 +138,7 @@ class SpringSimulation:
         """Return the state after a cell, or within the cell; raise SIM102 or SIM105."""
         if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
-        self._set_grid(state, t)
+        self.grid = self._grid_at(state, t)
         start_grid, fraction = self._after_teleports(), dt / self.step_length
         with np.errstate(all="ignore"):
             end_motion = advance(self.system, self.options, start_grid, 1).state.motion
@@ -156,7 +157,7 @@ class SpringSimulation:
         count: int,
     ) -> Stepped[SpringState]:
         """Return the state after ``count`` cells, and impulses on other bodies."""
-        self._set_grid(state, t)
+        self.grid = self._grid_at(state, t)
         target = self.grid.index + count
         while self.grid.index < target:
             self._advance(min(self._max_cells_per_call, target - self.grid.index))
@@ -170,7 +171,7 @@ class SpringSimulation:
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
         """Return the impulses on bodies of other systems in the next cell."""
         grid = self.grid
-        self._set_grid(state, t)
+        self.grid = self._grid_at(state, t)
         self._advance(1)
         self.grid = grid
         return self.wrenches
@@ -179,10 +180,6 @@ class SpringSimulation:
         """Return the time grid at a time [s], with a given state."""
         index = round((t - self.begin) / self.grid.cell)
         return replace(self.grid, index=index, state=state)
-
-    def _set_grid(self, state: SpringState, t: float) -> None:
-        """Continue from a state at a time [s]."""
-        self.grid = self._grid_at(state, t)
 
     def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot resume from a state; empty if they can."""
@@ -241,7 +238,7 @@ class SpringSimulation:
         self.status, self.stop_reason = status, reason
         stats = self.stats(self.grid.time)
         # The fault that stopped it comes last and is reported with the frame.
-        errors = _as_errors(motion_notices(self, stats))
+        errors = as_errors(motion_notices(self, stats))
         faults = sorted(errors, key=lambda fault: fault.code in STOP_CODES)
         if self.system.ties is not None:
             # Otherwise the fault would be attributed to the bodies.
@@ -381,8 +378,8 @@ class SpringSimulation:
             system.drags,
             system.body.springs.damping,
             system.target_springs.damping,
+            np.array(system.air_coefficients),
         ]
-        coefficients.append(np.array(system.air_coefficients))
         return system.colliders.active or any(values.any() for values in coefficients)
 
     def trial_settings(self) -> TrialSettings:
@@ -397,7 +394,8 @@ class SpringSimulation:
         return bool(not can_tear and 1 + self.stretch > max_length)
 
 
-def _as_errors(notices: Sequence[Fault]) -> list[Fault]:
+def as_errors(notices: Sequence[Fault]) -> list[Fault]:
+    """Return notices with the severity of errors."""
     return [replace(fault, severity=Severity.ERROR) for fault in notices]
 
 

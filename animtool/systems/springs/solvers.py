@@ -26,7 +26,7 @@ from animtool.systems.springs.motion import (
 )
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
-from animtool.systems.springs.ties import BodyTies, TiedCell
+from animtool.systems.springs.ties import BodyTies, PulledSprings, TiedCell
 
 # Shortest step of xpbd [s], and of xpbd chosen by auto, which must also limit strain
 # with self-contact [s].
@@ -244,7 +244,7 @@ def advance(
         )
     return _advance_implicit(
         network, grid, cells, colliders, NEWTON_TOLERANCE * system.spacing
-    )
+    ).grid
 
 
 def _advance_explicit(
@@ -260,7 +260,7 @@ def _advance_explicit(
         state.substeps, colliders,
     )  # fmt: skip
     after, steps = replace(state, motion=motion, torn=torn), cells * state.substeps
-    return grid.advanced(cells, after, steps, steps, inside, pushes)
+    return grid.after_cells(cells, after, steps, steps, inside, pushes)
 
 
 def advance_xpbd(
@@ -292,7 +292,7 @@ def advance_xpbd(
         motion, torn, substeps, state.least, calm, state.before, passages
     )
     return replace(
-        grid.advanced(cells, after, steps, steps, inside, pushes),
+        grid.after_cells(cells, after, steps, steps, inside, pushes),
         piercing=grid.piercing.maximum(Piercing(*piercing)),
         stretch=max(grid.stretch, excess_strain),
         max_contacts=max(grid.max_contacts, contact_count),
@@ -327,7 +327,7 @@ def advance_strands(
     )
     steps, after = cells * state.substeps, replace(state, motion=motion)
     return replace(
-        grid.advanced(cells, after, steps, steps, inside, grid.pushes),
+        grid.after_cells(cells, after, steps, steps, inside, grid.pushes),
         stretch=max(grid.stretch, strain),
         max_contacts=max(grid.max_contacts, contact_count),
     )
@@ -373,9 +373,10 @@ def find_solvable_step(system: SpringSystem, grid: TimeGrid) -> float | None:
     for k in REFINEMENTS:
         fine_state = replace(state, substeps=k * state.substeps, before=None)
         trial = replace(grid, state=fine_state)
-        if not _advance_implicit(
+        solved = _advance_implicit(
             network, trial, 1, colliders, NEWTON_TOLERANCE * spacing
-        ).lost:
+        )
+        if not solved.grid.lost:
             return grid.cell / (STEP_SAFETY * fine_state.substeps)
     return None
 
@@ -426,62 +427,28 @@ def _advance_subcell(
     """Advance springs and bodies by a cell; return the grid and body states."""
     t0, t1 = grid.time, grid.origin + (grid.index + 1) * grid.cell
     stage = system.teleports.cell_stage(grid)
-    network, pinned, targets = system.cell_network(stage, t0, t1)
+    network, paths = system.cell_network(stage, t0, t1)
+    pinned = paths.pin_positions
     colliders = _cell_colliders(system, grid, 1)
     columns = np.concatenate([tie.columns for tie in ties.ties])
-    fraction = ((system.cell_knots(stage, t0, t1) - t0) / (t1 - t0))[:, None, None]
+    fraction = ((paths.knots - t0) / (t1 - t0))[:, None, None]
 
-    def solve_springs(begins: FloatArray, ends: FloatArray) -> PulledGrid:
+    def solve_springs(begins: FloatArray, ends: FloatArray) -> PulledSprings:
         pinned[:, columns] = begins + fraction * (ends - begins)
-        network.set_paths(pinned, targets)
-        return _solve_with_pulls(
-            network, grid, colliders, TIED_TOLERANCE * ties.spring_length
+        network.set_paths(pinned, paths.target_positions)
+        tolerance = TIED_TOLERANCE * ties.spring_length
+        return _advance_implicit(
+            network, grid, 1, colliders, tolerance, grid.state.pulls
         )
 
     solution = TiedCell(ties, steps).solve(solve_springs, grid.state.known)
-    result: PulledGrid = solution.springs_result
-    state = replace(result.grid.state, known=solution.warm_start)
+    end_grid = solution.grid
+    state = replace(end_grid.state, known=solution.warm_start)
     bodies = [
         step.pushed(wrenches)[0]
         for step, wrenches in zip(steps, solution.wrenches, strict=True)
     ]
-    end_grid = replace(
-        result.grid, state=state, lost=result.lost, tied=solution.wrenches
-    )
-    return end_grid, bodies
-
-
-@dataclass(slots=True)
-class PulledGrid:
-    """A grid after a cell, with impulses on pinned particles."""
-
-    grid: TimeGrid
-    pulls: FloatArray  # impulses and moments about the origin ``(H, 6)``
-    lost: bool
-
-
-def _solve_with_pulls(
-    network: _kernels.SpringNetwork,
-    grid: TimeGrid,
-    colliders: CellColliders,
-    tolerance: float,
-) -> PulledGrid:
-    """Return the time grid one cell later, and the impulses on pinned particles."""
-    state = grid.state
-    (
-        motion, before, has_previous, torn, steps, corrections, unsolved, inside,
-        pushes, pulls,
-    ) = _kernels.solve_springs(
-        network, state.motion, state.before, state.torn, grid.origin, grid.index,
-        grid.cell, 1, state.substeps, grid.solver is Solver.BDF2, tolerance, colliders,
-        state.pulls,
-    )  # fmt: skip
-    after = replace(
-        state, motion=motion, before=before if has_previous else None,
-        torn=torn, pulls=pulls[1],
-    )  # fmt: skip
-    end_grid = grid.advanced(1, after, steps, corrections, inside, pushes)
-    return PulledGrid(end_grid, pulls[0], unsolved > 0)
+    return replace(end_grid, state=state, tied=solution.wrenches), bodies
 
 
 def _advance_implicit(
@@ -490,19 +457,24 @@ def _advance_implicit(
     cells: int,
     colliders: CellColliders,
     tolerance: float,
-) -> TimeGrid:
-    """Advance a motion by ``cells`` cells of BDF2 or implicit Euler."""
+    pulls: FloatArray | None = None,
+) -> PulledSprings:
+    """Advance a motion by ``cells`` cells of BDF2 or implicit Euler.
+
+    With the ``pulls`` of the last step, also returns the impulses on pinned particles.
+    """
     state = grid.state
     (
         motion, before, has_previous, torn, steps, corrections, unsolved, inside,
-        pushes, _,
+        pushes, impulses,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, cells, state.substeps, grid.solver is Solver.BDF2, tolerance,
-        colliders,
+        colliders, pulls,
     )  # fmt: skip
     after = replace(
-        state, motion=motion, before=before if has_previous else None, torn=torn
-    )
-    end_grid = grid.advanced(cells, after, steps, corrections, inside, pushes)
-    return replace(end_grid, lost=unsolved > 0)
+        state, motion=motion, before=before if has_previous else None, torn=torn,
+        pulls=state.pulls if pulls is None else impulses[1],
+    )  # fmt: skip
+    end_grid = grid.after_cells(cells, after, steps, corrections, inside, pushes)
+    return PulledSprings(replace(end_grid, lost=unsolved > 0), impulses[0])

@@ -28,7 +28,6 @@ from animtool.systems.springs.body import (
     Paths,
     SpringForces,
     TargetSprings,
-    kernel_self_contact,
 )
 from animtool.systems.springs.checks import (
     check_body,
@@ -59,6 +58,7 @@ MAX_STEPS_PER_CALL = 1 << 20
 class _Stage(NamedTuple):
     """Paths of pins and targets between two teleports, and the kernel network."""
 
+    index: int  # number of teleports before it
     pins: Path
     targets: Path
     network: _kernels.SpringNetwork
@@ -159,7 +159,7 @@ class SpringSystem(SecondOrder):
         driven_particles = np.append(self.pinned, target_particles)
         self._paths = (pin_path, target_path)
         self.teleports = Teleports(body, driven_particles, self._paths, speed_limit)
-        self._cached_stage: tuple[int, _Stage] | None = None
+        self._cached_stage: _Stage | None = None
         self.contacts: Contacts | None = None
         self.ties: BodyTies | None = None  # pins on rigid bodies
         self.colliders = (
@@ -208,50 +208,44 @@ class SpringSystem(SecondOrder):
         ):
             self._cached_stage = None
             return
-        network = self._cached_stage[1].network
+        network = self._cached_stage.network
         network.set_paths(pins[1], targets[1])
-        self._cached_stage = 0, _Stage(pins, targets, network)
+        self._cached_stage = _Stage(0, pins, targets, network)
 
     def _stage(self, index: int) -> _Stage:
         """Return the paths and the kernel network of a stage, cached."""
-        if self._cached_stage is None or self._cached_stage[0] != index:
+        stage = self._cached_stage
+        if stage is None or stage.index != index:
             pins, targets = (
                 self.teleports.paths(index) if len(self.teleports) else self._paths
             )
             knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
-            springs = self.body.springs.select(self.spring_order)
-            network = replace(self.forces, springs=springs).network(
-                Paths(knots, *paths)
-            )
-            self._cached_stage = index, _Stage(pins, targets, network)
-        return self._cached_stage[1]
+            network = self._network(Paths(knots, *paths))
+            stage = self._cached_stage = _Stage(index, pins, targets, network)
+        return stage
 
-    def cell_knots(self, stage: int, t0: float, t1: float) -> FloatArray:
-        """Return both end times of a cell, and the path knots between them [s]."""
-        stage_paths = self._stage(stage)
-        times = [
-            knots
-            for knots, _ in (stage_paths.pins, stage_paths.targets, self._wind_path)
-        ]
-        all_knots = np.unique(np.concatenate(times))
-        inner = all_knots[(all_knots > t0) & (all_knots < t1)]
-        return np.concatenate([[t0], inner, [t1]])
+    def _network(self, paths: Paths) -> _kernels.SpringNetwork:
+        """Return the kernel network over paths, with springs in kernel order."""
+        springs = self.body.springs.select(self.spring_order)
+        return replace(self.forces, springs=springs).network(paths)
 
     def cell_network(
         self, stage: int, t0: float, t1: float
-    ) -> tuple[_kernels.SpringNetwork, FloatArray, FloatArray]:
-        """Return the kernel network of a cell, with pin and target paths.
+    ) -> tuple[_kernels.SpringNetwork, Paths]:
+        """Return the kernel network of a cell and its paths between two times [s].
 
-        Paths at the knots of the cell are ``(K, P, 3)`` and ``(K, A, 3)`` [m].
+        The paths have a knot at both ends of the cell, and at all knots between them.
         """
-        stage_paths, knots = self._stage(stage), self.cell_knots(stage, t0, t1)
-        pinned, targets, wind = (
-            np.array([position_at(path, t) for t in knots.tolist()])
-            for path in (stage_paths.pins, stage_paths.targets, self._wind_path)
+        stage_paths = self._stage(stage)
+        paths = stage_paths.pins, stage_paths.targets, self._wind_path
+        all_knots = np.unique(np.concatenate([times for times, _ in paths]))
+        inner = all_knots[(all_knots > t0) & (all_knots < t1)]
+        knots = np.concatenate([[t0], inner, [t1]])
+        positions = (
+            np.array([position_at(path, t) for t in knots.tolist()]) for path in paths
         )
-        springs = self.body.springs.select(self.spring_order)
-        paths = Paths(knots, pinned, targets, wind)
-        return replace(self.forces, springs=springs).network(paths), pinned, targets
+        cell_paths = Paths(knots, *positions)
+        return self._network(cell_paths), cell_paths
 
     def has_faces(self, particles: IntArray) -> bool:
         """Return whether any of the particles is a corner of a colliding face."""
@@ -271,7 +265,8 @@ class SpringSystem(SecondOrder):
         contact = self.self_contact
         if contact is None:
             return None
-        return kernel_self_contact(self.network(0), contact, self._rest)
+        settings = contact.thickness, contact.friction, contact.speed
+        return _kernels.SpringLayers(self.network(0), self._rest, *settings)
 
     @cached_property
     def spring_order(self) -> IntArray:
@@ -381,22 +376,15 @@ class SpringSystem(SecondOrder):
         result._state = np.stack([points, np.zeros_like(points)])
         return result
 
+    # Overflow gives an infinite energy.
+    @np.errstate(over="ignore", invalid="ignore")
     def energy(self, t: float, state: FloatArray) -> Energy:
         """Return the kinetic energy, and the potential energy of springs and gravity.
 
         Moving pins, targets and wind may supply about the kinetic energy of all
         particles at their speed.
         """
-        x, v = state
-        masses = self.free_masses
-        # Overflow gives an infinite energy.
-        with np.errstate(over="ignore", invalid="ignore"):
-            return self._energy_of(t, x, v, masses)
-
-    def _energy_of(
-        self, t: float, x: FloatArray, v: FloatArray, masses: FloatArray
-    ) -> Energy:
-        """Return the energy of positions and velocities; masses ``(N,)`` [kg]."""
+        (x, v), masses = state, self.free_masses
         kinetic = 0.5 * float(masses @ np.einsum("nk,nk->n", v, v))
         stage = self._stage(self.teleports.stage(t))
         potential, _ = _kernels.spring_energy(stage.network, np.ascontiguousarray(x))

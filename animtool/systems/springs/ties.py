@@ -8,6 +8,7 @@ positions. A light body on a heavy rope is as stable as a heavy body on a light 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.tied import TiedBodies, TiedStep, local_to_world
+from animtool.systems.springs.motion import TimeGrid
 
 # Finite difference step of body positions, in mean spring lengths [1].
 DIFFERENCE_STEP = 1e-6
@@ -65,22 +67,30 @@ class BodyTies:
         return None if mass == np.inf else (name, mass)
 
 
+class PulledSprings(NamedTuple):
+    """Springs after a cell."""
+
+    grid: TimeGrid
+    # Impulses and moments about the origin on pinned particles ``(H, 6)``.
+    pulls: FloatArray
+
+
 class _TrialPull(NamedTuple):
     """Result of a coupled cell for given velocity changes of the bodies."""
 
-    springs_result: Any
+    springs: PulledSprings
     residuals: FloatArray  # residual velocities ``(6 U,)``
     wrenches: list[Wrenches]  # impulses on bodies, by system
 
 
 # Advances springs, given start and end positions of the carried particles.
-SolveSprings = Callable[[FloatArray, FloatArray], Any]
+SolveSprings = Callable[[FloatArray, FloatArray], PulledSprings]
 
 
 class TiedSolution(NamedTuple):
     """Solution of a coupled cell."""
 
-    springs_result: Any  # result of the spring solver
+    grid: TimeGrid  # springs after the cell
     wrenches: tuple[Wrenches, ...]  # impulses on bodies, by system
     # Jacobian and solution, for the next cell ``(6 U, 6 U + 1)``.
     warm_start: FloatArray | None
@@ -165,35 +175,20 @@ class TiedCell:
         count = 6 * len(self._solved_bodies)
         if not count:
             current = self._trial(np.zeros(0), solve_springs)
-            return TiedSolution(current.springs_result, tuple(current.wrenches), None)
-        has_warm_start = warm_start is not None and warm_start.shape == (
-            count,
-            count + 1,
-        )
-        y = (
-            warm_start[:, -1].copy()
-            if warm_start is not None and has_warm_start
-            else np.zeros(count)
-        )
+            return TiedSolution(current.springs.grid, tuple(current.wrenches), None)
+        y, jacobian = np.zeros(count), None
+        if warm_start is not None and warm_start.shape == (count, count + 1):
+            y, jacobian = warm_start[:, -1].copy(), warm_start[:, :-1]
         current = self._trial(y, solve_springs)
-        jacobian = (
-            warm_start[:, :-1] if warm_start is not None and has_warm_start else None
-        )
         spring_length, scale, is_rebuilt = self._ties.spring_length, self._scale, False
         displacement = np.inf
         for _ in range(MAX_CORRECTIONS):
-            if current.springs_result.lost:
+            if current.springs.grid.lost:
                 break
             if jacobian is None:
-                jacobian, is_rebuilt = (
-                    self._jacobian(
-                        y,
-                        current,
-                        DIFFERENCE_STEP * spring_length / scale,
-                        solve_springs,
-                    ),
-                    True,
-                )
+                steps = DIFFERENCE_STEP * spring_length / scale
+                jacobian = self._jacobian(y, current, steps, solve_springs)
+                is_rebuilt = True
             change = _newton_correction(jacobian, current)
             displacement = float(np.abs(change * scale).max())
             if displacement <= CONVERGED * spring_length:
@@ -216,10 +211,11 @@ class TiedCell:
             # Broyden update of the Jacobian.
             jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             is_rebuilt = False
-        current.springs_result.lost |= not displacement <= MAX_RESIDUAL * spring_length
+        grid = current.springs.grid
+        is_lost = grid.lost or not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
         return TiedSolution(
-            current.springs_result, tuple(current.wrenches), next_warm_start
+            replace(grid, lost=is_lost), tuple(current.wrenches), next_warm_start
         )
 
     def _jacobian(
@@ -256,7 +252,7 @@ class TiedCell:
         displacement = float(np.abs(change * scale).max())
         for _ in range(MAX_HALVINGS):
             trial = self._trial(y + fraction * change, solve_springs)
-            if not trial.springs_result.lost and np.isfinite(trial.residuals).all():
+            if not trial.springs.grid.lost and np.isfinite(trial.residuals).all():
                 next_size = float(
                     np.abs(_newton_correction(jacobian, trial) * scale).max()
                 )
@@ -281,7 +277,7 @@ class TiedCell:
             local_to_world(ends[tie.carrier][1][tie.body], tie.local_points)
             for tie in self._ties.ties
         ]
-        springs_result = solve_springs(
+        springs = solve_springs(
             np.concatenate(self._positions), np.concatenate(end_points)
         )
         totals = [np.zeros_like(rows) for rows in pulls]
@@ -289,9 +285,7 @@ class TiedCell:
         for i, velocity in enumerate(y.reshape(-1, 6)):
             body = self._solved_bodies[i]
             step = self._steps[body.carrier]
-            pull = self._pull(
-                i, ends[body.carrier][0], end_points, springs_result.pulls
-            )
+            pull = self._pull(i, ends[body.carrier][0], end_points, springs.pulls)
             moment = step.moment(body.dynamic_index, pull)
             velocity_change = [pull[:3] / body.mass, body.inverse_inertia @ moment]
             residuals.append(np.concatenate(velocity_change) - velocity)
@@ -299,7 +293,7 @@ class TiedCell:
         wrenches = [
             step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
         ]
-        return _TrialPull(springs_result, np.array(residuals).reshape(-1), wrenches)
+        return _TrialPull(springs, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(
         self, index: int, end: Any, end_points: Sequence[FloatArray], pulls: FloatArray

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import replace
 from typing import Any
 
@@ -23,70 +24,44 @@ def trial_settings(
     system: SpringSystem, options: SpringOptions, begin: float
 ) -> TrialSettings:
     """Return the settings to compare: solvers with steps around their defaults."""
-    defaults = replace(options, step=None)
 
-    def default_setting(
-        solver: Solver, solver_options: SpringOptions = defaults
-    ) -> Setting:
+    def setting_of(solver: Solver, solver_options: SpringOptions) -> Setting:
         """Return a solver with its default step."""
         choice = choose_solver(system, solver_options, solver, begin, system.state)
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
-    configured_setting = default_setting(Solver(options.solver), options)
-
-    def default_settings(solver: Solver) -> list[Setting]:
-        """Return the setting of a solver; empty if it cannot simulate the springs."""
-        try:
-            return [default_setting(solver)]
-        except OptionError:
-            return []
-
-    def settings() -> list[Setting]:
-        solver_settings = [
-            setting
-            for s in Solver
-            if s is not Solver.AUTO
-            for setting in default_settings(s)
-        ]
-        solver_settings = [
-            configured_setting
-            if setting.method == configured_setting.method
-            else setting
-            for setting in solver_settings
-        ]
-        return [
-            row
-            for setting in solver_settings
-            for row in step_settings(setting.method, setting["step"])
-        ]
-
-    def references() -> list[list[Setting]]:
-        """Return finer steps of bdf2, of explicit Euler, and of the chosen solver."""
-        reference_steps = [
-            min(configured_setting["step"], setting["step"])
-            for setting in default_settings(REFERENCE_SOLVER)
-        ]
-        setting_groups = [
-            step_settings(REFERENCE_SOLVER, step, REFERENCE_FACTORS)
-            for step in reference_steps
-        ]
-        setting_groups += [
-            step_settings(STIFF_REFERENCE_SOLVER, setting["step"], REFERENCE_FACTORS)
-            for setting in default_settings(STIFF_REFERENCE_SOLVER)
-        ]
-        if configured_setting.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
-            setting_groups.append(
-                step_settings(
-                    configured_setting.method,
-                    configured_setting["step"],
-                    REFERENCE_FACTORS,
-                )
-            )
-        return setting_groups
+    configured = setting_of(Solver(options.solver), options)
+    defaults: dict[str, Setting] = {}
+    for solver in Solver:
+        # Solvers that cannot simulate the springs are left out.
+        with suppress(OptionError):
+            if solver is not Solver.AUTO:
+                defaults[solver] = setting_of(solver, replace(options, step=None))
+    settings = [
+        row
+        for method, setting in defaults.items()
+        for row in step_settings(
+            method, (configured if method == configured.method else setting)["step"]
+        )
+    ]
+    # Finer steps of bdf2, of explicit Euler, and of the chosen solver.
+    reference_steps: dict[str, float] = {}
+    if REFERENCE_SOLVER in defaults:
+        step = min(configured["step"], defaults[REFERENCE_SOLVER]["step"])
+        reference_steps[REFERENCE_SOLVER] = step
+    if STIFF_REFERENCE_SOLVER in defaults:
+        step = defaults[STIFF_REFERENCE_SOLVER]["step"]
+        reference_steps[STIFF_REFERENCE_SOLVER] = step
+    if configured.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
+        reference_steps[configured.method] = configured["step"]
+    references = [
+        step_settings(method, step, REFERENCE_FACTORS)
+        for method, step in reference_steps.items()
+    ]
 
     def changed_keys(setting: Setting) -> Mapping[str, Any]:
-        if setting == configured_setting:
+        if setting == configured:
             return {"error": None, "solver": options.solver, "step": options.step}
         return {"error": None, "solver": setting.method, "step": setting["step"]}
 
-    return TrialSettings(configured_setting, settings, references, changed_keys)
+    return TrialSettings(configured, lambda: settings, lambda: references, changed_keys)

@@ -7,8 +7,6 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Any, cast
 
-import numpy as np
-
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted, percent_text, warning
 from animtool.core.quantities import length_text, plain_number
@@ -47,6 +45,15 @@ class SpringView:
     _measured_surface: MeasuredSurface | None = None
     _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
 
+    def __post_init__(self) -> None:
+        """Count self-intersections of a surface without self-contact."""
+        simulation, body = self.simulation, self.body
+        has_self_contact = simulation.system.self_contact is not None
+        if isinstance(body.shape, FaceShape) and not has_self_contact:
+            self._self_crossings = SelfCrossings(
+                body.body.triangles, simulation.begin, simulation.last
+            )
+
     @property
     def body(self) -> Any:
         """Particles, springs and display shape of the entry."""
@@ -70,25 +77,12 @@ class SpringView:
         """Return the curves or the mesh of the entry at a state."""
         self.simulation.measure(state, t)
         points, velocities = state.motion[:, self.rows]
-        self._count_crossings(points, t)
+        if self._self_crossings is not None:
+            self._self_crossings.count_if_due(t, points)
         self._measure(points, t, state)
         shape = self._torn_mesh or self.body.shape
         frame: Frame = shape.row(points, velocities, self.torn(state))
         return frame
-
-    def _count_crossings(self, points: FloatArray, t: float) -> None:
-        """Count self-intersections of a surface without self-contact."""
-        simulation, shape = self.simulation, self.body.shape
-        if simulation.system.self_contact is not None or not isinstance(
-            shape, FaceShape
-        ):
-            return
-        if self._self_crossings is None:
-            corners = self.body.body.triangles
-            self._self_crossings = SelfCrossings(
-                corners, simulation.begin, simulation.last
-            )
-        self._self_crossings.count_if_due(t, points)
 
     def _measure(self, points: FloatArray, t: float, state: SpringState) -> None:
         """Measure depth, piercing and strain of a surface in contact."""
@@ -98,29 +92,24 @@ class SpringView:
             colliders.active or has_self_contact
         ):
             return
-        if self._measured_surface is None:
+        torn = self.torn(state)
+        if self._measured_surface is None or torn.any():
             self._measured_surface = _surface_to_measure(
-                shape, system.fixed[self.rows], body, has_self_contact
+                shape, system.fixed[self.rows], body, torn, has_self_contact
             )
-        solids, depths = (
+        self._meter.measure(
+            t,
+            points,
+            self._measured_surface,
             closed_surfaces(colliders, t),
             collider_depths(colliders, points, t),
         )
-        surface, torn = self._measured_surface, self.torn(state)
-        if torn.any():
-            surface = _surface_to_measure(
-                shape, system.fixed[self.rows], body, has_self_contact, torn
-            )
-        self._meter.measure(t, points, surface, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
         simulation, body, name = self.simulation, self.body, self.member.name
-        notices = (
-            self._self_crossings.notices(name)
-            if self._self_crossings is not None
-            else []
-        )
+        crossings = self._self_crossings
+        notices = [] if crossings is None else crossings.notices(name)
         has_faces = simulation.system.has_faces(self.rows)
         if has_faces and not notices:
             return notices
@@ -172,7 +161,7 @@ class SpringView:
             "particles": len(body.positions),
             "springs": len(body.springs.rest),
             "solver": str(simulation.choice.solver),
-            "reason": simulation.reason,
+            "reason": simulation.choice.reason,
             "step": simulation.shortest_step,
             "steps": simulation.grid.steps,
             "stretch": simulation.stretch,
@@ -205,7 +194,7 @@ class SpringView:
         """Return a note about the solver, strain and contact (SIM130)."""
         simulation = self.simulation
         phrases = [
-            f"{simulation.choice.solver} ({simulation.reason})",
+            f"{simulation.choice.solver} ({simulation.choice.reason})",
             f"shortest step {plain_number(simulation.shortest_step)} s",
             f"springs stretch by up to {percent_text(simulation.stretch)}",
         ]
@@ -223,20 +212,14 @@ def _surface_to_measure(
     shape: FaceShape,
     is_fixed: BoolArray,
     body: Body,
+    is_torn: BoolArray,
     has_self_contact: bool,
-    is_torn: BoolArray | None = None,
 ) -> MeasuredSurface:
     """Return the edges to measure, without torn springs.
 
     Triangles are included only with self-contact.
     """
-    side_springs = shape.side_springs
-    is_measured = (body.springs.rest[side_springs] > 0) & ~is_fixed[
-        body.springs.ends[side_springs]
-    ].all(axis=1)
-    is_measured &= True if is_torn is None else ~is_torn[side_springs]
+    sides = shape.side_springs[~is_torn[shape.side_springs]]
+    springs = body.springs.select(sides)
     triangles = body.triangles if has_self_contact else body.triangles[:0]
-    springs = body.springs.select(side_springs[is_measured])
-    return MeasuredSurface(
-        np.flatnonzero(~is_fixed), triangles, springs.ends, springs.rest
-    )
+    return MeasuredSurface.of_edges(springs.ends, springs.rest, is_fixed, triangles)

@@ -22,7 +22,7 @@ from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.systems.attach.strands import DEPENETRATION_SPEED
+from animtool.systems.attach.colliders import DEPENETRATION_SPEED
 
 __all__ = ["ATTACHED"]
 

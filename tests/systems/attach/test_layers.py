@@ -12,7 +12,7 @@ from support.attached import sheet_rig, take_of
 from animtool.motion.take import TakeStream
 from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.layers import ClothMotion
+from animtool.systems.attach.colliders import ClothMotion
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.take_pass import simulate
 from animtool.systems.framework.meter import ClosedSurface, pierced_pairs

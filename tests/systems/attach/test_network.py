@@ -11,8 +11,8 @@ from animtool.systems.attach.network import (
     Network,
     fold_pairs,
     max_pin_hops,
-    quad_diagonals,
 )
+from animtool.systems.springs.shapes import face_diagonals
 
 
 def grid(size: int) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
@@ -31,7 +31,7 @@ def test_springs_of_a_grid() -> None:
     sides = Network(points, np.array([0]), edges(*faces))
     assert len(sides.rests) == 2 * size * (size - 1)
     assert_allclose(sides.rests, 1.0)
-    assert len(quad_diagonals(*faces)) == 2 * (size - 1) ** 2
+    assert len(face_diagonals(*faces)) == 2 * (size - 1) ** 2
     folds = Network(points, np.array([0]), fold_pairs(*faces))
     assert_allclose(folds.rests, 2.0)
     assert len(folds.rests) == 2 * size * (size - 2)

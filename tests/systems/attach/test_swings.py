@@ -11,7 +11,7 @@ from numpy.testing import assert_allclose
 from support.attached import moved, tail_rig, take_of
 
 from animtool.maths import so3
-from animtool.systems.attach.strands import chain_rotations, shortest_rotations
+from animtool.systems.attach.chains import chain_rotations, shortest_rotations
 
 SEEDS = st.integers(0, 2**31)
 

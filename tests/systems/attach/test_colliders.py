@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.testing import assert_allclose
 
-from animtool.systems.attach.strands import capsule_distances
+from animtool.systems.attach.colliders import capsule_distances
 
 
 def test_how_far_points_are_outside_a_capsule() -> None:

@@ -1,0 +1,247 @@
+"""Colliders of an attachment: the character, cloth named before it, and the world."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from animtool import _kernels
+from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.record import dataclass
+from animtool.rig.kinematics import WorldTransforms, bind_world
+from animtool.rig.skeleton import Rig
+from animtool.sim.colliders import Capsule, Collider, Colliders, Sheet
+from animtool.sim.colliders.on_joints import JointCapsules
+from animtool.sim.contact import SPEED_LIMIT
+from animtool.systems.attach.bodies import AttachedBody, ChainBody
+from animtool.systems.attach.poses import PosePath
+from animtool.systems.attach.settings import AttachSettings
+from animtool.systems.attach.skins import PosePaths, SkinSurface, contact_offsets
+from animtool.systems.framework.meter import (
+    ClosedSurface,
+    closed_surfaces,
+    collider_depths,
+)
+from animtool.systems.springs.contacts import (
+    CellColliders,
+    Cells,
+    PosedColliders,
+    cell_colliders,
+)
+
+# Speed at which particles that start inside a collider are moved out [m/s].
+DEPENETRATION_SPEED = 1.0
+# Particles that stay deeper than this count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
+
+
+@dataclass(eq=False)
+class ClothMotion:
+    """Points of simulated cloth over the last simulated frame.
+
+    Points move linearly within the frame, and are constant before and after it.
+    """
+
+    faces: IntArray  # triangles ``(T, 3)``
+    begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
+    end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
+    times: tuple[float, float] = (0.0, 0.0)  # start and end of the frame [s]
+
+    def points(self, t: float) -> FloatArray:
+        """Return the points at a time [s] ``(N, 3)`` [m]."""
+        first, last = self.times
+        if t >= last:
+            return self.end
+        if t <= first:
+            return self.begin
+        fraction = (t - first) / (last - first)
+        return self.begin + fraction * (self.end - self.begin)
+
+    def triangles(self, t: float) -> IntArray:  # noqa: ARG002
+        """Return the constant triangles ``(T, 3)``."""
+        return self.faces
+
+    def forget(self, t: float) -> None:
+        """Do nothing, as only the last frame is stored."""
+
+
+def capsule_distances(
+    points: FloatArray, ends: FloatArray, radius: float
+) -> FloatArray:
+    """Return signed distances of points ``(N, 3)`` from a capsule ``(N,)`` [m].
+
+    The ends of the capsule are ``(2, 3)`` [m].
+    """
+    axis = ends[1] - ends[0]
+    square = float((axis * axis).sum())
+    offsets = points - ends[0]
+    fractions = np.zeros(len(points))
+    if square > 0:
+        fractions = np.clip((offsets * axis).sum(axis=1) / square, 0.0, 1.0)
+    radial = offsets - fractions[:, None] * axis
+    return np.asarray(np.sqrt((radial * radial).sum(axis=1)) - radius)
+
+
+def bind_depths(
+    capsules: JointCapsules, rig: Rig, points: FloatArray, margin: float
+) -> FloatArray:
+    """Return signed distances of points from capsules at bind ``(C, N)`` [m].
+
+    Distances are at most 0.
+    Capsules may be thicker than the body, so that points on the body start inside. They
+    may stay that deep.
+    """
+    bind_ends = capsules.world_ends(bind_world(rig))[0]
+    depths = np.zeros((len(capsules), len(points)))
+    for c, radius in enumerate((capsules.radii + margin).tolist()):
+        depths[c] = np.minimum(capsule_distances(points, bind_ends[c], radius), 0.0)
+    return depths
+
+
+class CollisionSurroundings(NamedTuple):
+    """Surfaces around an attachment at the end of a frame, to measure contact."""
+
+    world: WorldTransforms  # joint transforms
+    time: float  # end of the frame [s]
+    solids: Sequence[ClosedSurface]  # closed surfaces, such as skins
+    layers: Sequence[ClosedSurface]  # cloth of other attachments
+
+
+class CharacterColliders:
+    """Capsules and skins of a character, together with colliders of the world."""
+
+    def __init__(
+        self,
+        rig: Rig,
+        body: AttachedBody,
+        settings: AttachSettings,
+        start: PosePath,
+        scale: float,
+        margin: float,
+        skins: Sequence[SkinSurface],
+        world: Colliders,
+        layers: Sequence[Sheet],
+    ) -> None:
+        """Set up the constants of all frames from the poses of a start path.
+
+        The scale [1] is that of the character in the first pose. Skins have a margin
+        [m] in addition to the radius. Layers are cloth of other attachments.
+        """
+        options, radius = settings.options, settings.radius
+        capsules = JointCapsules.of(rig) if options.capsules else JointCapsules.empty()
+        if skins:
+            # Joints with a skin collide with that instead of their capsules.
+            has_skin = np.any([skin.joints for skin in skins], axis=0)
+            capsules = capsules.select(~has_skin[capsules.joints])
+        self._capsules, self._radius, self._world = capsules, radius, world
+        capsule_collider = Collider(
+            Capsule(1.0, 0.0),
+            friction=options.friction,
+            depenetration=DEPENETRATION_SPEED,
+        )
+        self._colliders = Colliders(
+            [*world, *([capsule_collider] * len(capsules))],
+            [*world.sheets, *layers],
+            world.bodies,
+        )
+        # First index and count of the character's rigid colliders.
+        self.character_range = len(world), len(capsules)
+        capsule_rows = slice(len(world), len(self._colliders))
+        self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
+        self._sizes[:, 6] = capsules.world_radii(start.world)
+        points = body.network.points
+        # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
+        self._allowed_depths = scale * bind_depths(
+            capsules, rig, points, radius / scale
+        )
+        rigid_depths = np.zeros((self._colliders.rigid, len(points)))
+        rigid_depths[capsule_rows] = self._allowed_depths
+        targets = body.targets(start)[0]
+        skin_depths = [
+            contact_offsets(
+                ClosedSurface(skin.points(start)[0], skin.triangles),
+                targets,
+                radius + margin,
+                inside=isinstance(body, ChainBody),
+            )
+            for skin in skins
+        ]
+        self._depths = np.concatenate(
+            [rigid_depths, *(distances[None] for distances in skin_depths)]
+        )
+        self._skins = skins
+        self._skin_material = (
+            0.0,
+            options.friction,
+            margin,
+            DEPENETRATION_SPEED,
+            SPEED_LIMIT,
+        )
+        self._skin_kernels: list[Any] = []
+        # Whether no two points of a skin coincide.
+        self._has_distinct_points: list[bool] = []
+        self._skin_solids: list[ClosedSurface] = []  # skins at the end of a frame
+        self._cloth_motions = [layer.motion for layer in layers]
+
+    def depths(
+        self, surroundings: CollisionSurroundings, points: FloatArray
+    ) -> FloatArray:
+        """Return penetration depths of points beyond the allowed depths ``(N,)`` [m].
+
+        Depths are in the deepest rigid collider; below 0 is outside.
+        """
+        depths = collider_depths(self._world, points, surroundings.time)
+        radii, allowed_depths = self._sizes[:, 6], self._allowed_depths + self._radius
+        for c, ends in enumerate(self._capsules.world_ends(surroundings.world)[-1]):
+            distances = capsule_distances(points, ends, radii[c])
+            penetration = np.minimum(allowed_depths[c], 0.0) - distances
+            np.maximum(depths, penetration, out=depths)
+        return depths
+
+    def surroundings(self, world: WorldTransforms, t: float) -> CollisionSurroundings:
+        """Return the surfaces at the end of the last frame, at a time [s]."""
+        solids = [*self._skin_solids, *closed_surfaces(self._world, t)]
+        layers = [
+            ClosedSurface(motion.points(t), motion.triangles(t))
+            for motion in self._cloth_motions
+        ]
+        return CollisionSurroundings(world, t, solids, layers)
+
+    def kernel_arguments(self, paths: PosePaths, cells: Cells) -> CellColliders:
+        """Return kernel arguments for the cells of a frame; None without colliders."""
+        world = paths.sample(cells.count).world
+        rows, ends = self._capsules.joint_poses_and_ends(world)
+        sizes = self._sizes.copy()
+        sizes[:, :6] = ends.reshape(-1, 6)
+        poses = np.stack([rows[:-1], rows[1:]], axis=2)
+        skins = self._kernel_skins(paths, cells.count)
+        posed = PosedColliders(sizes, poses, self._depths, skins, UNRESOLVED_DEPTH)
+        return cell_colliders(self._colliders, self._radius, cells, posed)
+
+    def _kernel_skins(self, paths: PosePaths, steps: int) -> list[tuple[Any, ...]]:
+        """Return kernel arguments of the skins, and store their end as solids."""
+        points = [paths.skin_points(skin, steps) for skin in self._skins]
+        if not self._skin_kernels:
+            self._skin_kernels = [
+                _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
+                for skin, rows in zip(self._skins, points, strict=True)
+            ]
+            self._has_distinct_points = [
+                len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
+            ]
+        self._skin_solids = [
+            ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
+            for skin, rows, kernel, is_distinct in zip(
+                self._skins,
+                points,
+                self._skin_kernels,
+                self._has_distinct_points,
+                strict=True,
+            )
+        ]
+        return [
+            (kernel, rows, self._skin_material, 1, 0)
+            for kernel, rows in zip(self._skin_kernels, points, strict=True)
+        ]
