@@ -280,10 +280,8 @@ def cleaning_notices(
         and not options.keep_noise
         and options.cutoff is None
     ):
-        message = (
-            f"a take of {counted(take.clock.count, 'frame')} is too short to tell "
-            "noise from motion; nothing is filtered"
-        )
+        message = f"a take of {counted(take.clock.count, 'frame')} is too short to "
+        message += "tell noise from motion; nothing is filtered"
         return [warning("CAP102", message)]
     joints_with_spikes = sorted({s.joint for s in signals if s.spikes})
     filtered_signals = [s for s in signals if s.cutoff is not None]
@@ -294,9 +292,8 @@ def cleaning_notices(
             f"{rate:g} fps, whose highest frequency is {rate / 2:g} Hz; nothing is "
             "filtered"
         )
-        hint = (
-            f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body motion"
-        )
+        hint = f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body "
+        hint += "motion"
         faults.append(warning("CAP106", message, hint))
     removed = _removed_motion(filtered_signals)
     if removed is not None:

@@ -84,10 +84,8 @@ def check_same_rig(rig: Rig, other: Rig) -> None:
     problem = "joints are in different positions"
     if missing_joints:
         problem = f"joint {missing_joints[0]!r} is in only one of them"
-    message = (
-        f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
-        f"joints and {other.name!r} with {len(other.joints)}: {problem}"
-    )
+    message = f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
+    message += f"joints and {other.name!r} with {len(other.joints)}: {problem}"
     raise OptionError(Fault("SCN017", message, hint="retarget one of them first"))
 
 

@@ -465,10 +465,8 @@ def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
         f"{counted(int(has_length.sum()), 'joint')} are at their rest offsets, which "
         "are added to those of the take, so that bones are twice as long"
     )
-    hint = (
-        "use mode: override, with `joints` for a part of the body, or make an additive "
-        "take of it with the pass difference"
-    )
+    hint = "use mode: override, with `joints` for a part of the body, or make an "
+    hint += "additive take of it with the pass difference"
     return [Fault("SCN119", message, hint=hint, severity=Severity.WARNING)]
 
 

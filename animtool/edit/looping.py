@@ -449,9 +449,8 @@ def _better_cycle(cycle: Cycle, take: Take) -> Cycle | None:
 def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]:
     """Return the notices about a cycle of a take."""
     ends_text = (
-        f"frames {cycle.first:g} and {cycle.last:g} differ by "
-        f"{1000 * cycle.apart:.2f} mm, {100 * cycle.share:.0f}% of the motion "
-        "between them"
+        f"frames {cycle.first:g} and {cycle.last:g} differ by {1000 * cycle.apart:.2f} "
+        f"mm, {100 * cycle.share:.0f}% of the motion between them"
     )
     notices = []
     if options.find:
@@ -459,10 +458,8 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
         notices.append(Fault("SCN102", message, severity=Severity.NOTE))
     if cycle.share > MAX_GOOD_SEAM:
         best = None if options.find else _better_cycle(cycle, take)
-        hint = (
-            f"choose other frames with {argument('first')} and {argument('last')}, or "
-            f"a longer {argument('blend')}"
-        )
+        hint = f"choose other frames with {argument('first')} and {argument('last')}, "
+        hint += f"or a longer {argument('blend')}"
         if best is not None:
             first = argument("first", f"{best.first:g}")
             last = argument("last", f"{best.last:g}")
@@ -473,10 +470,8 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
     frames = round((cycle.last - cycle.first) / float(take.clock.step))
     # The default is not what was asked for: short cycles are blended as a whole.
     if options.blend > max(frames, _DEFAULTS.blend):
-        message = (
-            f"{argument('blend', options.blend)} is longer than the cycle of {frames} "
-            "frames: every frame is changed"
-        )
+        message = f"{argument('blend', options.blend)} is longer than the cycle of "
+        message += f"{frames} frames: every frame is changed"
         hint = f"use {frames // 2} or fewer; {_DEFAULTS.blend} is the default"
         notices.append(Fault("SCN115", message, hint=hint, severity=Severity.WARNING))
     return notices

@@ -234,10 +234,8 @@ def single_frame_warning(
     """Warn if resampling leaves one frame of a take with several frames (TAKE010)."""
     if len(times.codes) != 1 or clock.count < 2:
         return []
-    message = (
-        f"1 of {clock.count} frames remains, {frame_label(times.first)}: the rate of "
-        f"{float(fps):.6g} fps and the range leave no second one"
-    )
+    message = f"1 of {clock.count} frames remains, {frame_label(times.first)}: the "
+    message += f"rate of {float(fps):.6g} fps and the range leave no second one"
     hint = "use a higher rate or a wider range; a still pose needs a range of one frame"
     return [Fault("TAKE010", message, hint=hint, severity=Severity.WARNING)]
 

@@ -165,10 +165,8 @@ def _trim_blocks(
         stream.notices.append(notice)
     if last_index is not None and last_index >= count and not in_shot:
         requested_end = float(start + last_index * stream.step)
-        message = (
-            f"last is {requested_end:g}, but the take ends at {float(last):g}, at "
-            f"{rate_label(stream.fps)}"
-        )
+        message = f"last is {requested_end:g}, but the take ends at {float(last):g}, "
+        message += f"at {rate_label(stream.fps)}"
         end_hint = f"write {argument('last', f'{float(last):g}')}"
         end_hint += ", or trim before a pass that changes the rate"
         notice = Fault("SCN013", message, hint=end_hint, severity=Severity.NOTE)

@@ -96,10 +96,8 @@ def interpolation_notices(
         )
     if not error_texts:
         return []
-    message = (
-        "the take has samples, not curves, there: interpolation between frames is "
-        f"linear, and may be off by about {listed(error_texts)}"
-    )
+    message = "the take has samples, not curves, there: interpolation between frames "
+    message += f"is linear, and may be off by about {listed(error_texts)}"
     return [Fault("TAKE007", message, hint=hint, severity=Severity.NOTE)]
 
 

@@ -67,10 +67,7 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
 
     The joints are the root of the rig and that of the limb, at rest.
 
-    Args:
-        solved_take: The solved take.
-        goal_index: A goal whose position is missed.
-        frame: Time code of a miss.
+    The arguments are those of `up_axis_hint`.
     """
     target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
     root = solved_take.tracks.goals[goal_index].goal.root

@@ -175,10 +175,8 @@ class Goal:
             weight = getattr(self, kind.name)
             if isinstance(weight, Real):
                 continue
-            message = (
-                f"{kind.name} of the goal {self.joint!r} is a weight, a number from 0, "
-                f"not {excerpt(str(weight))}"
-            )
+            message = f"{kind.name} of the goal {self.joint!r} is a weight, a number "
+            message += f"from 0, not {excerpt(str(weight))}"
             field, count = kind.targets_field, kind.value_type.value
             hint = f"targets are arguments of the solve: Targets({field}=...), "
             hint += f"one of {count} numbers for each goal of each pose"

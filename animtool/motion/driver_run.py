@@ -124,10 +124,8 @@ class DriverRun:
                 fault = _driver_warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest.frame))
         for name, largest in self._twist_wraps.items():
-            message = (
-                f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
-                "drives jumps there"
-            )
+            message = f"{name} crosses 180 degrees at frame {largest.frame:g}: what it "
+            message += "drives jumps there"
             hint = "the limits of the joint's twist place the seam"
             fault = _driver_warning("RIG105", message, hint)
             joint_name = split_coordinate(name)[0]
@@ -135,10 +133,8 @@ class DriverRun:
         if self._targets_keeping_source and self.report_replaced:
             targets = self._targets_keeping_source
             names = sorted(target.partition("/")[2] for target in targets)
-            message = (
-                "the take contains no controls for its drivers to read: "
-                f"{listed(names)} keep the take's values"
-            )
+            message = "the take contains no controls for its drivers to read: "
+            message += f"{listed(names)} keep the take's values"
             fault = Fault("RIG106", message, severity=Severity.NOTE)
             notices.append((fault, min(targets), 0.0))
         for target, largest in self._replaced_amounts.items():

@@ -70,6 +70,5 @@ def order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
     return [Fault("MOT222", order.message, path, (), ORDER_HINT, warning)]
 
 
-ORDER_HINT = (
-    "USD and clip files have w first, [w, x, y, z]; glTF has it last, [x, y, z, w]"
-)
+ORDER_HINT = "USD and clip files have w first, [w, x, y, z]; glTF has it last, [x, y, "
+ORDER_HINT += "z, w]"

@@ -197,9 +197,8 @@ class Take:
         step_text = "" if clock.step == 1 else f" every {float(clock.step):g}"
         frames = counted(clock.count, "frame")
         return (
-            f"<Take of {self.rig.name!r}: {frames} from "
-            f"{float(clock.start):g} to {float(last):g}{step_text} "
-            f"at {rate_label(clock.fps)}, {joints}>"
+            f"<Take of {self.rig.name!r}: {frames} from {float(clock.start):g} to "
+            f"{float(last):g}{step_text} at {rate_label(clock.fps)}, {joints}>"
         )
 
 

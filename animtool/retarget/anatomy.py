@@ -174,10 +174,8 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
         return []
     names = body.rig.names
     other_names = listed([repr(names[j]) for j in other_tops], MAX_LISTED_JOINTS)
-    message = (
-        f"{len(other_tops) + 1} skeletons in one file: that of {names[main_hips]!r} is "
-        f"mapped, {other_names} are skipped"
-    )
+    message = f"{len(other_tops) + 1} skeletons in one file: that of "
+    message += f"{names[main_hips]!r} is mapped, {other_names} are skipped"
     hint = "export the others to separate files"
     return [warning("MAP103", message, hint)]
 

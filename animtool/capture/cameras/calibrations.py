@@ -282,9 +282,8 @@ class _CalibrationEntry:
             nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
         )
         if rotation_matrix is None:
-            hint = (
-                "write a matrix with orthogonal rows of length 1, or a rotation vector"
-            )
+            hint = "write a matrix with orthogonal rows of length 1, or a rotation "
+            hint += "vector"
             self._add_fault("CAM001", "rotation", "is not a rotation", hint)
         return rotation_matrix
 

@@ -143,10 +143,8 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
         )
         return kind, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
-        kind = (
-            "holds cameras, not observations; pass it as "
-            f"{argument('cameras', path.name)}"
-        )
+        kind = "holds cameras, not observations; pass it as "
+        kind += f"{argument('cameras', path.name)}"
     return kind, LAYOUT_HINT
 
 

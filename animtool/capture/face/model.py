@@ -123,10 +123,8 @@ class FaceModel:
         pairs = self.similar_shapes()
         if len(pairs):
             names = [f"{self.shapes[a]} = {self.shapes[b]}" for a, b in pairs]
-            message = (
-                f"{len(pairs)} pairs of shapes move landmarks in the same direction, "
-                "and are solved together: "
-            )
+            message = f"{len(pairs)} pairs of shapes move landmarks in the same "
+            message += "direction, and are solved together: "
             notices.append(
                 names_fault("FAC102", message, names, severity=Severity.WARNING)
             )

@@ -169,10 +169,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     width = 3 if camera is None else 2
     shape = (len(model.names), width)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
-        message = (
-            f"landmarks have shape {observed.shape}, but the face has "
-            f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
-        )
+        message = f"landmarks have shape {observed.shape}, but the face has "
+        message += f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
         raise OptionError(Fault("FAC004", message))
     if len(model.names) < MIN_LANDMARKS:
         message = f"the face has {counted(len(model.names), 'landmark')}"
@@ -191,9 +189,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
     if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
-        message = (
-            f"the captured face is {plain_number(ratio)} times the size of the rig's"
-        )
+        message = f"the captured face is {plain_number(ratio)} times the size of the "
+        message += "rig's"
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
 
@@ -349,10 +346,8 @@ def _notices(
     ):
         numbers = np.flatnonzero(frames).tolist()
         if numbers:
-            message = (
-                f"{counted(len(numbers), 'frame')} with {problem}; "
-                f"from the first, frames {listed(numbers, MAX_LISTED)}"
-            )
+            message = f"{counted(len(numbers), 'frame')} with {problem}; from the "
+            message += f"first, frames {listed(numbers, MAX_LISTED)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & is_usable[:, None]
     counts = is_used.sum(axis=0)

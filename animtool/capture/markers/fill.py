@@ -178,10 +178,8 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
     if longest is None or hint is None or longest <= duration:
         return []
     limit_text = argument("longest", plain_number(longest))
-    message = (
-        f"{limit_text} allows gaps of {longest:g} s, "
-        f"but the take has {duration:.3g} s: gaps of any length are filled"
-    )
+    message = f"{limit_text} allows gaps of {longest:g} s, but the take has "
+    message += f"{duration:.3g} s: gaps of any length are filled"
     return [Fault("MKR112", message, None, (), hint, Severity.WARNING)]
 
 

@@ -333,9 +333,8 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     message = "by distances and shapes, these names could be swapped: " + "; ".join(
         doubt_texts
     )
-    hint = (
-        "look at a frame; a trial with a pose nearer to the take would tell them apart"
-    )
+    hint = "look at a frame; a trial with a pose nearer to the take would tell them "
+    hint += "apart"
     return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
 
 

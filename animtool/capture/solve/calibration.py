@@ -161,9 +161,8 @@ class _CalibrationState:
         self.static_frames = 0 if static is None else len(parts[0])
         self.positions = np.concatenate(parts)
         if len(self.positions) < MIN_FRAMES:
-            message = (
-                f"{len(self.positions)} frames have at least {MIN_MARKERS} markers"
-            )
+            message = f"{len(self.positions)} frames have at least {MIN_MARKERS} "
+            message += "markers"
             refuse("SOL006", message, hint=f"a calibration needs {MIN_FRAMES}")
         check_units(self.model, self.positions, self.model.template)
         # The joints whose bones scale independently: all but roots.

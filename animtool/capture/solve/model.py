@@ -150,9 +150,8 @@ def marker_model(
     ]
     if len(used_markers) < MIN_MARKERS:
         names = ", ".join(template.markers[m].name for m in used_markers)
-        message = (
-            f"has {len(used_markers)} of the template's {len(columns)} markers: {names}"
-        )
+        message = f"has {len(used_markers)} of the template's {len(columns)} markers: "
+        message += f"{names}"
         hint = f"at least {MIN_MARKERS} are needed, with some on every limb"
         raise OptionError(Fault("SOL003", message, hint=hint))
     used_markers.sort(key=lambda m: int(joints[m]))
