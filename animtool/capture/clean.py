@@ -203,9 +203,8 @@ def _run_deviations(
             (shifted[run + 1] - backward, shifted[run + 1] - after + step),
         ):
             distance = np.linalg.norm(deviation, axis=-1)
-            projection = np.sum(difference * deviation, axis=-1) / np.where(
-                distance > 0, distance, 1
-            )
+            divisor = np.where(distance > 0, distance, 1)
+            projection = np.sum(difference * deviation, axis=-1) / divisor
             sizes += [distance, projection]
         yield run, np.min(sizes, axis=0)
 

@@ -128,9 +128,8 @@ class FramePositions:
         (is_between,) = np.nonzero(self.fractions > 0)
         t = self.fractions[is_between, None, None]
         a, b, c, d = (extended_values[self.frames[is_between] + k] for k in range(4))
-        spline_values = b + t / 2 * (
-            c - a + t * (2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a))
-        )
+        curvature = 2 * a - 5 * b + 4 * c - d + t * (3 * (b - c) + d - a)
+        spline_values = b + t / 2 * (c - a + t * curvature)
         if is_rotation:
             spline_values = so3.normalize(spline_values)
         values_at_frames[is_between] = spline_values

@@ -131,9 +131,8 @@ class Programs:
         for target, number in self._numbers.items():
             for name, reference, values in self._program_rows(target, sources, scales):
                 # The reference is counted from 1: 0 marks joint rows.
-                nodes.append(
-                    [INSTRUCTION, number, _OPERATION_NUMBERS[name], reference + 1]
-                )
+                operation = _OPERATION_NUMBERS[name]
+                nodes.append([INSTRUCTION, number, operation, reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return [self._numbers[target] for target in self.requested], nodes, numbers
 

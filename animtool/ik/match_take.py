@@ -138,9 +138,8 @@ def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Faul
     rig = take.rig
     chain_joints = {j for chain in chains for j in _path(rig, chain.tip, chain.root)}
     roots = {rig.index(chain.root) for chain in chains}
-    joints_above = {
-        j for chain in chains for j in _path(rig, chain.root)
-    } - chain_joints
+    joints_above = {j for chain in chains for j in _path(rig, chain.root)}
+    joints_above -= chain_joints
     stretching_joints = {
         j
         for chain in chains

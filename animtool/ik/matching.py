@@ -165,9 +165,8 @@ def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:
         transported_sides, is_transported = _normalize(
             outward_sides, np.sqrt(MIN_SIDE_DISTANCE)
         )
-        transported_sides[~is_transported] = _normalize(
-            perpendicular_vectors(line_directions[~is_transported]), 0.0
-        )[0]
+        any_sides = perpendicular_vectors(line_directions[~is_transported])
+        transported_sides[~is_transported] = _normalize(any_sides, 0.0)[0]
         sides = np.where(has_side[:, None], sides, transported_sides)
     return np.asarray(root + middle_on_line + sides * limb.length / 2)
 

@@ -140,9 +140,8 @@ class TakeIk:
     def jumps_at_codes(self) -> list[dict[str, object]]:
         """The jumps as plain values, their frames as time codes."""
         times = self.take.clock.times
-        return [
-            {**plain_value(jump), "frame": times[jump.frame]} for jump in self.jumps
-        ]
+        jumps = self.jumps
+        return [{**plain_value(jump), "frame": times[jump.frame]} for jump in jumps]
 
 
 @dataclass(frozen=True, slots=True)

@@ -98,9 +98,8 @@ def bend_at_pin(
     if not amplitude:
         return thigh, angle
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    required_cosine = (
-        goal_distance**2 - upper @ upper - lower @ lower
-    ) / 2 - axial_product
+    required_product = (goal_distance**2 - upper @ upper - lower @ lower) / 2
+    required_cosine = required_product - axial_product
     opening_angles = np.arccos(np.clip(required_cosine / amplitude, -1.0, 1.0))
     straight_angle = float(np.arctan2(sine, cosine))
     candidates = np.stack(

@@ -298,9 +298,8 @@ def _locked_path(
                 goal[up] += median_height
         correction[start:end] = goal - toe_offset - ankle_path
     fill_between(correction, is_planted, fps)
-    _raise_above_ground(
-        correction[:, up], (ankle + ankle_to_toe)[:, up], level, is_planted, fps
-    )
+    toe_height = (ankle + ankle_to_toe)[:, up]
+    _raise_above_ground(correction[:, up], toe_height, level, is_planted, fps)
     return ankle + correction
 
 

@@ -85,9 +85,8 @@ def _digits_by_position(
     mean_finger_direction = directions.sum(axis=0)
     mean_finger_direction /= max(float(np.linalg.norm(mean_finger_direction)), 1e-30)
     largest_extent = max(float(np.abs(knuckle_offsets @ mean_direction).max()), 1e-30)
-    likeness = (
-        knuckle_offsets @ mean_direction
-    ) / largest_extent + directions @ mean_finger_direction
+    likeness = knuckle_offsets @ mean_direction / largest_extent
+    likeness = likeness + directions @ mean_finger_direction
     thumb = int(np.argmin(likeness))
     finger_indices = [i for i in range(count) if i != thumb]
     knuckle_center = knuckles[finger_indices].mean(axis=0)

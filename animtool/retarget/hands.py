@@ -191,9 +191,8 @@ def hand_contacts(
         bends = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
-        contacts.append(
-            HandContact(side, goals[k], is_active[k], bends, frozenset(gripped_props))
-        )
+        prop_tracks = frozenset(gripped_props)
+        contacts.append(HandContact(side, goals[k], is_active[k], bends, prop_tracks))
     return contacts
 
 

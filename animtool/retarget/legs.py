@@ -272,9 +272,8 @@ def _bend_pin_limb(
     joint, rest_rotation = rig.joints[middle], rig.rest_rotations[middle]
     local_rotation = so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     pin = np.array(joint.axis, np.float64)
-    angle = swing_twist(
-        so3.multiply(so3.conjugate(rest_rotation), local_rotation), joint.axis
-    )[1]
+    from_rest = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
+    angle = swing_twist(from_rest, joint.axis)[1]
     bones = (
         rig.rest_translations[middle],
         so3.rotate(rest_rotation, target.offset(middle, end_joint)),

@@ -180,9 +180,8 @@ class Retargeting:
                     for k, side in enumerate(legs)
                 ]
             )
-            arm_tracks.append(
-                [ArmTracks.of(transfer, side, source, *target) for side in arms]
-            )
+            block_tracks = [ArmTracks.of(transfer, s, source, *target) for s in arms]
+            arm_tracks.append(block_tracks)
             hips.append(block.hips)
             frame_arrays = [
                 rotations.local,
@@ -208,9 +207,8 @@ class Retargeting:
         self.max_bone_lengths = np.maximum(self.max_bone_lengths, bone_lengths)
         max_displacement = np.abs(values[0] - self._start[0]).max(axis=(0, 2))
         quaternion_dots = np.abs((values[1] * self._start[1]).sum(axis=2)).min(axis=0)
-        is_moving = (
-            max_displacement > STATIC_TOLERANCE * self.transfer.source.size
-        ) | (quaternion_dots < 1 - STATIC_TOLERANCE)
+        is_moving = max_displacement > STATIC_TOLERANCE * self.transfer.source.size
+        is_moving |= quaternion_dots < 1 - STATIC_TOLERANCE
         self.moving_joints.update(np.flatnonzero(is_moving).tolist())
 
     def _plant_feet(
@@ -310,9 +308,8 @@ class Retargeting:
             ):
                 static = np.abs(values - first_row) < ROUNDING_TOLERANCE
                 np.copyto(values, first_row, where=static)
-            self._meter.add(
-                begin, forward_kinematics(rig, translations, local), source, balls
-            )
+            posed = forward_kinematics(rig, translations, local)
+            self._meter.add(begin, posed, source, balls)
             yield Motion(
                 self._animated_channel(translations, first_rows[0]),
                 self._animated_channel(local, first_rows[1]),

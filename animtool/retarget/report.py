@@ -402,9 +402,8 @@ def _reach_errors(
             arms = points[:, arm]
             length = np.linalg.norm(np.diff(arms[0], axis=0), axis=1).sum()
             if length > 0:
-                arm_fractions.append(
-                    np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1) / length
-                )
+                reach = np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1)
+                arm_fractions.append(reach / length)
         if len(arm_fractions) == 2:
             largest_errors = np.fmax(
                 largest_errors, np.abs(arm_fractions[0] - arm_fractions[1])

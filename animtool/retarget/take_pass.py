@@ -131,9 +131,8 @@ def zero_length_fault(
     limb_joints: set[int] = set()
     for start_joint, *_, end_joint in _complete_limbs(roles).values():
         path = source.upwards(end_joint)
-        limb_joints.update(
-            path[: path.index(start_joint)] if start_joint in path else ()
-        )
+        if start_joint in path:
+            limb_joints.update(path[: path.index(start_joint)])
     bones = sorted(j for j in limb_joints if has_collapsed[j])
     if not bones:
         return None

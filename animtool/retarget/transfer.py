@@ -93,9 +93,8 @@ class Transfer:
             # The next joint below with a role twists the bone.
             next_joints = target.children_with_role(twist.bone)
             if next_joints:
-                twists.append(
-                    (twist.target, twist.bone, next_joints[0], twist.fraction)
-                )
+                bone = (twist.bone, next_joints[0])
+                twists.append((twist.target, *bone, twist.fraction))
         scale = _leg_ratio(source, target, source_joints)
         return Transfer(
             source,
@@ -175,9 +174,8 @@ class Transfer:
         """
         source_rig, target_rig = self.source.rig, self.target.rig
         deviations = translations - source_rig.rest_translations
-        is_moving = (
-            np.abs(deviations).max(axis=(0, 2)) > MIN_DEVIATION * self.source.size
-        )
+        largest_deviations = np.abs(deviations).max(axis=(0, 2))
+        is_moving = largest_deviations > MIN_DEVIATION * self.source.size
         local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
         for joint, source_joint in enumerate(self.source_joints.tolist()):

@@ -147,10 +147,9 @@ def find_stale_ranges(
     window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
     count = _window_sums(triangulated_counts[:, camera], window)
     rejected_count = _window_sums(rejected[:, camera], window)
-    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | (
-        count < MIN_OBSERVATIONS
-    )
-    if not (is_off & (count >= MIN_OBSERVATIONS)).any():
+    is_observed = count >= MIN_OBSERVATIONS
+    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | ~is_observed
+    if not (is_off & is_observed).any():
         is_off[:] = True
     return _exact_ranges(triangulated_counts, rejected, camera, is_off, window)
 
@@ -281,9 +280,8 @@ def fit_pose_change(
         is_usable &= np.isfinite(slopes).all(axis=(1, 2))
         root_weights = np.sqrt(weights[is_usable])[:, None]
         matrix = (slopes[is_usable] * root_weights[..., None]).reshape(-1, 6)
-        step = np.linalg.lstsq(
-            matrix, -(residual_vectors[is_usable] * root_weights).ravel(), rcond=None
-        )[0]
+        weighted_residuals = (residual_vectors[is_usable] * root_weights).ravel()
+        step = np.linalg.lstsq(matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
     residuals = np.linalg.norm(project(refined_camera, points) - pixels, axis=-1)

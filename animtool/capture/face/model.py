@@ -55,9 +55,8 @@ class FaceModel:
                 message = f"{name} must have shape {shape}, not {values.shape}"
                 faults.append(Fault("FAC003", message))
             elif not np.isfinite(values).all():
-                faults.append(
-                    Fault("FAC003", f"{name} contains a value that is not finite")
-                )
+                message = f"{name} contains a value that is not finite"
+                faults.append(Fault("FAC003", message))
         for label, names in (("landmarks", self.names), ("shapes", self.shapes)):
             if len(set(names)) < len(names):
                 duplicate = next(n for n in names if names.count(n) > 1)

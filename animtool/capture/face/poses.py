@@ -129,7 +129,6 @@ def interpolate_poses(
         rotations[next_frame[is_gap]],
         fraction[is_gap],
     )
-    shifts[is_gap] = shifts[previous_frame[is_gap]] + fraction[is_gap, None] * (
-        shifts[next_frame[is_gap]] - shifts[previous_frame[is_gap]]
-    )
+    start, end = shifts[previous_frame[is_gap]], shifts[next_frame[is_gap]]
+    shifts[is_gap] = start + fraction[is_gap, None] * (end - start)
     return align_signs(rotations), shifts

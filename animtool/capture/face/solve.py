@@ -115,9 +115,8 @@ def fit_face(
     # in-betweens or correctives are solved separately.
     solved_shapes, representative_of_shape = _solved_shapes(model, moving)
     face = model.select(solved_shapes)
-    counts = np.bincount(representative_of_shape[moving], minlength=len(model.shapes))[
-        solved_shapes
-    ]
+    representatives = representative_of_shape[moving]
+    counts = np.bincount(representatives, minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
     solver = _Fit(
         face, np.where(is_usable[:, None, None], observed, np.nan), fps, smooth, camera
@@ -127,15 +126,12 @@ def fit_face(
     columns = np.cumsum(solved_shapes) - 1
     all_weights[:, moving] = weights[:, columns[representative_of_shape[moving]]]
     rotations, translations = interpolate_poses(poses, is_usable)
-    is_poor = is_usable & (
-        (robust_weights < MISPLACED_FRACTION).sum(axis=1) > 0.5 * len(model.names)
-    )
-    is_poor &= (robust_weights >= MISPLACED_FRACTION).sum(axis=1) < 0.5 * visible.sum(
-        axis=1
-    )
-    status = np.where(
-        is_usable, np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
-    )
+    misplaced_counts = (robust_weights < MISPLACED_FRACTION).sum(axis=1)
+    matching_counts = (robust_weights >= MISPLACED_FRACTION).sum(axis=1)
+    is_poor = is_usable & (misplaced_counts > 0.5 * len(model.names))
+    is_poor &= matching_counts < 0.5 * visible.sum(axis=1)
+    status = np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED)
+    status = np.where(is_usable, status, "gap")
     notices = _notices(model, visible, is_usable, is_poor, robust_weights)
     return FaceFit(
         model,
@@ -179,9 +175,8 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
     if camera is not None or rms_spread(model.neutral) == 0:
         return
     visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)[
-        :: max(1, len(visible) // 50)
-    ]
+    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)
+    sampled_frames = sampled_frames[:: max(1, len(visible) // 50)]
     ratios = [
         rms_spread(observed[f, visible[f]])
         / max(rms_spread(model.neutral[visible[f]]), 1e-300)
@@ -267,10 +262,8 @@ class _Fit:
     def _measure_noise(self) -> float:
         """Estimate the standard deviation of landmarks from independent frames."""
         usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
-        sampled_frames = usable_frames[
-            np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
-        ]
-        sampled_frames = np.unique(sampled_frames)
+        rows = np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
+        sampled_frames = np.unique(usable_frames[rows])
         min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
         self.rest = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.pixels_per_unit
@@ -351,9 +344,8 @@ def _notices(
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = visible & is_usable[:, None]
     counts = is_used.sum(axis=0)
-    is_misplaced = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(
-        axis=0
-    ) > MISPLACED_FRACTION * np.maximum(counts, 1)
+    misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
+    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(counts, 1)
     for names, problem in (
         (list(compress(model.names, counts == 0)), "are never seen: "),
         (
@@ -363,7 +355,6 @@ def _notices(
     ):
         if names:
             message = f"{counted(len(names), 'landmark')} {problem}"
-            notices.append(
-                names_fault("FAC105", message, names, severity=Severity.WARNING)
-            )
+            fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
+            notices.append(fault)
     return notices

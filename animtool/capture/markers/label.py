@@ -327,12 +327,10 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
     doubt_texts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
-        doubt_texts.append(
-            f"{', '.join(doubt.markers)} (frames {span_label(first, last)})"
-        )
-    message = "by distances and shapes, these names could be swapped: " + "; ".join(
-        doubt_texts
-    )
+        frames = f"frames {span_label(first, last)}"
+        doubt_texts.append(f"{', '.join(doubt.markers)} ({frames})")
+    message = "by distances and shapes, these names could be swapped: "
+    message += "; ".join(doubt_texts)
     hint = "look at a frame; a trial with a pose nearer to the take would tell them "
     hint += "apart"
     return Fault("MKR116", message, hint=hint, severity=Severity.WARNING)
@@ -397,6 +395,5 @@ def _exchange_parts(
             int(first[runs_in_part].min()), int(last[runs_in_part].max()) + 1
         )
         if is_exchanged(marker_positions[frames], rest, pair):
-            run_labels.names_of[runs_in_part] = (
-                sum(pair) - run_labels.names_of[runs_in_part]
-            )
+            names = run_labels.names_of[runs_in_part]
+            run_labels.names_of[runs_in_part] = sum(pair) - names

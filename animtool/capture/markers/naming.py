@@ -119,9 +119,8 @@ class PointNaming:
             score[rows, marker] = -np.inf
             rival_score = np.maximum(score.max(axis=1), 0.0)
             margin = np.full(len(rows), -1.0)
-            is_eligible = np.isfinite(best_score) & (
-                best_score > MIN_EVIDENCE * self.visible_fraction
-            )
+            min_scores = MIN_EVIDENCE * self.visible_fraction
+            is_eligible = np.isfinite(best_score) & (best_score > min_scores)
             margin[is_eligible] = (best_score - rival_score)[is_eligible]
             point = int(margin.argmax())
             if pair and pair[0] > max(0.0, margin[point]):
@@ -317,9 +316,8 @@ def search_names(
         bias = rng.normal(0.0, 1.0, best.scores.shape) * offsets
         candidate = best.copy()
         # Sometimes restart from scratch with another group.
-        seed = (
-            seeds[int(rng.integers(len(seeds)))] if rng.random() < EMPTY_START else {}
-        )
+        has_seed = rng.random() < EMPTY_START
+        seed = seeds[int(rng.integers(len(seeds)))] if has_seed else {}
         candidate.restart(is_near | bool(seed), seed, bias)
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total_evidence()
@@ -409,9 +407,8 @@ def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]
     double_pairs = double_pairs[disjoint]
     row, third = np.nonzero(is_near[close_pairs].any(axis=1))
     triples = np.concatenate([close_pairs[row], third[:, None]], axis=1)
-    triples = triples[
-        (triples[:, 2] != triples[:, 0]) & (triples[:, 2] != triples[:, 1])
-    ]
+    is_distinct = (triples[:, 2:] != triples[:, :2]).all(axis=1)
+    triples = triples[is_distinct]
     return [
         (pairs_of_markers, pairs_of_markers[:, ::-1]),
         (triples, triples[:, [1, 2, 0]]),

@@ -120,9 +120,8 @@ class RunLabels:
                 continue
             run = int(runs[row])
             marker = int(self.costs[run].argmin())
-            is_overlapped = (candidates[:, 0] <= last[run]) & (
-                candidates[:, 1] >= first[run]
-            )
+            begins, ends = candidates[:, 0], candidates[:, 1]
+            is_overlapped = (begins <= last[run]) & (ends >= first[run])
             if is_overlapped.any() if forced else not self._is_free(run, marker):
                 continue
             self.names_of[run] = marker
@@ -165,9 +164,8 @@ class RunLabels:
         weight = np.nan_to_num(1.0 / (1.0 + (spread / WEIGHT_SPREAD) ** 2))
         np.fill_diagonal(weight, 0.0)
         tolerance = DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
-        deviation = (
-            np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
-        ) / tolerance[None]
+        deviation = np.nan_to_num(lengths)[:, None] - self.distances.mean[None]
+        deviation = deviation / tolerance[None]
         pair_costs = np.minimum(np.nan_to_num(deviation) ** 2, MAX_PAIR_COST)
         weights = weight[None] * is_known[:, None]
         weight_sum = weights.sum(axis=(0, 2))

@@ -264,9 +264,8 @@ def _span_deviations(
             code, length, roughness
         )
         support_positions = values[starts[rows][:, None] + offsets]  # (S, K, 3)
-        span_positions = values[
-            starts[rows][:, None] + SUPPORT_FRAMES + np.arange(length)
-        ]
+        span_starts = starts[rows][:, None] + SUPPORT_FRAMES
+        span_positions = values[span_starts + np.arange(length)]
         prediction_error = span_positions - weights @ support_positions
         gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
         deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
@@ -315,7 +314,6 @@ def _prediction_weights(
     )
     block = projection[support_count:, support_count:]
     weights = -np.linalg.solve(block, projection[support_count:, :support_count])
-    quadratic_form = (
-        projection[:support_count, :support_count] - weights.T @ block @ weights
-    )
+    support_block = projection[:support_count, :support_count]
+    quadratic_form = support_block - weights.T @ block @ weights
     return offsets, weights, block, quadratic_form

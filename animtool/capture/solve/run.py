@@ -359,9 +359,8 @@ def check_units(
         if notice.code == "MKT003":
             message = f"{notice.message}; captured markers are {comparison}"
             severity = Severity.ERROR
-            raise OptionError(
-                replace(notice, code="SOL005", message=message, severity=severity)
-            )
+            fault = replace(notice, code="SOL005", message=message, severity=severity)
+            raise OptionError(fault)
     unit_written, unit_read = _confused_units(ratio)
     hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
     hint += "in"
