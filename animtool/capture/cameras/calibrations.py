@@ -258,8 +258,9 @@ class _CalibrationEntry:
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
         if not (isinstance(rows, int) and isinstance(columns, int)):
             return None
-        is_full = rows > 0 < columns and isinstance(data, list)
-        if not is_full or rows * columns != len(data):
+        if not isinstance(data, list) or not rows > 0 < columns:
+            return None
+        if rows * columns != len(data):
             return None
         return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 
