@@ -95,9 +95,8 @@ class _JointCleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            is_spike = _spike_frames(
-                signal, self.options.spikes, min_size, rotation=rotation
-            )
+            spikes = self.options.spikes
+            is_spike = _spike_frames(signal, spikes, min_size, rotation=rotation)
             if is_spike.any():
                 signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
             noise = (rotation_noise if rotation else noise_level)(signal)
@@ -259,14 +258,12 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
     """Return a cleaned take, and the cleaning results of the joints that move."""
     motion = take.motion
     cleaner = _JointCleaner(tuple(take.rig.names), float(take.clock.rate), options)
-    translations = cleaner.clean_channel(
-        motion.translations, MIN_SPIKE_SHIFT * rest_size(take.rig)
-    )
+    min_shift = MIN_SPIKE_SHIFT * rest_size(take.rig)
+    translations = cleaner.clean_channel(motion.translations, min_shift)
     rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
     dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
-    motion = replace(
-        motion, translations=translations, rotations=replace(rotations, values=dense)
-    )
+    rotations = replace(rotations, values=dense)
+    motion = replace(motion, translations=translations, rotations=rotations)
     return replace(take, motion=motion), cleaner.signals
 
 

@@ -116,9 +116,8 @@ def _largest_error(
         # Curvature at the frames before and after each position.
         first_inner = int(np.clip(frames.min(), 1, count - 2))
         last_inner = int(np.clip(frames.max() + 1, 1, count - 2))
-        second_differences = _second_differences(
-            channel.values[first_inner - 1 : last_inner + 2], columns
-        )
+        values = channel.values[first_inner - 1 : last_inner + 2]
+        second_differences = _second_differences(values, columns)
         peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
         before, after = (
             np.clip(indices, first_inner, last_inner) - first_inner

@@ -47,10 +47,8 @@ class SolveSpan:
 
     def to_chain_frame(self, targets: Targets) -> Targets:
         """Return the span's targets in the carrier frame of its first pose."""
-        rotation = so3.multiply(
-            self.carrier_rotations[:1], so3.conjugate(self.carrier_rotations)
-        )
-
+        inverse = so3.conjugate(self.carrier_rotations)
+        rotation = so3.multiply(self.carrier_rotations[:1], inverse)
         span_targets = targets_of_frames(targets, self.frames)
         values_by_kind = {}
         for kind in KINDS:
@@ -59,9 +57,8 @@ class SolveSpan:
                 values_by_kind[kind.targets_field] = so3.multiply(rotation, values)
             else:
                 offsets = so3.rotate(rotation, values - self.carrier_positions)
-                values_by_kind[kind.targets_field] = np.asarray(
-                    self.carrier_positions[:1] + offsets
-                )
+                positions = self.carrier_positions[:1] + offsets
+                values_by_kind[kind.targets_field] = np.asarray(positions)
         return replace(span_targets, **values_by_kind)
 
 
@@ -189,9 +186,8 @@ def _effective_rest_poses(
     modeled_poses = local_from_coordinates(rig, coordinates)
     inverse_rest = so3.conjugate(rig.rest_rotations)
     motion_rotations = so3.multiply(inverse_rest, modeled_poses.rotations)
-    motion_translations = so3.rotate(
-        inverse_rest, modeled_poses.translations - rig.rest_translations
-    )
+    offsets = modeled_poses.translations - rig.rest_translations
+    motion_translations = so3.rotate(inverse_rest, offsets)
     rotations = so3.multiply(local.rotations, so3.conjugate(motion_rotations))
     translations = local.translations - so3.rotate(rotations, motion_translations)
     return LocalTransforms(translations, rotations)

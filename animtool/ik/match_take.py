@@ -190,9 +190,8 @@ def _track(
     for kind in goal.kinds:
         rows = np.asarray(getattr(matched.targets, kind.targets_field))[:, index]
         name = f"{chain.name}_{kind.name}"
-        values[kind.name] = builder.build_value(
-            rows, name, rig.joints[rig.index(chain.tip)]
-        )
+        tip = rig.joints[rig.index(chain.tip)]
+        values[kind.name] = builder.build_value(rows, name, tip)
     return GoalTrack(
         chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
     )

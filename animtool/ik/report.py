@@ -112,9 +112,8 @@ def goal_reports(
     times = solved_take.take.clock.times
     limits = by_unit(tolerance, angle_tolerance)
     reports = []
-    is_yielded = np.array(
-        [status is IkStatus.YIELDED for status in solved_take.statuses], np.bool_
-    )
+    statuses = solved_take.statuses
+    is_yielded = np.array([s is IkStatus.YIELDED for s in statuses], np.bool_)
     for e, track in enumerate(solved_take.tracks.goals):
         is_targeted, misses = solved_take.active[:, e], solved_take.misses[:, e]
         miss_reports = tuple(
@@ -125,9 +124,8 @@ def goal_reports(
         is_missed = np.asarray((is_targeted & (misses > limits)).any(axis=1), np.bool_)
         if track.goal.priority > 0 or track.goal.soft > 0:
             is_missed = np.asarray(is_missed & ~is_yielded, np.bool_)
-        spans = tuple(
-            _spans(solved_take, np.where(is_targeted, misses, 0.0), is_missed)
-        )
+        targeted_misses = np.where(is_targeted, misses, 0.0)
+        spans = tuple(_spans(solved_take, targeted_misses, is_missed))
         reports.append(
             GoalReport(
                 track.name, track.goal.joint, track.location, miss_reports, spans

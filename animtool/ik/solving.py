@@ -89,9 +89,8 @@ def solve(
     if prefer is not None:
         prefer = pose_rows(problem, prefer, len(packed), "prefer")
     solver = build_solver(problem, options)
-    result = result_of_kernel(
-        problem, solver.solve(starts, packed, prefer, placed=False)
-    )
+    solution = solver.solve(starts, packed, prefer, placed=False)
+    result = result_of_kernel(problem, solution)
     if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
         preferred = starts if prefer is None else prefer
         return _pull_to_preferred(problem, packed, preferred, options, result)

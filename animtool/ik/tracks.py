@@ -329,9 +329,8 @@ class TargetTracks:
                 if not track.goal.weights[i]:
                     continue
                 value, weight = _sample_part(track, kind, frames, source)
-                values_by_field[kind.targets_field][:, e] = (
-                    fade_source.blend_from_free_motion(kind, value, is_active)
-                )
+                value = fade_source.blend_from_free_motion(kind, value, is_active)
+                values_by_field[kind.targets_field][:, e] = value
                 weights[:, e, i] = weight * (is_active > 0)
         return Targets(**values_by_field, weights=weights)
 

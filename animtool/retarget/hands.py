@@ -222,9 +222,8 @@ def _arm_rotations(
         target, arm, joints, goal[frames], bone_rotations, hinge
     )
     for k in (0, 1):
-        bends[frames, k] = so3.log(
-            so3.multiply(bent_rotations[k], so3.conjugate(bone_rotations[k]))
-        )
+        inverse = so3.conjugate(bone_rotations[k])
+        bends[frames, k] = so3.log(so3.multiply(bent_rotations[k], inverse))
     flat_bends = bends.reshape(len(bends), 6)
     fill_between(flat_bends, is_contact, fps, FADE_SECONDS)
     return flat_bends.reshape(bends.shape)

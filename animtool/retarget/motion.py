@@ -150,9 +150,8 @@ class Retargeting:
             props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
-        self.lift = AnkleHeights.lift(
-            floor, transfer.scale, up_index(transfer.target.rig)
-        )
+        up = up_index(transfer.target.rig)
+        self.lift = AnkleHeights.lift(floor, transfer.scale, up)
         contacts = tuple(foot.contacts for foot in feet)
         self.contact_frames = ContactFrames(legs, contacts, planted, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)

@@ -83,9 +83,8 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
             (crossed * upper_direction).sum(axis=1),
             (perpendicular * bend_normal * bend_sign).sum(axis=1),
         )
-        bend_weight = np.clip(
-            (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0]), 0.0, 1.0
-        )
+        bend_weight = (sine - BEND_SINES[0]) / (BEND_SINES[1] - BEND_SINES[0])
+        bend_weight = np.clip(bend_weight, 0.0, 1.0)
         angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
         twist = so3.from_axis_angle(upper_direction, angle)
         rotations[:, parent] = so3.multiply(twist, rotations[:, parent])

@@ -175,9 +175,8 @@ class FitMeter:
                 for points in current
             ]
             largest_of_block = [values.max(initial=0.0) for values in accelerations]
-            self._max_accelerations = np.maximum(
-                self._max_accelerations, largest_of_block
-            )
+            maxima = np.maximum(self._max_accelerations, largest_of_block)
+            self._max_accelerations = maxima
             self._add_score("acceleration", accelerations[0])
 
     def _add_score(self, score: str, values: FloatArray) -> None:
@@ -405,7 +404,6 @@ def _reach_errors(
                 reach = np.linalg.norm(arms[:, 2] - arms[:, 0], axis=1)
                 arm_fractions.append(reach / length)
         if len(arm_fractions) == 2:
-            largest_errors = np.fmax(
-                largest_errors, np.abs(arm_fractions[0] - arm_fractions[1])
-            )
+            errors = np.abs(arm_fractions[0] - arm_fractions[1])
+            largest_errors = np.fmax(largest_errors, errors)
     return largest_errors

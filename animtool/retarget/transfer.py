@@ -138,9 +138,8 @@ class Transfer:
         rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
         if (self.upright != so3.IDENTITY).any():
             rotations_from_rest = so3.multiply(self.upright, rotations_from_rest)
-            rotations_from_rest = so3.multiply(
-                rotations_from_rest, so3.conjugate(self.upright)
-            )
+            inverse = so3.conjugate(self.upright)
+            rotations_from_rest = so3.multiply(rotations_from_rest, inverse)
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
         for j, parent in enumerate(rig.parents.tolist()):
             source_joint = self.source_joints[j]
@@ -189,9 +188,8 @@ class Transfer:
             ):
                 continue
             if len(local_translations) == 1:
-                local_translations = np.repeat(
-                    local_translations, len(rotations), axis=0
-                )
+                count = len(rotations)
+                local_translations = np.repeat(local_translations, count, axis=0)
             offset = so3.rotate(world[:, source_parent], deviations[:, source_joint])
             offset = so3.rotate(self.upright, offset)
             inverse_rotations = so3.conjugate(rotations[:, target_parent])
@@ -275,9 +273,8 @@ def _rest_alignment(
             bone, source_bone = bone / sizes[0], source_bone / sizes[1]
         elif role not in _AIMED_ROLES and role[:-2] not in _FINGER_NAMES:
             continue
-        rotations[j] = so3.multiply(
-            so3.shortest_rotation(bone, source_bone), rotations[j]
-        )
+        swing = so3.shortest_rotation(bone, source_bone)
+        rotations[j] = so3.multiply(swing, rotations[j])
     return rotations
 
 

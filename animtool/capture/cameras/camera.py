@@ -138,9 +138,8 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         in_camera = points @ camera.rotation.T + camera.translation
         depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
-        x, y = np.moveaxis(
-            distort(camera, in_camera[..., :2] / depth[..., None]), -1, 0
-        )
+        distorted = distort(camera, in_camera[..., :2] / depth[..., None])
+        x, y = np.moveaxis(distorted, -1, 0)
         pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         pixel_y = camera.focal[1] * y + camera.centre[1]
     pixels = np.stack([pixel_x, pixel_y], axis=-1)

@@ -178,9 +178,8 @@ def initial_noise(pixels: FloatArray, numbers: FloatArray) -> float:
     """Estimate the noise by least median of squares over camera pairs [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
     counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
-    least_medians = _kernels.least_median_residuals(
-        np.ascontiguousarray(pixels), numbers
-    )
+    pixels = np.ascontiguousarray(pixels)
+    least_medians = _kernels.least_median_residuals(pixels, numbers)
     has_estimate = np.isfinite(least_medians) & (counts > 1)
     if not has_estimate.any():
         return 1.0

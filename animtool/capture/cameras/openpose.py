@@ -224,9 +224,8 @@ def _ray_distance(
         if is_finite.sum() < MIN_SHARED_KEYPOINTS:
             return np.inf
         # Lengths are at depth 1 of the camera.
-        largest = max(
-            largest, float(np.median(sine[is_finite])) * camera.focal[0] / scale
-        )
+        median = float(np.median(sine[is_finite]))
+        largest = max(largest, median * camera.focal[0] / scale)
     return largest
 
 

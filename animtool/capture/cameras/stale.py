@@ -116,11 +116,9 @@ def find_shifted_ranges(
     most_rejections = 0
     for camera in range(triangulated_counts.shape[1]):
         is_active = active[:, camera] & (active.sum(axis=1) > 2)
-        count = _window_sums(
-            np.where(is_active, triangulated_counts[:, camera], 0), window
-        )
-        rejected_count = _window_sums(
-            np.where(is_active, rejected[:, camera], 0), window
+        count, rejected_count = (
+            _window_sums(np.where(is_active, counts[:, camera], 0), window)
+            for counts in (triangulated_counts, rejected)
         )
         is_off = (
             is_active
@@ -171,9 +169,8 @@ def find_disagreements(
         ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
     is_mostly_rejected = rejected > MIN_REJECTED_FRACTION * triangulated_counts
     is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(LOUD_RATIO**2, ratio_limit))
-    frames = np.flatnonzero(
-        is_active & (triangulated_counts >= MIN_VIEW) & (is_mostly_rejected | is_loud)
-    )
+    is_active = is_active & (triangulated_counts >= MIN_VIEW)
+    frames = np.flatnonzero(is_active & (is_mostly_rejected | is_loud))
     return [
         CameraDisagreement(
             f,

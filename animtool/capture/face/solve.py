@@ -118,9 +118,8 @@ def fit_face(
     representatives = representative_of_shape[moving]
     counts = np.bincount(representatives, minlength=len(model.shapes))[solved_shapes]
     face = replace(face, deltas=face.deltas * counts[:, None, None])
-    solver = _Fit(
-        face, np.where(is_usable[:, None, None], observed, np.nan), fps, smooth, camera
-    )
+    usable_landmarks = np.where(is_usable[:, None, None], observed, np.nan)
+    solver = _Fit(face, usable_landmarks, fps, smooth, camera)
     weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
     columns = np.cumsum(solved_shapes) - 1
@@ -220,9 +219,8 @@ class _Fit:
             return estimate_head_poses(self.face.neutral, self.observed)
         median_points = np.full(self.observed.shape[1:], np.nan)
         has_landmarks = np.isfinite(self.observed[..., 0]).any(axis=0)
-        median_points[has_landmarks] = np.nanmedian(
-            self.observed[:, has_landmarks], axis=0
-        )
+        observed = self.observed[:, has_landmarks]
+        median_points[has_landmarks] = np.nanmedian(observed, axis=0)
         pose = estimate_camera_pose(self.face.neutral, median_points, self.camera)
         if pose is None or not pose[6] > 0:
             message = "no face in the camera matches the rig's"

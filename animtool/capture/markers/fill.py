@@ -274,9 +274,8 @@ def _polynomial_positions(
     scale = float(max(frames[-1] - middle_frame, middle_frame - frames[0]))
     degree = min(CURVE_DEGREE, len(frames) - 3)
     powers = np.vander((frames - middle_frame) / scale, degree + 1)
-    gap_powers = np.vander(
-        (np.arange(gap.start, gap.stop) - middle_frame) / scale, degree + 1
-    )
+    gap_frames = np.arange(gap.start, gap.stop)
+    gap_powers = np.vander((gap_frames - middle_frame) / scale, degree + 1)
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 

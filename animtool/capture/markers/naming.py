@@ -139,9 +139,8 @@ class PointNaming:
         if not len(first):
             return None
         pair_scores = score[first][:, :, None] + score[second][:, None, :]
-        pair_scores = (pair_scores + self.pair_scores[first, second]).reshape(
-            len(first), -1
-        )
+        pair_scores = pair_scores + self.pair_scores[first, second]
+        pair_scores = pair_scores.reshape(len(first), -1)
         rows = np.arange(len(first))
         best_names = pair_scores.argmax(axis=1)
         best_score = pair_scores[rows, best_names].copy()

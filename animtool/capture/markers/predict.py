@@ -313,9 +313,8 @@ def _predict_gap(
     training_frames = frames[:known_count]
     errors = []
     for begin in _validation_spans(training_frames, gap):
-        left_out_rows = np.flatnonzero(
-            (training_frames >= begin) & (training_frames < begin + length)
-        )
+        is_left_out = (training_frames >= begin) & (training_frames < begin + length)
+        left_out_rows = np.flatnonzero(is_left_out)
         if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
             inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
             residuals = np.linalg.solve(inverse_block, weights[left_out_rows])
@@ -357,8 +356,7 @@ def _covariance(
     products = features @ features[:known_count].T
     if length_scale:
         square = (features**2).sum(axis=1)
-        squares = np.maximum(
-            square[:, None] + square[None, :known_count] - 2.0 * products, 0.0
-        )
+        squares = square[:, None] + square[None, :known_count] - 2.0 * products
+        squares = np.maximum(squares, 0.0)
         products = products + np.exp(-0.5 * squares / length_scale**2)
     return np.asarray(variance * products + time_covariance)

@@ -83,9 +83,8 @@ class RunLabels:
     def _update_distances(self) -> None:
         """Update the distances from the named runs, and reset the costs."""
         self.marker_positions = self.marker_paths()
-        self.distances = _merge_known_distances(
-            self.rest, marker_distances(self.marker_positions)
-        )
+        distances = marker_distances(self.marker_positions)
+        self.distances = _merge_known_distances(self.rest, distances)
         self.costs = np.full((self.runs, len(self.rest)), np.inf)
         self.is_stale = np.ones(self.runs, bool)
 
@@ -151,13 +150,11 @@ class RunLabels:
 
     def _shape_costs(self, path: FloatArray, begin: int, end: int) -> FloatArray:
         """Return the cost of a run's distances to named markers, for each candidate."""
-        sample = np.unique(
-            np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
-        )
+        rows = np.linspace(0, end - begin - 1, SAMPLED_FRAMES).astype(np.int64)
+        sample = np.unique(rows)
         marker_positions = self.marker_positions[begin + sample]
-        lengths = np.linalg.norm(
-            marker_positions - path[sample][:, None], axis=-1
-        )  # (S, M)
+        offsets = marker_positions - path[sample][:, None]
+        lengths = np.linalg.norm(offsets, axis=-1)  # (S, M)
         # The run itself may already have a name.
         is_known = np.isfinite(lengths) & (lengths > 0.0)
         spread = self.distances.spread

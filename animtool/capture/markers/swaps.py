@@ -327,10 +327,8 @@ def _shape_gain(
     other_markers = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
     gains = []
     for pair, exchanged_pair in ((a, b), (b, a)):
-        lengths = np.linalg.norm(
-            positions[frames][:, other_markers] - positions[frames, pair][:, None],
-            axis=-1,
-        )
+        offsets = positions[frames][:, other_markers] - positions[frames, pair][:, None]
+        lengths = np.linalg.norm(offsets, axis=-1)
         costs = []
         for marker in (pair, exchanged_pair):
             spread = known_lengths.spread[marker, other_markers]

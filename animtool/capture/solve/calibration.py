@@ -174,9 +174,8 @@ class _CalibrationState:
         self.base_translations = self.model.rig.rest_translations
         self.initial_offsets = self.model.offsets
         self.scales = np.full(len(self.bones), self._size_ratio())
-        self.is_fixed_offset = np.array(
-            [m.fixed for m in self.model.template.markers], np.bool_
-        )
+        template_markers = self.model.template.markers
+        self.is_fixed_offset = np.array([m.fixed for m in template_markers], np.bool_)
         size = np.where(self.is_fixed_offset, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
