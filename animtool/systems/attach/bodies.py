@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, listed
+from animtool.core.errors import Fault, OptionError, Refusals, listed, refuse
 from animtool.core.record import dataclass
 from animtool.maths.faces import edges, triangulate
 from animtool.rig.kinematics import bind_matrices, bind_world
@@ -77,12 +77,10 @@ def find_attachments(rig: Rig, names: tuple[str, ...]) -> list[Attachment]:
     by_name = {entry.name: entry for entry in rig.attach}
     kinds = [str(kind) for kind in AttachKind]
     faults = []
+    hint = "it has none; write its cloth, hair or chains under attach of the rig"
+    if by_name:
+        hint = f"the rig has {', '.join(by_name)}"
     for name in names:
-        hint = (
-            f"the rig has {', '.join(by_name)}"
-            if by_name
-            else "it has none; write its cloth, hair or chains under attach of the rig"
-        )
         if name not in by_name:
             message = f"unknown attachment {name!r} of {rig.name!r}"
             faults.append(Fault("SIM030", message, hint=hint))
@@ -116,7 +114,7 @@ def _build_chain(rig: Rig, entry: Attachment) -> AttachedBody:
             message = (
                 f"joints of {entry.name!r} are not a chain: {names[1]!r} is not a child"
             )
-            raise OptionError(Fault("SIM033", f"{message} of {names[0]!r}"))
+            refuse("SIM033", f"{message} of {names[0]!r}")
     tip = _bone_end(rig, joints)
     bind = bind_world(rig)
     end = bind.positions[0, joints[-1]] + bind.linear[0, joints[-1]] @ tip
@@ -184,15 +182,11 @@ def _build_cloth(rig: Rig, entry: Attachment) -> AttachedBody:
     faces = surface.counts, surface.indices
     ends = edges(*faces)
     if not len(ends):
-        message = f"the mesh of {entry.name!r} has no faces"
-        raise OptionError(Fault("SIM033", message))
+        refuse("SIM033", f"the mesh of {entry.name!r} has no faces")
     isolated_points = np.setdiff1d(np.arange(len(surface.points)), ends)
     if len(isolated_points):
-        message = (
-            f"points of {entry.name!r} are in no face: "
-            f"{listed(isolated_points.tolist())}"
-        )
-        raise OptionError(Fault("SIM033", message))
+        points = listed(isolated_points.tolist())
+        refuse("SIM033", f"points of {entry.name!r} are in no face: {points}")
     pins = np.zeros(0, np.int64)
     if entry.pins is not None:
         pins = np.unique(entry.pins.load()).astype(np.int64)

@@ -58,7 +58,10 @@ def chain_rotations(
     approximate. Rotations of all animated joints are ``(F, J, 4)``; bone ends are
     ``(F, C + 1, 3)`` [m].
     """
-    world = _parent_rotations(rig, int(joints[0]), rotations)
+    # World rotations of the parent of the first joint.
+    world = np.tile(so3.IDENTITY, (len(rotations), 1))
+    for parent in rig.upwards(int(joints[0]))[1:]:
+        world = so3.multiply(rotations[:, parent], world)
     relative_rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
@@ -78,16 +81,6 @@ def chain_rotations(
             so3.multiply(parent, result[:, k]), so3.conjugate(world)
         )
     return result
-
-
-def _parent_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
-    """Return the world rotations of a joint's parent ``(F, 4)``."""
-    rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
-    parent = rig.joints[joint].parent
-    while parent >= 0:
-        rotation = so3.multiply(rotations[:, parent], rotation)
-        parent = rig.joints[parent].parent
-    return rotation
 
 
 def _clamp_to_limits(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import field
 
 import numpy as np
@@ -110,20 +109,15 @@ def max_pin_hops(network: Network) -> int:
     >>> max_pin_hops(Network(np.eye(3), np.array([0]), np.array([[0, 1], [1, 2]])))
     2
     """
-    neighbours: list[list[int]] = [[] for _ in range(network.count)]
-    for i, j in network.sides.tolist():
-        neighbours[i].append(j)
-        neighbours[j].append(i)
-    start_points = network.pinned.tolist() or [0]
-    hops = dict.fromkeys(start_points, 0)
-    queue = deque(start_points)
-    while queue:
-        point = queue.popleft()
-        for neighbour in neighbours[point]:
-            if neighbour not in hops:
-                hops[neighbour] = hops[point] + 1
-                queue.append(neighbour)
-    return max(hops.values(), default=0)
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    count, starts = network.count, network.pinned if len(network.pinned) else [0]
+    graph = coo_array((np.ones(len(network.sides)), network.sides.T), (count, count))
+    hops = dijkstra(
+        graph, directed=False, indices=starts, unweighted=True, min_only=True
+    )
+    return int(hops[np.isfinite(hops)].max(initial=0.0))
 
 
 def median_edge_length(network: Network) -> float:

@@ -157,11 +157,11 @@ class AttachSimulation:
             return ()
         if not isinstance(body, ChainBody):
             return self._skins
-        chain_joints = set(body.joints.tolist())
-        for index, joint in enumerate(self.rig.joints):
-            if joint.parent in chain_joints:
-                chain_joints.add(index)
-        return build_skins(self.rig, sorted(chain_joints))
+        joints = range(len(self.rig.joints))
+        return build_skins(
+            self.rig,
+            [j for j in joints if np.isin(self.rig.upwards(j), body.joints).any()],
+        )
 
     def blocks(self, motions: Iterator[Motion]) -> Iterator[Motion]:
         """Yield blocks of the motion with simulated attachments."""

@@ -6,7 +6,14 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted, warning
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    counted,
+    refuse,
+    refuse_all,
+    warning,
+)
 from animtool.core.options import range_faults
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
@@ -74,7 +81,7 @@ def check_path(
         row = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
         message = f"positions at {knots[row]:g} s are not finite"
     if message:
-        raise OptionError(Fault("SIM044", message, where=name))
+        refuse("SIM044", message, name)
     return knots, path
 
 
@@ -166,10 +173,7 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
             messages.append(f"rest must have shape {shape}, not {rest.shape}")
         elif not np.isfinite(rest).all():
             messages.append("rest must be finite")
-    if messages:
-        raise OptionError(
-            [Fault("SIM045", message, where="self_contact") for message in messages]
-        )
+    refuse_all("SIM045", [(message, "self_contact", None) for message in messages])
 
 
 def tangle_notices(
@@ -214,5 +218,4 @@ def check_supports_self_contact(solver: Solver) -> None:
     """Raise if a solver does not support self-contact (SIM046)."""
     if solver not in {Solver.AUTO, Solver.XPBD}:
         message = f"{solver} has no self-contact"
-        hint = "use xpbd or auto"
-        raise OptionError(Fault("SIM046", message, where="solver", hint=hint))
+        refuse("SIM046", message, "solver", "use xpbd or auto")

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
-from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.errors import Fault, refuse, warning
 from animtool.core.quantities import length_text
 from animtool.sim.checks import check_times
 from animtool.sim.trajectory import Checkpoint, Status
@@ -105,7 +105,7 @@ def _check_start(system: SpringSystem, state: FloatArray) -> None:
         particle = int(np.argmin(np.isfinite(state).all(axis=(0, 2))))
         message = f"particle {particle} is not finite at the start"
     if message:
-        raise OptionError(Fault("SIM003", message, where="state"))
+        refuse("SIM003", message, "state")
 
 
 def _refine_until(

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import refuse
 from animtool.core.record import dataclass
 from animtool.sim.integrators.table import find_integrator
 from animtool.sim.modes import allowed_step
@@ -120,8 +120,7 @@ def choose_solver(
                 f"{max_rate:.3g}"
             )
             hint = "use bdf2 or auto, less stiffness or damping, or more mass"
-            fault = Fault("SIM004", f"{message} at most", where="solver", hint=hint)
-            raise OptionError(fault)
+            refuse("SIM004", f"{message} at most", "solver", hint)
         steps = max(1, math.ceil(CELL * rate))
         return SolverChoice(solver, CELL, steps, reason, limit)
     return SolverChoice(solver, CELL, INITIAL_SUBSTEPS[solver], reason, limit)
@@ -154,13 +153,12 @@ def choose_tied_solver(
         message = f"steps of {options.step or cell:g} s and those of the bodies that "
         message += f"hold its pins, of {lengths_text} s, do not end together"
         hint = f"use step: {max_length:g}, a multiple of it, or a fraction"
-        raise OptionError(Fault("SIM164", message, where="step", hint=hint))
+        refuse("SIM164", message, "step", hint)
     for carrier in ties.carriers:
         if carrier.begin > begin or not _is_integer((begin - carrier.begin) / cell):
             message = f"it starts at {begin:g} s, but the bodies of its pins "
             message += f"at {carrier.begin:g} s"
-            hint = "give both the same preroll"
-            raise OptionError(Fault("SIM164", message, where="preroll", hint=hint))
+            refuse("SIM164", message, "preroll", "give both the same preroll")
     return SolverChoice(solver, cell, substeps, reason, limit)
 
 

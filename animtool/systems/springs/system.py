@@ -18,7 +18,7 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, refuse
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.contact import SPEED_LIMIT
 from animtool.sim.system import Energy, Matrix, Native, SecondOrder
@@ -128,7 +128,7 @@ class SpringSystem(SecondOrder):
         check_body(body, self.pinned, target_particles)
         if not speed_limit > 0:
             message = f"speed_limit must be above 0, not {speed_limit:g}"
-            raise OptionError(Fault("SIM004", message, where="speed_limit"))
+            refuse("SIM004", message, "speed_limit")
         if self_contact is not None:
             check_self_contact(self_contact, body)
         count = len(body.positions)
