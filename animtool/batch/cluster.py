@@ -41,14 +41,7 @@ from animtool.batch.executors import Work
 from animtool.batch.item import Item
 from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    Severity,
-    counted,
-    excerpt,
-    listed,
-)
+from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import FileState, changed_error
 from animtool.core.record import dataclass
 
@@ -156,12 +149,10 @@ class _ClusterRun:
     sent: dict[Any, _SentItem] = field(default_factory=dict)  # running tasks by future
     finished: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # finished futures
     results: SimpleQueue[Any] = field(default_factory=SimpleQueue)  # their results
-    items_to_resend: list[Item] = field(
-        default_factory=list
-    )  # items to send to another worker
-    losses: dict[int, int] = field(
-        default_factory=dict
-    )  # number of losses by item number
+    # Items to send to another worker.
+    items_to_resend: list[Item] = field(default_factory=list)
+    # Number of losses by item number.
+    losses: dict[int, int] = field(default_factory=dict)
     # Outcomes whose files are not visible yet, with the deadline.
     undelivered: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
@@ -292,10 +283,8 @@ class _ClusterRun:
         """Send items to workers with free threads; return whether any items remain."""
         fit_workers = [worker for worker in self.workers.values() if worker.is_fit]
         total_running = sum(worker.running_count for worker in fit_workers)
-        requested_count, threads = (
-            self.work.requested_jobs,
-            sum(worker.threads for worker in fit_workers),
-        )
+        requested_count = self.work.requested_jobs
+        threads = sum(worker.threads for worker in fit_workers)
         # If every thread is busy, the next item is queued at the worker, so that its
         # transfer takes no time later.
         queue_next = self.work.queue_next and (

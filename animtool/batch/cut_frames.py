@@ -11,19 +11,17 @@ from typing import Any
 from animtool.batch.spans import Span
 from animtool.batch.timeline import FRAME_TOLERANCE
 from animtool.core.config import Config
-from animtool.core.errors import excerpt
+from animtool.core.errors import Severity, excerpt
 from animtool.core.names import nearest
 from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
 from animtool.core.timecode import is_timecode, parse_timecode
 
-# Metadata for animtool in a timeline and its clips: ``metadata.animtool``.
-
 
 @dataclass(frozen=True, slots=True)
 class CutMetadata:
-    """Metadata of shots; values that are not stated are None."""
+    """The ``metadata.animtool`` of a timeline or clip; unstated values are None."""
 
     start_frame: int | None = None  # first frame of the shot, including the head handle
     cut_start: int | None = None  # first frame of the cut, after the head handle
@@ -245,31 +243,25 @@ def shot_of(
 
 def shot_notices(
     shot: Shot, span: Span, fps: Fraction, clip_text: str
-) -> Iterator[tuple[str, str, bool]]:
-    """Yield notices about a shot: code, message, and whether it is a warning."""
+) -> Iterator[tuple[str, str, Severity]]:
+    """Yield notices about a shot: code, message and severity."""
     first_time, last_time = (
         f"{float(shot.seconds_at(frame)):.6g} s"
         for frame in (shot.cut_in, shot.cut_out)
     )
     if shot.speed == 0:
-        yield (
-            "BAT044",
-            f"{clip_text} freezes its media at {first_time}; so does the shot",
-            False,
-        )
+        message = f"{clip_text} freezes its media at {first_time}; so does the shot"
+        yield "BAT044", message, Severity.NOTE
     elif shot.speed < 0:
         range_text = f"from {first_time} of its media to {last_time}"
-        yield (
-            "BAT044",
-            f"{clip_text} plays in reverse, {range_text}; so does the shot",
-            True,
-        )
+        message = f"{clip_text} plays in reverse, {range_text}; so does the shot"
+        yield "BAT044", message, Severity.WARNING
     frames = span.seconds * fps
     if frames < 1 - FRAME_TOLERANCE:
         message = (
             f"{clip_text} shows {float(frames):.3g} of a frame; the shot has one frame"
         )
-        yield "BAT043", message, True
+        yield "BAT043", message, Severity.WARNING
 
 
 def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:

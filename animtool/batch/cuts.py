@@ -167,7 +167,7 @@ class _CutReader:
 
     def clips(self) -> ClipVisitor:
         """Return the visible clips, each with the name of its shot."""
-        walk = ClipVisitor(self.report_omission)
+        walk = ClipVisitor(self.path)
         timeline = self.tree = self.timeline()
         if timeline is None:
             return walk
@@ -176,6 +176,7 @@ class _CutReader:
         except (ValueError, import_otio().exceptions.OTIOError) as error:
             message = f"a range in it is invalid: {excerpt(str(error), 120)}"
             raise FormatError(Fault("BAT041", message, str(self.path))) from error
+        self.cuts.notices += walk.notices
         if walk.gaps:
             self.note("BAT043", f"skipped gaps: {walk.gaps}")
         walk.clips[:] = [self.entry(shown_clip) for shown_clip in walk.clips]
@@ -189,19 +190,15 @@ class _CutReader:
             self.timeline_metadata = self.metadata(
                 timeline, "the timeline", allows_fps=True
             )
-            requested_fps = self.options.fps
-            rate = timeline_rate(
-                timeline, self.path, self.timeline_metadata.fps, requested_fps
+            self.fps, notices = timeline_rate(
+                timeline, self.path, self.timeline_metadata.fps, self.options.fps
             )
-            self.fps, notices = rate
         else:
             edl = read_edl(self.path)
             if not edl.events:
                 return None
-            self.fps, self.is_drop_frame = (
-                edl_rate(edl, self.options.fps),
-                edl.is_all_drop_frame,
-            )
+            self.fps = edl_rate(edl, self.options.fps)
+            self.is_drop_frame = edl.is_all_drop_frame
             timeline, notices = edl_timeline(edl, self.fps)
         self.cuts.notices += notices
         return timeline
@@ -213,10 +210,6 @@ class _CutReader:
         if self.faults:
             raise FormatError(first_faults(self.faults, MAX_FAULTS, str(self.path)))
         return self.cuts
-
-    def report_omission(self, code: str, message: str, is_warning: bool) -> None:
-        """Report an item of the timeline that was skipped or changed."""
-        self.note(code, message, Severity.WARNING if is_warning else Severity.NOTE)
 
     def note(self, code: str, message: str, severity: Severity = Severity.NOTE) -> None:
         """Record a notice on the timeline."""
@@ -254,10 +247,8 @@ class _CutReader:
         media_file = self.find_media_file(clip, clip_text)
         if media_file is None:
             return
-        clip_metadata, settings = (
-            self.metadata(clip, clip_text),
-            find_config(self.path),
-        )
+        clip_metadata = self.metadata(clip, clip_text)
+        settings = find_config(self.path)
         context = CutContext(
             self.options, clip_metadata, self.timeline_metadata, settings
         )
@@ -299,7 +290,7 @@ class _CutReader:
             self.fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
         for notice in shot_notices(shot, span, self.fps, clip_text):
-            self.report_omission(*notice)
+            self.note(*notice)
         names = {
             "shot": shot.name,
             "clip": clip.name or "",

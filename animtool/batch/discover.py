@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, cast
 
 from animtool.batch.cut_frames import SHOT_NAMES
 from animtool.batch.cuts import Cut
-from animtool.batch.inputs import cuts_of, input_suffixes, no_input_error, with_timeline
+from animtool.batch.inputs import (
+    OverriddenVariables,
+    cuts_of,
+    no_input_error,
+    resolve_overrides,
+    with_timeline,
+)
 from animtool.batch.item import (
     INPUT_NAMES,
     Item,
@@ -23,7 +29,6 @@ from animtool.batch.item import (
     output_root,
     unknown_names,
 )
-from animtool.batch.overrides import OverriddenVariables, resolve_overrides
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
@@ -53,18 +58,25 @@ def sample_source(
 
     variables: Overridden variables of the input.
     """
+    return item_task.source(_sample_item(spec, shot, variables))
+
+
+def _sample_item(spec: BatchSpec, shot: Cut, variables: Mapping[str, str]) -> Item:
+    """Return the first item that uses an input, with its overridden variables."""
     names, file = {**shot.names, **spec.rows[0]}, shot.media
-    return item_task.source(
-        Item(1, file, file.path, names, variables=variables, shot=shot.shot)
-    )
+    return Item(1, file, file.path, names, variables=variables, shot=shot.shot)
+
+
+def _item_names(spec: BatchSpec) -> set[str]:
+    """Return the names that inputs and shots define."""
+    return {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
 
 
 def check_columns(spec: BatchSpec) -> None:
     """Raise an error if a column of variants has a reserved name."""
     if spec.variants is None:
         return
-    shots = () if spec.cuts is None else SHOT_NAMES
-    reserved = {*INPUT_NAMES, *shots, *spec.variables}
+    reserved = {*_item_names(spec), *spec.variables}
     path = spec.variants.path
     path_text, location = (None, ()) if path is None else (str(path), (1,))
     hint = (
@@ -88,6 +100,7 @@ def check_effects(
     """Raise an error if a scene gives equal results for all its items or variants."""
     shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
     names = () if spec.variants is None else spec.variants.names
+    item_names = _item_names(spec)
     faults = []
     for path, shot in sorted(shots_by_source.items()):
         if not has_kind_suffix(path, "scene"):
@@ -103,8 +116,7 @@ def check_effects(
             continue
         values = overrides.values.get(shot.media.path, {})
         scene = cast("Scene", sample_source(spec, item_task, shot, values))
-        input_variables = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-        if spec.scene is not None and not scene.effective_variables & input_variables:
+        if spec.scene is not None and not scene.effective_variables & item_names:
             faults.append(_unused_inputs_fault(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
             names_text = ", ".join(f"${{{name}}}" for name in names)
@@ -153,9 +165,7 @@ class Batch:
         """Return the files that an item writes."""
         if item.files:
             return list(item.files)
-        source = item.file.path if self.sample is None else self.sample
-        if self.sample is None and has_kind_suffix(item.file.path, "scene"):
-            source = self.item_task.source(item)
+        source = self.item_task.source(item) if self.sample is None else self.sample
         return self.item_task.outputs(item, source)
 
 
@@ -175,9 +185,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         raise no_input_error(spec)
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    overrides = resolve_overrides(
-        spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
-    )
+    overrides = resolve_overrides(spec, files)
     sample = None
     if spec.scene is not None:
         values = overrides.values.get(files[0].path, {})
@@ -192,14 +200,10 @@ def find_batch(spec: BatchSpec) -> Batch:
     notices = (*cuts.notices, *overrides.notices)
     refuse_warnings(notices, strict=options.strict)
     table = None if spec.variants is None else spec.variants.path
-    named_paths = [
-        spec.scene,
-        options.rig_layer,
-        options.source.rig,
-        spec.path,
-        spec.cuts,
-    ]
-    named_paths.append(table)
+    named_paths = (
+        *(spec.scene, options.rig_layer, options.source.rig),
+        *(spec.path, spec.cuts, table),
+    )
     return Batch(
         spec.name,
         items,
@@ -221,17 +225,15 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     shots = cuts_of(spec).shots
     files = [shot.media for shot in shots]
     item_task = _item_task(spec, files)
-    overrides = resolve_overrides(
-        spec.overrides, files, spec.folder, input_suffixes(spec), spec.path
-    )
+    overrides = resolve_overrides(spec, files)
     values_by_scene: dict[Path, SceneValues] = {}
     for shot in shots:
         path = spec.scene or shot.media.path
         if path not in values_by_scene and has_kind_suffix(path, "scene"):
-            names, file = {**shot.names, **spec.rows[0]}, shot.media
-            values = overrides.values.get(file.path, {})
-            item = Item(1, file, file.path, names, variables=values)
-            values_by_scene[path] = SceneValues(item_task.names(item), frozenset(names))
+            item = _sample_item(spec, shot, overrides.values.get(shot.media.path, {}))
+            values_by_scene[path] = SceneValues(
+                item_task.names(item), frozenset(item.names)
+            )
     return values_by_scene
 
 
@@ -244,12 +246,11 @@ def _with_scene_input(spec: BatchSpec) -> BatchSpec:
 
 
 def _check_pattern(spec: BatchSpec, pattern: str) -> None:
-    path = None if spec.path is None else str(spec.path)
     known_names = {**spec.variables, **spec.rows[0]}
     if spec.cuts is not None:
         known_names |= dict.fromkeys(SHOT_NAMES, "")
     faults = [
-        Fault("BAT004", message, path, (), hint)
+        Fault("BAT004", message, spec.path_text, (), hint)
         for message, hint in unknown_names(pattern, known_names)
     ]
     if faults:
@@ -283,14 +284,12 @@ def _check_variables(
     elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
         used_names |= set(variables)
-    reserved_names = {*INPUT_NAMES, *(() if spec.cuts is None else SHOT_NAMES)}
-    has_scene = spec.scene is not None
     check_unused(
         variables,
-        used_names - reserved_names,
+        used_names - _item_names(spec),
         spec.path,
         in_batch=spec.path is not None,
-        has_scene=has_scene,
+        has_scene=spec.scene is not None,
     )
 
 
@@ -382,10 +381,15 @@ def _check_roots(spec: BatchSpec, items: Sequence[Item]) -> None:
     roots_text = listed([str(root) for root in spec.roots])
     hint = f"set {argument('output')}, or add the folder to roots in animtool.toml"
     faults = [
-        Fault("DOC014", f"{str(folder)!r} is outside {roots_text}", path, (), hint)
+        Fault(
+            "DOC014",
+            f"{str(folder)!r} is outside {roots_text}",
+            spec.path_text,
+            (),
+            hint,
+        )
         for folder in folders
         if not any(is_inside(folder, root) for root in spec.roots)
-        for path in [None if spec.path is None else str(spec.path)]
     ]
     if faults:
         raise OptionError(faults[:MAX_FAULTS])

@@ -104,10 +104,8 @@ def read_edl(path: Path) -> Edl:
         if line.startswith("TITLE:"):
             edl.title, is_edl = line[6:].strip(), True
         elif line.startswith("FCM"):
-            is_drop_frame, is_edl = (
-                "NON" not in line.upper() and "DROP" in line.upper(),
-                True,
-            )
+            is_drop_frame = "NON" not in line.upper() and "DROP" in line.upper()
+            is_edl = True
         elif line[:1].isdigit():
             match = _EVENT.fullmatch(line)
             if match is None:

@@ -8,7 +8,6 @@ from typing import Any
 
 from animtool.batch.cut_frames import SHOT_NAMES
 from animtool.batch.item import INPUT_NAMES, unknown_names
-from animtool.batch.overrides import Override
 from animtool.batch.schema import (
     BatchModel,
     OptionsModel,
@@ -16,7 +15,7 @@ from animtool.batch.schema import (
     RangeModel,
     Value,
 )
-from animtool.batch.spec import BatchSpec, Limits, parse_bytes
+from animtool.batch.spec import BatchSpec, Limits, Override, parse_bytes
 from animtool.batch.variants import (
     MAX_VARIANTS,
     TOO_MANY_TEXT,

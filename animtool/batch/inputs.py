@@ -1,4 +1,7 @@
-"""The inputs of a batch: files that match patterns, or clips of a timeline."""
+"""The inputs of a batch: files that match patterns, or clips of a timeline.
+
+A batch may override variables for the inputs that match other patterns.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ from animtool.core.files.reading import (
 )
 from animtool.core.rates import rate_label
 from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS, URDF, is_timeline
+from animtool.core.record import dataclass
 
 # Suffixes of files that are searched for in folders. USD is excluded: outputs are USD,
 # and would be inputs of the next run.
@@ -154,7 +158,7 @@ def _is_missing(text: str, matched_files: Mapping[Path, MatchedFile]) -> bool:
 def _unmatched_fault(
     spec: BatchSpec, key: str, i: int, suffixes: Sequence[str]
 ) -> Fault:
-    text, path = getattr(spec, key)[i], None if spec.path is None else str(spec.path)
+    text, path = getattr(spec, key)[i], spec.path_text
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
@@ -167,7 +171,6 @@ def _unmatched_fault(
 
 def no_input_error(spec: BatchSpec) -> NoMatchError:
     """Return the error of a batch without items."""
-    path = None if spec.path is None else str(spec.path)
     if spec.cuts is not None:
         message = "has no clip with media"
         hint = "a clip without media uses the INPUT with its name: pass takes too"
@@ -177,7 +180,7 @@ def no_input_error(spec: BatchSpec) -> NoMatchError:
     hint = f"folders are searched for {', '.join(suffixes)}"
     missing = nearest_file(Path(spec.inputs[0]), spec.folder) if spec.inputs else None
     hint = _other_suffix_hint(spec, suffixes) or missing or hint
-    return NoMatchError(Fault("BAT005", message, path, (), hint))
+    return NoMatchError(Fault("BAT005", message, spec.path_text, (), hint))
 
 
 def _other_suffix_hint(spec: BatchSpec, suffixes: Sequence[str]) -> str | None:
@@ -205,3 +208,43 @@ def input_suffixes(spec: BatchSpec) -> Sequence[str]:
 
 def _match_files(folder: Path, text: str, suffixes: Sequence[str]) -> list[MatchedFile]:
     return list(matching_files(os.fspath(folder / text), suffixes))
+
+
+@dataclass(frozen=True, slots=True)
+class OverriddenVariables:
+    """Values of overridden variables by input of a batch."""
+
+    values: Mapping[Path, Mapping[str, str]]  # by file path
+    notices: tuple[Fault, ...]  # warnings about overrides that match no input
+
+
+def resolve_overrides(
+    spec: BatchSpec, files: Sequence[MatchedFile]
+) -> OverriddenVariables:
+    """Return the overridden variables of the inputs of a batch; the last match wins."""
+    resolve = PathResolver()
+    path_by_location = {resolve(file.path): file.path for file in files}
+    suffixes = input_suffixes(spec)
+    values: dict[Path, dict[str, str]] = {}
+    notices = []
+    for i, override in enumerate(spec.overrides):
+        matched_paths = {
+            resolve(file.path)
+            for text in override.inputs
+            for file in _match_files(spec.folder, text, suffixes)
+        }
+        overridden_paths = [
+            path_by_location[location]
+            for location in matched_paths
+            if location in path_by_location
+        ]
+        for input_path in overridden_paths:
+            values.setdefault(input_path, {}).update(override.variables)
+        if not overridden_paths:
+            message = f"no input of the batch is {listed(override.inputs)}"
+            hint = "inputs are files, folders and globs, relative to the batch file"
+            where, warning = f"overrides[{i}].inputs", Severity.WARNING
+            notices.append(
+                Fault("BAT066", message, spec.path_text, (), hint, warning, where=where)
+            )
+    return OverriddenVariables(values, tuple(notices))

@@ -393,8 +393,6 @@ class ItemTask:
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that the bake of an item writes."""
-        if item.files:
-            return list(item.files)
         from animtool.scene.bake.outline import create_outline
 
         return create_outline(source, item.output, self._options(item.file.path)).files

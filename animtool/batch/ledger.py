@@ -53,9 +53,8 @@ MAX_MESSAGE = 10_000
 class Failures:
     """The failed items of earlier runs."""
 
-    reasons: dict[str, str] = field(
-        default_factory=dict
-    )  # failure of each item, by key
+    # Failure of each item, by key.
+    reasons: dict[str, str] = field(default_factory=dict)
     length: int = 0  # length of the readable part [bytes]
     damaged: tuple[Fault, ...] = ()  # warnings about unusable lines
 
@@ -68,18 +67,7 @@ def read_failures(path: Path) -> Failures:
             messages[text_in(line, "item")] = text_in(line, "why")
         except RecordError as error:
             reader.damaged[reader.number] = str(error)
-    notice = reader.notice()
-    return Failures(messages, reader.length, () if notice is None else (notice,))
-
-
-def add_failure(path: Path, key: str, reason: str, length: int) -> int:
-    """Append a failed item; return the new length of the file [bytes].
-
-    ``length`` is the readable length of the file [bytes].
-    """
-    with LineWriter(path, FAILURES_HEADER, length) as writer:
-        writer.write([_failure_line(key, reason)])
-        return writer.length
+    return Failures(messages, reader.length, tuple(reader.notices()))
 
 
 def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
@@ -222,7 +210,9 @@ class Ledger:
         """Record a failed item and the reason."""
         path = self._files.record_path(".failed.jsonl")
         self._has_changes = True
-        self._failed_length = add_failure(path, key, reason, self._failed_length)
+        with LineWriter(path, FAILURES_HEADER, self._failed_length) as writer:
+            writer.write([_failure_line(key, reason)])
+            self._failed_length = writer.length
         self.history.failed[key] = reason
 
     def close(self) -> None:

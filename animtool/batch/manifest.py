@@ -106,33 +106,36 @@ class ItemRecord:
         cls, values: Mapping[str, Any], files: Mapping[int, FileRecord]
     ) -> ItemRecord:
         """Return the record of `as_dict`."""
-        outputs = list_in(values, "outputs")
-        if not outputs:
-            raise RecordError("'outputs' is empty")
+        outputs = _nonempty_list(values, "outputs")
         return cls(
             text_in(values, "item"),
             text_in(values, "how", MAX_DIGEST),
             # Few are distinct, and every item has one.
             sys.intern(text_in(values, "versions", MAX_DIGEST)),
-            tuple(_number_files(list_in(values, "inputs"), files)),
+            tuple(_files_of(_nonempty_list(values, "inputs"), files)),
             tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
             integer_in(values, "at", -MAX_CLOCK, MAX_CLOCK),
-            scores_in(values, "scores"),
+            _scores_in(values),
         )
 
 
-def _number_files(
+def _files_of(
     numbers: Sequence[object], files: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
     """Yield the file records that numbers refer to."""
-    if not numbers:
-        raise RecordError("'inputs' is empty")
     for number in numbers:
         # Booleans and floats may equal an int.
         file = files.get(number) if type(number) is int else None
         if file is None:
             raise RecordError("an input has no record")
         yield file
+
+
+def _nonempty_list(record: Mapping[str, Any], key: str) -> Sequence[Any]:
+    entries = list_in(record, key)
+    if not entries:
+        raise RecordError(f"{key!r} is empty")
+    return entries
 
 
 def digest_of(value: object) -> str:
@@ -201,46 +204,38 @@ def read_manifest(path: Path) -> Manifest:
     Unusable lines are skipped and listed in `Manifest.damaged`.
     """
     manifest, reader = Manifest(), LineReader(path, MANIFEST_HEADER)
-    parser = _LineParser(manifest)
+    files: dict[int, FileRecord] = {}
     for line in reader.lines():
         try:
-            parser.add_line(line)
+            _add_line(manifest, files, line)
         except RecordError as error:
             reader.damaged[reader.number] = str(error)
     manifest.length = reader.length
-    notice = reader.notice()
-    manifest.damaged += [] if notice is None else [notice]
+    manifest.damaged += reader.notices()
     return manifest
 
 
-class _LineParser:
-    """Parses the lines of a manifest."""
-
-    def __init__(self, manifest: Manifest) -> None:
-        self.manifest = manifest
-        self.files: dict[int, FileRecord] = {}
-
-    def add_line(self, line: Mapping[str, Any]) -> None:
-        """Add the record of a line."""
-        if "known" in line:
-            self.manifest.known.update(texts_in(line, "known"))
-        elif "file" in line:
-            self._add_file(
-                integer_in(line, "file", 0, MAX_FILES), FileRecord.from_dict(line)
-            )
-        elif "item" in line:
-            self.manifest.add(ItemRecord.from_dict(line, self.files))
-        else:
-            raise RecordError("is not part of a manifest")
-
-    def _add_file(self, number: int, record: FileRecord) -> None:
-        manifest = self.manifest
+def _add_line(
+    manifest: Manifest, files: dict[int, FileRecord], line: Mapping[str, Any]
+) -> None:
+    """Add the record of a line to a manifest, and a file to ``files`` by its number."""
+    if "known" in line:
+        manifest.known.update(texts_in(line, "known"))
+    elif "file" in line:
+        number, record = (
+            integer_in(line, "file", 0, MAX_FILES),
+            FileRecord.from_dict(line),
+        )
         manifest.next_number = max(manifest.next_number, number + 1)
-        if self.files.setdefault(number, record) != record:
+        if files.setdefault(number, record) != record:
             # It is unknown which of the two an item means.
-            manifest.files.pop(self.files.pop(number), None)
+            manifest.files.pop(files.pop(number), None)
             raise RecordError("has the number of another file")
         manifest.files[record] = number
+    elif "item" in line:
+        manifest.add(ItemRecord.from_dict(line, files))
+    else:
+        raise RecordError("is not part of a manifest")
 
 
 class ManifestWriter(LineWriter):
@@ -289,31 +284,21 @@ def rewrite_manifest(
             writer.add(record)
 
 
-def scores_in(record: Mapping[str, Any], key: str) -> tuple[PassScores, ...]:
-    """Return the pass scores of a record; empty if the key is missing."""
-    if key not in record:
+def _scores_in(record: Mapping[str, Any]) -> tuple[PassScores, ...]:
+    """Return the pass scores of the record of an item."""
+    if "scores" not in record:
         return ()
-    return tuple(_pass_scores(object_of(entry)) for entry in list_in(record, key))
+    return tuple(_pass_scores(object_of(entry)) for entry in list_in(record, "scores"))
 
 
 def _pass_scores(record: Mapping[str, Any]) -> PassScores:
     names = object_of(record.get("names"))
     return PassScores(
-        tuple(
-            _score(object_of(score_entry))
-            for score_entry in _nonempty_list(record, "scores")
-        ),
+        tuple(_score(object_of(entry)) for entry in _nonempty_list(record, "scores")),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
         text_in(record, "pass"),
         text_in(record, "where"),
     )
-
-
-def _nonempty_list(record: Mapping[str, Any], key: str) -> Sequence[Any]:
-    entries = list_in(record, key)
-    if not entries:
-        raise RecordError(f"{key!r} is empty")
-    return entries
 
 
 def _score(record: Mapping[str, Any]) -> Score:

@@ -133,9 +133,8 @@ class _Pool:
     queue_next: bool
     has_more_items: bool = True  # whether there may be more items
     workers: list[_Worker] = field(default_factory=list)  # live workers
-    failed_starts: int = (
-        0  # number of consecutive processes that ended before accepting an item
-    )
+    # Number of consecutive processes that ended before accepting an item.
+    failed_starts: int = 0
 
     def start(self) -> None:
         context = _start_context(self.builder.item_task)

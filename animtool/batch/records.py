@@ -17,13 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NoReturn, Self
 
-from animtool.core.errors import (
-    Fault,
-    FormatError,
-    OutputError,
-    Severity,
-    counted,
-)
+from animtool.core.errors import Fault, FormatError, OutputError, Severity, counted
 from animtool.core.files.placing import output_error
 from animtool.core.files.reading import open_input, read_input
 
@@ -227,16 +221,17 @@ class LineReader:
         record.pop("crc", None)
         return record
 
-    def notice(self) -> Fault | None:
-        """Return a warning of damaged lines; None without any."""
+    def notices(self) -> list[Fault]:
+        """Return a warning of damaged lines, if there are any."""
         if not self.damaged:
-            return None
+            return []
         number, reason = next(iter(self.damaged.items()))
         count = counted(len(self.damaged), "line")
         message = f"{count} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
         lines = tuple(self.damaged)[:100]
-        return Fault("BAT070", message, str(self.path), lines, hint, Severity.WARNING)
+        warning = Severity.WARNING
+        return [Fault("BAT070", message, str(self.path), lines, hint, warning)]
 
     def _read_error(self, reason: str) -> FormatError:
         return FormatError(Fault("BAT011", f"cannot be read: {reason}", str(self.path)))

@@ -12,12 +12,7 @@ from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.item import Item
 from animtool.batch.ledger import History, Ledger, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord
-from animtool.batch.plan import (
-    Decision,
-    Planner,
-    check_output_files,
-    check_overwrites,
-)
+from animtool.batch.plan import Decision, Planner, check_output_files, check_overwrites
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, path_of_name, relative_name
 from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
@@ -149,11 +144,7 @@ def _items_to_consider(
 def _planned_report(decision: Decision) -> ItemReport:
     status = ItemStatus.NOT_RUN if decision.is_due else ItemStatus.SKIPPED
     return ItemReport(
-        decision.item,
-        status,
-        decision.reason,
-        decision.detail,
-        scores=decision.scores,
+        decision.item, status, decision.reason, decision.detail, scores=decision.scores
     )
 
 

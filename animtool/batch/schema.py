@@ -151,9 +151,7 @@ class BatchModel(FileModel):
         "Limits of each item.", {"seconds": 60, "memory": "2GB"}, default=LimitsModel()
     )
     jobs: Annotated[Integer, Ge(1), Le(1024)] | Literal["auto"] = key(
-        "Number of processes; `auto` is one per processor.",
-        4,
-        default="auto",
+        "Number of processes; `auto` is one per processor.", 4, default="auto"
     )
     ignore: list[IgnoreModel] = key(
         "Findings of `animtool validate` that are accepted.",

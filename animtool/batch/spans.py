@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
 from dataclasses import field
 from fractions import Fraction
 from math import isfinite
+from pathlib import Path
 from typing import Any, TypeAlias
 
-from animtool.batch.timeline import (
-    MAX_DENOMINATOR,
-    MAX_SPEED,
-    exact_rate,
-    seconds_of,
-)
-from animtool.core.errors import excerpt
+from animtool.batch.timeline import MAX_DENOMINATOR, MAX_SPEED, exact_rate, seconds_of
+from animtool.core.errors import Fault, Severity, excerpt
 from animtool.core.record import dataclass
 
 # Names of effects that change times although they are not a `TimeEffect`.
@@ -78,10 +73,8 @@ def span_of(shown_clip: ShownClip) -> Span:
     Backwards, a clip plays its range from the last frame to the first.
     """
     trimmed_range = shown_clip.clip.trimmed_range()
-    start, length = (
-        seconds_of(trimmed_range.start_time),
-        seconds_of(trimmed_range.duration),
-    )
+    start = seconds_of(trimmed_range.start_time)
+    length = seconds_of(trimmed_range.duration)
     rate, speed = exact_rate(trimmed_range.start_time.rate), speed_of(shown_clip.clip)
     visible_begin, visible_end = (
         (Fraction(0), length)
@@ -147,18 +140,16 @@ def transition_sides(shown_clip: ShownClip) -> tuple[Any, Any]:
     )
 
 
-NoticeCallback: TypeAlias = Callable[[str, str, bool], None]
-
-
 @dataclass(slots=True)
 class ClipVisitor:
     """Visits the clips on video tracks with the part of each that is visible."""
 
-    notify: NoticeCallback  # called with a code, a message, and whether it is a warning
+    path: Path  # the timeline
     clips: list[ShownClip] = field(default_factory=list)  # in the order of the timeline
     gaps: int = 0
     # Why clips are not shots, by their names.
     skip_reasons: dict[str, str] = field(default_factory=dict)
+    notices: list[Fault] = field(default_factory=list)
 
     def visit_timeline(self, tracks: Any) -> None:
         """Visit the clips of a timeline's tracks."""
@@ -173,23 +164,28 @@ class ClipVisitor:
             name = track.name or f"track {number}"
             kind = getattr(track, "kind", "Video")
             if kind != "Video":
-                self.notify("BAT043", f"{name}, of type {kind}, is skipped", False)
+                self._note("BAT043", f"{name}, of type {kind}, is skipped")
             elif not self._is_disabled(track, name):
                 self._visit_item(track, name, name, window, Fraction(0), tracks_speed)
 
     def _is_disabled(self, item: Any, item_text: str) -> bool:
         if getattr(item, "enabled", True):
             return False
-        self.skip_item(item, "BAT043", f"{item_text} is disabled", is_warning=False)
+        self.skip_item(item, "BAT043", f"{item_text} is disabled", Severity.NOTE)
         return True
 
     def skip_item(
-        self, item: Any, code: str, reason: str, *, is_warning: bool = True
+        self, item: Any, code: str, reason: str, severity: Severity = Severity.WARNING
     ) -> None:
         """Report why an item and its contents are not shots."""
         for name in _clip_names(item):
             self.skip_reasons.setdefault(name, reason)
-        self.notify(code, f"{reason}; it is skipped", is_warning)
+        self._note(code, f"{reason}; it is skipped", severity)
+
+    def _note(
+        self, code: str, message: str, severity: Severity = Severity.NOTE
+    ) -> None:
+        self.notices.append(Fault(code, message, str(self.path), severity=severity))
 
     def _visit_item(
         self,
@@ -210,7 +206,10 @@ class ClipVisitor:
             item_end = begin + duration_of(item)
             if not max(begin, window[0]) < min(item_end, window[1]):
                 self.skip_item(
-                    item, "BAT043", f"{item_text} is trimmed away", is_warning=False
+                    item,
+                    "BAT043",
+                    f"{item_text} is trimmed away",
+                    severity=Severity.NOTE,
                 )
                 return
             visible_part = (
@@ -254,14 +253,10 @@ class ClipVisitor:
                 )
                 kind = getattr(child, "kind", "Video")
                 if kind != "Video":
-                    self.notify(
-                        "BAT043", f"{child_path}, of type {kind}, is skipped", False
-                    )
+                    self._note("BAT043", f"{child_path}, of type {kind}, is skipped")
                 elif not self._is_disabled(child, child_path):
-                    self.notify(
-                        "BAT043",
-                        f"{child_path} is nested; its clips become shots",
-                        False,
+                    self._note(
+                        "BAT043", f"{child_path} is nested; its clips become shots"
                     )
                     self._visit_item(
                         child, child_path, child_path, window, child_begin, speed
@@ -285,10 +280,7 @@ def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]
     part_begin, part_end = (
         (Fraction(0), length) if visible_range is None else visible_range
     )
-    return (
-        first_time + part_begin * speed,
-        first_time + part_end * speed,
-    ), speed
+    return (first_time + part_begin * speed, first_time + part_end * speed), speed
 
 
 def duration_of(item: Any) -> Fraction:

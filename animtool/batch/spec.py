@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import field
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import field, replace
 from fractions import Fraction
 from functools import cache
 from pathlib import Path, PurePosixPath
 
-from animtool.batch.overrides import Override
 from animtool.batch.variants import Variants
 from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
@@ -147,6 +146,26 @@ def package_versions() -> dict[str, str]:
 
 
 @dataclass(frozen=True, slots=True)
+class Override:
+    """Values of variables for the inputs that match any of the patterns.
+
+    Attributes:
+        inputs: Files, folders and globs, relative to the folder of the batch.
+        variables: Values by name.
+    """
+
+    inputs: tuple[str, ...]
+    variables: Mapping[str, str] = field(default_factory=dict)
+
+    def without(self, names: Collection[str]) -> Override:
+        """Return a copy without the values of the given names."""
+        remaining = {
+            name: value for name, value in self.variables.items() if name not in names
+        }
+        return replace(self, variables=remaining)
+
+
+@dataclass(frozen=True, slots=True)
 class BatchSpec:
     """The spec of a batch.
 
@@ -196,6 +215,11 @@ class BatchSpec:
     fps: Fraction | None = None
     cut_start: int | None = None
     first_timecode: str | None = None
+
+    @property
+    def path_text(self) -> str | None:
+        """The batch file in faults; None if there is none."""
+        return None if self.path is None else str(self.path)
 
     @property
     def rows(self) -> Sequence[Mapping[str, str]]:

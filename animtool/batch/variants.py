@@ -86,10 +86,8 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
         hint = "write NAME=1,2,5 or NAME=1..20"
         hint = f"write {name}={suggested_range}" if suggested_range else hint
         if "=" not in text:
-            message, assignment_hint = (
-                f"{marker}: the sign = is missing",
-                _assignment_hint(text),
-            )
+            message = f"{marker}: the sign = is missing"
+            assignment_hint = _assignment_hint(text)
             faults.append(Fault("BAT064", message, hint=assignment_hint))
         elif i in problems:
             faults.append(Fault("BAT063", f"{marker}: {problems[i]}", hint=hint))

@@ -16,7 +16,7 @@ import numpy as np
 from animtool.capture.options import CleanOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.errors import Fault, Severity, counted, listed, refuse, warning
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -198,13 +198,9 @@ def _run_deviations(
             continue
         shifted = [signal[k : k + count] for k in range(run + 4)]
         if rotation:  # sign flips after a spike are not rotation
-            for k, reference in (
-                (run + 2, 1),
-                (run + 3, run + 2),
-                (2, 1),
-                (run + 1, run + 2),
-            ):
-                shifted[k] = _align_signs(shifted[k], shifted[reference])
+            aligned_pairs = (run + 2, 1), (run + 3, run + 2), (2, 1), (run + 1, run + 2)
+            for k, reference in aligned_pairs:
+                shifted[k] = so3.align_to(shifted[k], shifted[reference])
         before, after = shifted[1], shifted[run + 2]
         forward, backward = 2 * before - shifted[0], 2 * after - shifted[run + 3]
         step = (after - before) / (run + 1)
@@ -219,12 +215,6 @@ def _run_deviations(
             )
             sizes += [distance, projection]
         yield run, np.min(sizes, axis=0)
-
-
-def _align_signs(rotations: FloatArray, reference: FloatArray) -> FloatArray:
-    """Return quaternions ``(F, 4)`` in the same hemisphere as a reference."""
-    dots = np.sum(rotations * reference, axis=-1, keepdims=True)
-    return np.where(dots < 0, -rotations, rotations)
 
 
 def _roughness(signal: FloatArray) -> FloatArray:
@@ -301,7 +291,7 @@ def cleaning_notices(
             f"a take of {counted(take.clock.count, 'frame')} is too short to tell "
             "noise from motion; nothing is filtered"
         )
-        return [Fault("CAP102", message, severity=Severity.WARNING)]
+        return [warning("CAP102", message)]
     joints_with_spikes = sorted({s.joint for s in signals if s.spikes})
     filtered_signals = [s for s in signals if s.cutoff is not None]
     faults, signal_parts, rate = [], [], float(take.clock.rate)
@@ -314,7 +304,7 @@ def cleaning_notices(
         hint = (
             f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body motion"
         )
-        faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
+        faults.append(warning("CAP106", message, hint))
     removed = _removed_motion(filtered_signals)
     if removed is not None:
         message = (
@@ -323,7 +313,7 @@ def cleaning_notices(
             f"noise is {removed.text(removed.noise)}"
         )
         hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
-        faults.append(Fault("CAP106", message, hint=hint, severity=Severity.WARNING))
+        faults.append(warning("CAP106", message, hint))
     if joints_with_spikes:
         frames = sum(len(s.spikes) for s in signals)
         names = listed(joints_with_spikes, MAX_LISTED_JOINTS)
@@ -400,23 +390,17 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
     )
 
 
-def _option_error(message: str) -> OptionError:
-    """Return the error of an invalid option (CAP001)."""
-    return OptionError(Fault("CAP001", message))
-
-
 def _check_spikes(spikes: int) -> None:
     """Raise if the longest spike is out of range."""
-    if not 0 <= spikes <= ROUGHNESS_FRAMES // 2:
-        raise _option_error(
-            f"spikes is {spikes}; it must be 0 to {ROUGHNESS_FRAMES // 2}"
-        )
+    limit = ROUGHNESS_FRAMES // 2
+    if not 0 <= spikes <= limit:
+        refuse("CAP001", f"spikes is {spikes}; it must be 0 to {limit}")
 
 
 def _check_cutoff(cutoff: float | None) -> None:
     """Raise if the cut-off frequency is not positive and finite."""
     if cutoff is not None and not 0 < cutoff < math.inf:
-        raise _option_error(f"cutoff is {cutoff:g} Hz; it must be above 0")
+        refuse("CAP001", f"cutoff is {cutoff:g} Hz; it must be above 0")
 
 
 def _option_checks(options: CleanOptions) -> OptionChecks:

@@ -19,11 +19,7 @@ from animtool.cli.bake_options import (
 )
 from animtool.cli.console import Console
 from animtool.cli.help import command
-from animtool.cli.options import (
-    INPUT,
-    OUTPUT,
-    strict_option,
-)
+from animtool.cli.options import INPUT, OUTPUT, strict_option
 from animtool.cli.outputs import (
     atomic_command,
     check_plot,
@@ -79,13 +75,7 @@ Examples:
   animtool bake wave.clip.yaml --table
   animtool bake embers.scene.yaml --table --plot embers.png"""
 )
-@click.argument(
-    "sources",
-    metavar="SOURCE...",
-    nargs=-1,
-    required=True,
-    type=INPUT,
-)
+@click.argument("sources", metavar="SOURCE...", nargs=-1, required=True, type=INPUT)
 @click.option(
     "-o",
     "--output",

@@ -26,6 +26,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.files.reading import exists
 from animtool.core.names import check_unused, has_kind_suffix
 from animtool.core.options import options_of
+from animtool.core.readers import is_timeline
 from animtool.scene.bake.options import BakeOptions
 
 if TYPE_CHECKING:
@@ -160,8 +161,6 @@ def timeline_shot(
     fps: Fraction | None = None,
 ) -> Cut | None:
     """Return the shot of a timeline with its media; None for any other file."""
-    from animtool.core.readers import is_timeline
-
     if path is None or not is_timeline(path):
         for name in ("shot", "handles", "cut_start", "first_timecode"):
             if params[name] is not None:
@@ -188,8 +187,6 @@ def timeline_shot(
     cuts = read_cut(path, params["shot"], options)
     console.faults(cuts.notices)
     if not cuts.shots:
-        from animtool.core.errors import Fault, FormatError
-
         hint = f"animtool batch {path} TAKES finds media by the names of clips"
         raise FormatError(Fault("BAT042", "the shot has no media", str(path), (), hint))
     return cuts.shots[0]
@@ -205,8 +202,6 @@ def bake_shot(
 
     The option ``shot`` becomes the shot's record, which includes ``start``.
     """
-    from animtool.core.readers import is_timeline
-
     path = next(filter(is_timeline, sources), None)
     if path is not None and len(sources) > 1:
         raise click.UsageError("A timeline is baked alone: pass one SOURCE.")

@@ -119,10 +119,7 @@ Examples:
 @cut_options
 @variant_options
 @click.option(
-    "--exclude",
-    multiple=True,
-    metavar="INPUT",
-    help="Inputs to exclude; repeatable.",
+    "--exclude", multiple=True, metavar="INPUT", help="Inputs to exclude; repeatable."
 )
 @click.option(
     "-j",
@@ -214,10 +211,7 @@ Examples:
     "JSON: for the inputs and outputs of a batch file.",
 )
 @click.option(
-    "--junit",
-    type=FILE,
-    metavar="FILE",
-    help="Also write a report as JUnit XML.",
+    "--junit", type=FILE, metavar="FILE", help="Also write a report as JUnit XML."
 )
 @common_options
 @click.pass_obj
@@ -241,11 +235,7 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     """
     from animtool.batch.discover import find_batch
     from animtool.batch.run import RunOptions, run_batch
-    from animtool.cli.batch_progress import (
-        openjd_failure,
-        openjd_lines,
-        show_progress,
-    )
+    from animtool.cli.batch_progress import openjd_failure, openjd_lines, show_progress
 
     if params["fail_fast"] and params["max_failures"] not in {None, 1}:
         raise click.UsageError("--fail-fast is --max-failures 1: use one of them.")
@@ -307,10 +297,8 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     last_input, path = inputs[-1], Path(inputs[-1])
     readable_suffixes = (*INPUT_SUFFIXES, *SCENE_SUFFIXES)
     if path.is_dir():
-        is_output, state = (
-            any(matching_files(last_input, readable_suffixes)),
-            "has no file to bake",
-        )
+        is_output = any(matching_files(last_input, readable_suffixes))
+        state = "has no file to bake"
     else:
         is_output = (
             path.exists()

@@ -215,8 +215,7 @@ def _table_listener(
         running_rows = Table.grid(padding=(0, 1))
         for name, began in list(tracker.running.values()):
             running_rows.add_row(
-                Text(f"{time.perf_counter() - began:6.1f} s"),
-                Text(escaped(name)),
+                Text(f"{time.perf_counter() - began:6.1f} s"), Text(escaped(name))
             )
         return Group(header, running_rows, Text(tracker.warning))
 
@@ -296,12 +295,7 @@ DRY_RUN = replace(
 )
 PLANNED = Template(
     "animtool.batch.report:BatchReport",
-    (
-        Each(
-            "items",
-            ("[{?skipped}skip|make] {self:item} ({reason}[: {detail}])",),
-        ),
-    ),
+    (Each("items", ("[{?skipped}skip|make] {self:item} ({reason}[: {detail}])",)),),
     {"item": _item_text},
     is_result=True,
 )

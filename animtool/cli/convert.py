@@ -111,13 +111,14 @@ def convert(
         has_kind_suffix(source, "rig")
         or has_kind_suffix(output, "rig")
         or params["physics"]
+        or (is_rig_only(source) and holds_rig(output))
     )
-    is_rig_conversion = is_rig_conversion or (is_rig_only(source) and holds_rig(output))
-    outputs = [output] if is_rig_conversion else take_writer(output).files(output)
     if is_rig_conversion:
         from animtool.scene.convert.rigs import rig_outputs
 
         outputs = rig_outputs(output, physics=params["physics"])
+    else:
+        outputs = take_writer(output).files(output)
     if skip_existing_outputs(console, "convert", params, output, lambda: outputs):
         return
     if is_rig_conversion:
@@ -175,14 +176,11 @@ def _convert_all_takes(source: Path, folder: Path, params: dict[str, Any]) -> bo
         return False
     folder.mkdir(parents=True, exist_ok=True)
     legal_names = distinct_names(names, names, names).names
+    context = click.get_current_context()
     for name, stem in zip(names, legal_names, strict=True):
-        take_params = {
-            **params,
-            "named_output": None,
-            "source": source,
-            "output": folder / f"{stem}.usdc",
-        }
-        click.get_current_context().invoke(convert, **{**take_params, "take": name})
+        files = {"source": source, "output": folder / f"{stem}.usdc"}
+        take_params = {**params, **files, "named_output": None, "take": name}
+        context.invoke(convert, **take_params)
     return True
 
 
@@ -200,18 +198,8 @@ def _convert_markers(
 ) -> None:
     from animtool.cli.marker_files import run_on_markers
 
-    refused_options = (
-        "prim_path",
-        "rig",
-        "take",
-        "reduce",
-        "reduce_at",
-        "base",
-        "physics",
-    )
-    for name in (name for name in (*refused_options, "placement") if params[name]):
-        option = f"--{name.replace('_', '-')}"
-        raise click.UsageError(f"{option} does not apply to markers.")
+    names = "prim_path rig take reduce reduce_at base physics placement"
+    _refuse_options(params, names, "does not apply to markers")
 
     def count_markers(markers: Any) -> tuple[Any, Any]:
         return markers, _ConvertedFile(len(markers), len(markers.names))
@@ -219,25 +207,20 @@ def _convert_markers(
     run_on_markers(console, "convert", (source,), output, params, count_markers)
 
 
+def _refuse_options(params: dict[str, Any], names: str, reason: str) -> None:
+    """Refuse the first option that is set; ``names`` are separated by spaces."""
+    for name in names.split():
+        if params[name]:
+            raise click.UsageError(f"--{name.replace('_', '-')} {reason}.")
+
+
 def _convert_rig(
     console: Console, source: Path, output: Path, params: dict[str, Any]
 ) -> None:
     from animtool.scene.convert.rigs import convert_rig
 
-    for name in (
-        "reduce",
-        "reduce_at",
-        "base",
-        "units",
-        "up",
-        "source_fps",
-        "take",
-        "rig",
-        "placement",
-    ):
-        if params[name]:
-            option = f"--{name.replace('_', '-')}"
-            raise click.UsageError(f"{option} applies to motion, not to a rig.")
+    names = "reduce reduce_at base units up source_fps take rig placement"
+    _refuse_options(params, names, "applies to motion, not to a rig")
     with atomic_command():
         report = convert_rig(
             source,

@@ -277,11 +277,7 @@ def _help_options() -> list[click.Parameter]:
             click.echo(text or ctx.get_help(), color=ctx.color)
             ctx.exit()
 
-    flags: dict[str, Any] = {
-        "is_flag": True,
-        "expose_value": False,
-        "is_eager": True,
-    }
+    flags: dict[str, Any] = {"is_flag": True, "expose_value": False, "is_eager": True}
     return [
         click.Option(["-h"], callback=print_short_help, hidden=True, **flags),
         click.Option(

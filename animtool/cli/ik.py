@@ -41,6 +41,7 @@ from animtool.cli.outputs import (
 )
 from animtool.core.names import has_kind_suffix
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES, TakeOptions
+from animtool.scene.file.option_text import parse_frame
 
 FIRST_FRAME = "first"
 # Options of `--match`, in addition to those of its source.
@@ -54,13 +55,7 @@ _MATCH_OPTIONS = frozenset(
 
 
 def _parse_pose_frame(text: str) -> Any:
-    return text if text == FIRST_FRAME else _parse_time_code(text)
-
-
-def _parse_time_code(text: str) -> Any:
-    from animtool.scene.file.option_text import parse_frame
-
-    return parse_frame(text)
+    return text if text == FIRST_FRAME else parse_frame(text)
 
 
 @command(
@@ -162,7 +157,7 @@ Examples:
 @click.option(
     "--start",
     "first_code",
-    type=ParsedType("frame", _parse_time_code),
+    type=ParsedType("frame", parse_frame),
     metavar="FRAME",
     help="Time code of the first frame in USD.  [default: as in the targets or START]",
 )

@@ -122,11 +122,7 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         "|  space     {units}, {up} up]",
         _WARNINGS,
     ),
-    "GltfDescription": (
-        "{path}: {format} without nodes",
-        *_GLTF,
-        _WARNINGS,
-    ),
+    "GltfDescription": ("{path}: {format} without nodes", *_GLTF, _WARNINGS),
     "PointsDescription": (
         "{path}: {format} without a Skeleton",
         "  prims     [{types:types 12}]",

@@ -7,10 +7,7 @@ import click
 from animtool.cli.help import LazyGroup
 
 COMMANDS = {
-    "clean": (
-        "animtool.cli.mocap_clean:clean",
-        "Remove spikes and noise from a take.",
-    ),
+    "clean": ("animtool.cli.mocap_clean:clean", "Remove spikes and noise from a take."),
     "solve": (
         "animtool.cli.mocap_solve:solve",
         "Solve the motion of a rig from markers.",
@@ -23,10 +20,7 @@ COMMANDS = {
         "animtool.cli.mocap_face:face",
         "Solve blend-shape weights from face landmarks.",
     ),
-    "label": (
-        "animtool.cli.mocap_label:label",
-        "Label unlabelled marker points.",
-    ),
+    "label": ("animtool.cli.mocap_label:label", "Label unlabelled marker points."),
     "fill": (
         "animtool.cli.mocap_fill:fill",
         "Repair swaps and spikes of markers, and fill gaps.",

@@ -99,10 +99,7 @@ def solve(
     to_stdout = goes_to_stdout(output, params)
     if params["static"] is not None and not params["calibrate"]:
         raise click.UsageError("--static needs a calibration: pass --calibrate too.")
-    from animtool.scene.solves.mocap_solve import (
-        MocapSolveJob,
-        run_solve,
-    )
+    from animtool.scene.solves.mocap_solve import MocapSolveJob, run_solve
 
     job = MocapSolveJob(
         source,

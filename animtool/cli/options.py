@@ -13,10 +13,21 @@ import click
 from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, as_flag
 from animtool.core.arguments import worded
 from animtool.core.errors import Severity
+from animtool.core.names import is_variable_name
 from animtool.core.options import Option, options_of
 from animtool.core.process.supervisor import stdin_lines
+from animtool.core.rates import parse_rate
+from animtool.core.timecode import is_timecode
 from animtool.core.units import LengthUnit, UpAxis, parse_length
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.file.option_text import (
+    parse_frame,
+    parse_frame_range,
+    parse_frames,
+    parse_offsets,
+    parse_rest,
+    parse_source_rest,
+)
 from animtool.scene.sources.open import SourceOptions
 
 Command = TypeVar("Command", bound=Callable[..., Any])
@@ -41,15 +52,7 @@ class ParsedType(click.ParamType[Any]):
             self.fail(f"{error}.", param, ctx)
 
 
-def _parse_rate(text: str) -> Any:
-    from animtool.core.rates import parse_rate
-
-    return parse_rate(text)
-
-
 def _parse_timecode(text: str) -> str:
-    from animtool.core.timecode import is_timecode
-
     if not is_timecode(text):
         raise ValueError(
             f"{text!r} is not a time code such as 01:00:00:00 or 01:00:00;02"
@@ -105,8 +108,10 @@ class Count(click.IntRange):
             return super().convert(value, param, ctx)
         except click.BadParameter:
             range_end = f" to {self.max}" if self.max is not None else " up"
-            rule = f"{value!r} is not a whole number from {self.min}{range_end}."
-            self.fail(rule, param, ctx)
+            rule = f"{value!r} is not a whole number from {self.min}{range_end}"
+            if param is not None and param.metavar == "FRAMES":
+                rule += "; it counts frames, not seconds"
+            self.fail(f"{rule}.", param, ctx)
 
 
 def _parse_integer(text: str) -> int:
@@ -138,8 +143,6 @@ def _parse_joint_length(text: str) -> tuple[str, float]:
 
 
 def _parse_variable(text: str) -> tuple[str, str]:
-    from animtool.core.names import is_variable_name
-
     name, equals, value = text.partition("=")
     if not equals or not is_variable_name(name):
         raise ValueError(f"{text!r} is not a name and a value, such as shot=sh020")
@@ -168,7 +171,7 @@ def _parse_processes(text: str) -> int:
 FILE = click.Path(path_type=Path, dir_okay=False)
 INPUT = click.Path(path_type=Path, readable=False)
 OUTPUT = click.Path(path_type=Path, allow_dash=True, readable=False)
-RATE = ParsedType("rate", _parse_rate)
+RATE = ParsedType("rate", parse_rate)
 LENGTH = ParsedType("length", parse_length)
 DISTANCE = ParsedType("length", _parse_distance)
 TOLERANCE = ParsedType("tolerance", _parse_tolerance)
@@ -237,15 +240,6 @@ common_options = stack_options(
 )
 
 
-def _option_text_parser(name: str) -> Callable[[str], Any]:
-    def parse(text: str) -> Any:
-        from animtool.scene.file import option_text
-
-        return getattr(option_text, f"parse_{name}")(text)
-
-    return parse
-
-
 # Click type and help metavar of each kind of option.
 _TYPES: dict[str, tuple[Any, str | None]] = {
     "text": (str, None),
@@ -254,13 +248,13 @@ _TYPES: dict[str, tuple[Any, str | None]] = {
     "unit": (click.Choice(["m", "cm", "mm", "in"]), None),
     "axis": (click.Choice(["Y", "Z"], case_sensitive=False), None),
     "rate": (RATE, "RATE"),
-    "range": (ParsedType("frame_range", _option_text_parser("frame_range")), "A-B[xN]"),
-    "frames": (ParsedType("frames", _option_text_parser("frames")), "A-B[xN]|A,B,..."),
+    "range": (ParsedType("frame_range", parse_frame_range), "A-B[xN]"),
+    "frames": (ParsedType("frames", parse_frames), "A-B[xN]|A,B,..."),
     "texts": (str, "TEXT"),
-    "frame": (ParsedType("frame", _option_text_parser("frame")), "FRAME"),
-    "rest": (ParsedType("rest", _option_text_parser("rest")), None),
-    "source_rest": (ParsedType("rest", _option_text_parser("source_rest")), None),
-    "offsets": (ParsedType("offsets", _option_text_parser("offsets")), "OFFSETS"),
+    "frame": (ParsedType("frame", parse_frame), "FRAME"),
+    "rest": (ParsedType("rest", parse_rest), None),
+    "source_rest": (ParsedType("rest", parse_source_rest), None),
+    "offsets": (ParsedType("offsets", parse_offsets), "OFFSETS"),
     "length": (LENGTH, "LENGTH"),
     "lengths": (ParsedType("joint_length", _parse_joint_length), "JOINT=LENGTH"),
     "names": (ParsedType("text", names_of), "NAME,..."),
@@ -370,15 +364,11 @@ def record_option(
         entry.name: None if entry.default is MISSING else entry.default
         for entry in fields(record)
     }
-
+    param_names = param_names or {}
     return stack_options(
         *(
             declare_option(
-                options[name],
-                name,
-                defaults[name],
-                (param_names or {}).get(name),
-                help_text,
+                options[name], name, defaults[name], param_names.get(name), help_text
             )
             for name in names or options
         )

@@ -172,10 +172,7 @@ def retarget(
         text = f"SOURCE is the rig file {source.name}: did you swap SOURCE and --to?"
         raise click.UsageError(text)
     to_stdout = goes_to_stdout(output, params)
-    from animtool.scene.solves.retarget import (
-        RetargetJob,
-        run_retarget,
-    )
+    from animtool.scene.solves.retarget import RetargetJob, run_retarget
 
     job = RetargetJob(
         source,

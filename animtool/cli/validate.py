@@ -148,7 +148,7 @@ def _show_difference(
             continue
         fixed_identities |= {_identity(fault) for fault, _ in plan.fixed_findings}
         has_changes = True
-        console.result(*plan.diff_text().removesuffix("\n").split("\n"))
+        console.result(*plan.draft.diff_text().removesuffix("\n").split("\n"))
         for path in plan.draft.outputs():
             console.say(f"{path} would be written")
         if code is ExitCode.OK and not report_options.exit_zero:

@@ -38,11 +38,7 @@ _END_MODES = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
 
 def sample_blocks(
-    channels: Sequence[ClipChannel],
-    rig: Rig,
-    times: FloatArray,
-    *,
-    clamp: bool = False,
+    channels: Sequence[ClipChannel], rig: Rig, times: FloatArray, *, clamp: bool = False
 ) -> Iterator[SampledMotion]:
     """Yield the motion of `sample_channels` in blocks of consecutive times.
 

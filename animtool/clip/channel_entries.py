@@ -297,10 +297,8 @@ class ChannelReader:
         """
         inner_interps = interps[:-1]
         for k, key in enumerate(_key_models(model)):
-            interp_before, interp_after = (
-                interps[max(k - 1, 0) : k],
-                inner_interps[k : k + 1],
-            )
+            interp_before = interps[max(k - 1, 0) : k]
+            interp_after = inner_interps[k : k + 1]
             for name, handle, props, expected in (
                 ("in", key.in_, interp_before, _HANDLE_INTERPS),
                 ("out", key.out, interp_after, _HANDLE_INTERPS),
@@ -364,10 +362,8 @@ class ChannelReader:
     ) -> tuple[Tangent, list[float], Tangent, list[float]]:
         """Return in-tangent, in-handle, out-tangent and out-handle of a key."""
         if components == 4:
-            default_tangent, no_handle = (
-                Tangent(model.tangents),
-                [0.0] * (1 + components),
-            )
+            default_tangent = Tangent(model.tangents)
+            no_handle = [0.0] * (1 + components)
             return default_tangent, no_handle, default_tangent, no_handle
         both_sides: list[tuple[Tangent, list[float]]] = []
         for name, handle in (("in", key.in_), ("out", key.out)):

@@ -13,13 +13,7 @@ from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import euler
-from animtool.maths.curves import (
-    Curves,
-    Extrapolation,
-    Interp,
-    evaluate,
-    key_handles,
-)
+from animtool.maths.curves import Curves, Extrapolation, Interp, evaluate, key_handles
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
 from animtool.rig.joints import KEYED_PARTS, part_hint, split_part

@@ -39,11 +39,7 @@ class ChannelError:
 
 
 def channel_errors(
-    clip: Clip,
-    rig: Rig,
-    take: Take,
-    keyed: Motion,
-    controls: Mapping[str, FloatArray],
+    clip: Clip, rig: Rig, take: Take, keyed: Motion, controls: Mapping[str, FloatArray]
 ) -> tuple[ChannelError, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)

@@ -60,11 +60,7 @@ class SampledMotion:
 
 
 def sample_channels(
-    channels: Sequence[ClipChannel],
-    rig: Rig,
-    times: FloatArray,
-    *,
-    clamp: bool = False,
+    channels: Sequence[ClipChannel], rig: Rig, times: FloatArray, *, clamp: bool = False
 ) -> SampledMotion:
     """Sample a clip's channels on a rig at times ``(F,)`` [frame of the clip].
 

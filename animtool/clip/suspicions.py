@@ -249,8 +249,7 @@ def warn_of_angle_keys(
     )
     hint = (
         f"write 'units: {{angle: {likely_unit}}}', or this key in "
-        f"{ANGLE_NAMES[file_unit]}: "
-        f"{largest * factor:.4g}"
+        f"{ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
     )
     document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 

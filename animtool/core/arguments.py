@@ -19,13 +19,11 @@ from typing import TypeAlias
 from animtool.core.record import dataclass
 
 # Unicode noncharacters, which do not occur in exchanged text.
-_ARGUMENT_BEGIN, _ARGUMENT_VALUE, _ARGUMENT_END, _CLAUSE_BEGIN, _CLAUSE_END = (
-    "\ufdd0",
-    "\ufdd1",
-    "\ufdd2",
-    "\ufdd3",
-    "\ufdd4",
-)
+_ARGUMENT_BEGIN = "\ufdd0"
+_ARGUMENT_VALUE = "\ufdd1"
+_ARGUMENT_END = "\ufdd2"
+_CLAUSE_BEGIN = "\ufdd3"
+_CLAUSE_END = "\ufdd4"
 _MARK = re.compile(
     f"{_ARGUMENT_BEGIN}([a-z0-9_.]+)"
     f"(?:{_ARGUMENT_VALUE}([^{_ARGUMENT_BEGIN}-{_ARGUMENT_END}]*))?{_ARGUMENT_END}"

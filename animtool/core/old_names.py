@@ -10,7 +10,7 @@ from importlib.machinery import ModuleSpec
 from typing import TYPE_CHECKING, Any, ParamSpec, TypeVar, cast
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
     from types import ModuleType
 
 OLD_NAMES = {
@@ -136,16 +136,19 @@ def renamed_arguments(
     return decorate
 
 
-def old_object(module: str, name: str, objects: Mapping[str, type]) -> type:
-    """Return a class by its old name, with a warning; for `__getattr__` of a module.
+def old_objects(module: str, **objects: type) -> Callable[[str], type]:
+    """Return the ``__getattr__`` of a module whose classes have old names.
 
-    Raises:
-        AttributeError: The name is not among the old names.
+    objects: Classes by their old names.
     """
-    if name not in objects:
-        raise AttributeError(f"module {module!r} has no attribute {name!r}")
-    _warn(f"{module}.{name}", objects[name].__name__)
-    return objects[name]
+
+    def find_object(name: str) -> type:
+        if name not in objects:
+            raise AttributeError(f"module {module!r} has no attribute {name!r}")
+        _warn(f"{module}.{name}", objects[name].__name__)
+        return objects[name]
+
+    return find_object
 
 
 def _warn(old_text: str, new_text: str) -> None:

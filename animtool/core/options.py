@@ -14,15 +14,7 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, field, fields, make_dataclass
 from functools import cache
-from typing import (
-    Any,
-    ClassVar,
-    Literal,
-    TypeAlias,
-    TypeVar,
-    cast,
-    get_type_hints,
-)
+from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from animtool.core.arguments import argument, as_text
 from animtool.core.errors import Fault
@@ -117,15 +109,13 @@ class Option:
     # Options that it excludes, with the message if it is not the default.
     excludes: Mapping[str, str] = field(default_factory=dict)
     goes_with: str = ""  # another option that it requires, if any
-    missing_message: str = (
-        ""  # message if that option is missing, if it is not the default
-    )
+    # Message if that option is missing, if it is not the default.
+    missing_message: str = ""
     scene: Key | None = None
     batch: Key | None = None
     help: str = ""  # help on the command line; empty if commands declare their own
-    metavar: str | None = (
-        None  # placeholder of the value in help; None uses that of its kind
-    )
+    # Placeholder of the value in help; None uses that of its kind.
+    metavar: str | None = None
     choices: tuple[str, ...] = ()  # on the command line; for a switch, off and on
     min_count: int = 0  # minimum of a count
     reason: str = ""  # why a source may not have it

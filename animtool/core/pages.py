@@ -82,7 +82,7 @@ def page_markdown(page: PageEntry) -> str:
 
 
 def find_page(topic: str) -> PageEntry:
-    """Return the page whose name, or a part of it, is the topic.
+    """Return the page whose name, or a part of it, is the topic, else that about it.
 
     Args:
         topic: A topic such as ``desk-lamp`` or ``tutorials/desk-lamp``, in any case.
@@ -101,29 +101,31 @@ def find_page(topic: str) -> PageEntry:
     if matches:
         message = f"{topic!r} names several pages"
         hint = f"write one of {', '.join(page.name for page in matches)}"
-    else:
-        message, hint = f"unknown page {topic!r}", _topic_hint(name)
-    raise OptionError(Fault("CLI009", message, hint=hint))
+        raise OptionError(Fault("CLI009", message, hint=hint))
+    mentioning_pages = _pages_about(name) if name.strip() else []
+    if len(mentioning_pages) == 1:
+        return mentioning_pages[0]
+    names = ", ".join(page.name for page in mentioning_pages[:MAX_MENTIONED])
+    hint = f"it is a subject of {names}"
+    if not names:
+        hint = nearest(name, [page.name.split("/")[-1] for page in pages])
+        if hint.startswith("allowed"):
+            hint = f"{argument('list')} lists the pages"
+    raise OptionError(Fault("CLI009", f"unknown page {topic!r}", hint=hint))
 
 
-def _topic_hint(topic: str) -> str:
-    """Return a hint with the pages about a topic, or with the most similar name."""
+def _pages_about(topic: str) -> list[PageEntry]:
+    """Return the pages with a topic in a heading, or that which has it most often."""
     pages = [page for page in all_pages() if page.name != "changelog"]
     counts = {page.name: _count_mentions(page, topic) for page in pages}
     mentioning_pages = [
-        page.name
+        page
         for page in pages
         if counts[page.name]
         and any(topic in heading.lower() for heading in _headings(page))
     ]
-    best_page = max(counts, key=lambda name: counts[name])
-    mentioning_pages = mentioning_pages or ([best_page] if counts[best_page] else [])
-    if mentioning_pages:
-        return f"it is a subject of {', '.join(mentioning_pages[:MAX_MENTIONED])}"
-    hint = nearest(topic, [page.name.split("/")[-1] for page in pages])
-    if hint.startswith("allowed"):
-        return f"{argument('list')} lists the pages"
-    return hint
+    best_page = max(pages, key=lambda page: counts[page.name])
+    return mentioning_pages or ([best_page] if counts[best_page.name] else [])
 
 
 def _count_mentions(page: PageEntry, word: str) -> int:

@@ -193,10 +193,7 @@ def size_text(size: float, digits: int = 3) -> str:
 
 
 def _unit_text(
-    value: float,
-    units: tuple[tuple[float, float, str], ...],
-    zero: str,
-    digits: int,
+    value: float, units: tuple[tuple[float, float, str], ...], zero: str, digits: int
 ) -> str:
     if not value:
         return f"0 {zero}"

@@ -166,10 +166,8 @@ def rate_from_float(fps: float) -> Fraction:
     known_rate = _BROADCAST_RATES.get(f"{fps:g}")
     if known_rate is not None:
         return known_rate
-    nearest_integer, broadcast_count = (
-        round(exact_rate),
-        round(exact_rate * 1001 / 1000),
-    )
+    nearest_integer = round(exact_rate)
+    broadcast_count = round(exact_rate * 1001 / 1000)
     nearest = min(
         (Fraction(nearest_integer), Fraction(broadcast_count * 1000, 1001)),
         key=lambda rate: abs(rate - exact_rate),

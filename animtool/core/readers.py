@@ -227,10 +227,7 @@ EXPORT_HINTS: dict[str, tuple[str, str]] = {
     ".max": ("a 3ds Max scene", "export FBX or USD from 3ds Max, then use that file"),
     **dict.fromkeys(
         (".hip", ".hiplc", ".hipnc"),
-        (
-            "a Houdini scene",
-            "export USD, FBX or glTF from Houdini, then use that file",
-        ),
+        ("a Houdini scene", "export USD, FBX or glTF from Houdini, then use that file"),
     ),
     ".abc": (
         "Alembic, which stores points but no joints",

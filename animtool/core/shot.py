@@ -165,14 +165,9 @@ class Shot:
         text += f", handles {self.head} and {self.tail}"
         if self.fps is not None:
             text += f", {rate_label(self.fps)}"
-        if self.places_media:
-            first_time, last_time = (
-                self.seconds_at(self.cut_in),
-                self.seconds_at(self.cut_out),
-            )
-            text += (
-                f", {float(first_time):.6g} s to {float(last_time):.6g} s of its media"
-            )
+        if times := self.media_times:
+            text += f", {times['media_in']:.6g} s to {times['media_out']:.6g} s"
+            text += " of its media"
         return text
 
     @property
@@ -180,15 +175,10 @@ class Shot:
         """Media times and speed; empty without placed media."""
         if not self.places_media:
             return {}
-        first_time, last_time = (
-            self.seconds_at(self.cut_in),
-            self.seconds_at(self.cut_out),
-        )
-        speed = float(self.speed)
         return {
-            "media_in": float(first_time),
-            "media_out": float(last_time),
-            "speed": speed,
+            "media_in": float(self.seconds_at(self.cut_in)),
+            "media_out": float(self.seconds_at(self.cut_out)),
+            "speed": float(self.speed),
         }
 
     json_keys: ClassVar[str] = (
@@ -213,11 +203,8 @@ class Shot:
             "fps": "" if self.fps is None else str(self.fps),
             "speed": f"{float(self.speed):.12g}",
         }
-        if self.places_media:
-            first, last = self.seconds_at(self.cut_in), self.seconds_at(self.cut_out)
-            values["media_in"] = f"{float(first):.12g}"
-            values["media_out"] = f"{float(last):.12g}"
-        return values
+        media_texts = {name: f"{x:.12g}" for name, x in self.media_times.items()}
+        return values | media_texts
 
 
 def frames_within(seconds: Fraction, fps: Fraction) -> int:

@@ -91,10 +91,8 @@ def timecode_label(frame: int, rate: Fraction, *, drop: bool = False) -> str:
     >>> timecode_label(61, Fraction(24)), timecode_label(-1, Fraction(24))
     ('00:00:02:13', '23:59:59:23')
     """
-    labels_per_second, dropped_labels = (
-        count_rate(rate),
-        _labels_dropped_per_minute(rate) if drop else 0,
-    )
+    labels_per_second = count_rate(rate)
+    dropped_labels = _labels_dropped_per_minute(rate) if drop else 0
     frame %= day_frames(rate, drop=drop)
     if dropped_labels:
         ten_minutes, frame_in_ten_minutes = divmod(

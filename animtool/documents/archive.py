@@ -67,6 +67,11 @@ class StoredArray:
     begin: int  # offset of the first value in the file [byte]
 
     @property
+    def kind(self) -> str:
+        """Kind of its numbers: ``f``, ``i``, ``u`` or ``b``."""
+        return self.dtype.kind
+
+    @property
     def count(self) -> int:
         """Number of values."""
         return math.prod(self.shape)
@@ -133,11 +138,10 @@ def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
     lengths = [length.strip().removesuffix("L") for length in text.split(",")]
     if lengths[-1] == "":
         lengths.pop()
-    is_invalid = len(lengths) > MAX_DIMENSIONS or (
-        len(lengths) == 1 and "," not in text
-    )
-    if is_invalid or not all(
-        length.isdecimal() and len(length) < 20 for length in lengths
+    if (
+        len(lengths) > MAX_DIMENSIONS
+        or (len(lengths) == 1 and "," not in text)
+        or not all(length.isdecimal() and len(length) < 20 for length in lengths)
     ):
         raise ArrayError(f"{array_label} has a shape that is not that of an array")
     return tuple(map(int, lengths))
@@ -300,11 +304,8 @@ class Archive:
     def _zip_entry(self, key: str) -> ZipInfo:
         name, info = self._path.name, self._members.get(key)
         if info is None:
-            names = [
-                member_name[:40]
-                for member_name in list(self._members)[:MAX_SHOWN_NAMES]
-            ]
-            names_text = ", ".join(names) or "nothing"
+            names = list(self._members)[:MAX_SHOWN_NAMES]
+            names_text = ", ".join(name[:40] for name in names) or "nothing"
             raise ArrayError(
                 f"{name} has no array {key!r}; its arrays are {names_text}"
             )
@@ -358,12 +359,11 @@ def _open_zip(file: _DirectoryLimitedFile, head: bytes, path: Path) -> ZipFile:
 
     if is_zipfile(cast(Any, file)):
         return ZipFile(cast(Any, file))
-    if not head:
-        raise ArrayError(f"{path.name} is empty; copy or write it again")
-    if head.startswith(ZIP_MAGIC):
-        message = "is incomplete: its end is missing; copy or write it again"
-        raise ArrayError(f"{path.name} {message}")
     message = "is not an archive of arrays, as numpy.savez writes it"
+    if not head:
+        message = "is empty; copy or write it again"
+    elif head.startswith(ZIP_MAGIC):
+        message = "is incomplete: its end is missing; copy or write it again"
     raise ArrayError(f"{path.name} {message}")
 
 

@@ -9,19 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
-from animtool.core.record import dataclass
-from animtool.documents.archive import Archive, archive_errors
+from animtool.documents.archive import Archive, StoredArray, archive_errors
 
 # Files open at once: systems allow a few hundred.
 MAX_OPEN_ARCHIVES = 16
-
-
-@dataclass(frozen=True, slots=True)
-class ArrayHeader:
-    """Shape of an array, and whether it holds floats or integers."""
-
-    shape: tuple[int, ...]
-    kind: str
 
 
 class Archives:
@@ -47,11 +38,10 @@ class Archives:
         while self._open:
             self._open.popitem()[1].close()
 
-    def header(self, path: Path, key: str) -> ArrayHeader:
+    def header(self, path: Path, key: str) -> StoredArray:
         """Return the header of an array without its values."""
         with archive_errors(path):
-            stored_array = self._archive(path).header(key)
-        return ArrayHeader(stored_array.shape, stored_array.dtype.kind)
+            return self._archive(path).header(key)
 
     def load_stored(self, path: Path, key: str) -> npt.NDArray[Any]:
         """Return an array with its stored type, read-only."""

@@ -112,10 +112,8 @@ def record_of_options(
         # A misspelt key is not missing too.
         intended_key = intended_key_hint(str(key), names)[1]
         if intended_key is not None and intended_key not in known_options:
-            known_options[intended_key], keys[intended_key] = (
-                options[str(key)],
-                str(key),
-            )
+            known_options[intended_key] = options[str(key)]
+            keys[intended_key] = str(key)
     while True:
         try:
             return TypeAdapter(kind).validate_python(known_options), faults

@@ -30,6 +30,9 @@ QUOTES = {
     "\xbb": "\xab",
 }
 _TYPOGRAPHIC = frozenset(QUOTES)
+# Entries with the same unknown key from which they get a single fault.
+MIN_REPEATED = 3
+_INDEX = re.compile(r"\[\d+\]")
 # Longest list that is checked for decimal commas; longer ones are not vectors.
 MAX_SHOWN_NUMBERS = 16
 
@@ -90,9 +93,8 @@ class Document:
         texts = [self.source_text((*location, i)) or "" for i in range(len(value))]
         positions = [self.position((*location, i)) for i in range(len(value))]
         numbers: list[str] = []
-        expected_position = (
-            None  # where the one before ends, if it may be followed by decimals
-        )
+        # Where the number before ends, if decimals may follow it.
+        expected_position = None
         for text, (line, column) in zip(texts, positions, strict=True):
             if expected_position == (line, column - 1) and text.isdigit():
                 numbers[-1] += f".{text}"
@@ -246,7 +248,7 @@ class Document:
             in_file_order = sorted(
                 self.faults, key=lambda fault: (fault.lines, fault.column or 0)
             )
-            raise FormatError(_first_faults(in_file_order))
+            raise FormatError(_first_faults(_merge_unknown_keys(in_file_order)))
 
 
 def location_text(location: Location) -> str:
@@ -360,6 +362,31 @@ def read_text(path: Path) -> str:
         message = f"byte {data[error.start]:#04x} is not UTF-8"
         hint = "is it a text file? if so, save it as UTF-8"
         raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
+
+
+def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
+    """Merge the faults of a key that is unknown in several entries of one list.
+
+    The merged fault has the location of the first entry and the lines of all.
+    """
+    groups: dict[tuple[object, ...], list[Fault]] = {}
+    for i, fault in enumerate(faults):
+        entry_key = _INDEX.sub("[]", fault.where or "")
+        is_key_of_entry = fault.code == "DOC020" and entry_key != fault.where
+        key = (fault.message, fault.hint, entry_key if is_key_of_entry else i)
+        groups.setdefault(key, []).append(fault)
+    merged_faults = []
+    for first, *others in groups.values():
+        if len(others) < MIN_REPEATED - 1:
+            merged_faults += [first, *others]
+            continue
+        last_line = others[-1].lines[0]
+        message = f"{first.message}, and in {len(others)} more entries to line "
+        lines = tuple(fault.lines[0] for fault in (first, *others))
+        merged_faults.append(
+            replace(first, message=f"{message}{last_line}", lines=lines)
+        )
+    return sorted(merged_faults, key=lambda fault: (fault.lines, fault.column or 0))
 
 
 def _first_faults(faults: Sequence[Fault]) -> list[Fault]:

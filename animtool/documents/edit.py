@@ -173,11 +173,8 @@ class _SourceText:
         style = getattr(node, "style", None)
         new_text = _plain_or_quoted(value)
         if style == '"':
-            new_text = (
-                json.dumps(value, ensure_ascii=False)
-                if self.json
-                else _quoted_text(value)
-            )
+            json_text = json.dumps(value, ensure_ascii=False)
+            new_text = json_text if self.json else _quoted_text(value)
         elif style == "'" and value.isprintable():
             escaped = value.replace("'", "''")
             new_text = f"'{escaped}'"
@@ -186,11 +183,9 @@ class _SourceText:
     def _added_text(self, node: Any, key: str, value: Any) -> TextSplice:
         if not node.value:
             raise EditError(f"no key next to {key!r}")
-        entry = (
-            f"{json.dumps(key)}: {json.dumps(value)}"
-            if self.json
-            else f"{plain_text(key)}: {_flow_text(value)}"
-        )
+        entry = f"{plain_text(key)}: {_flow_text(value)}"
+        if self.json:
+            entry = f"{json.dumps(key)}: {json.dumps(value)}"
         end = _value_end(node.value[-1][1])
         if node.flow_style:
             return end, end, f", {entry}"

@@ -21,14 +21,7 @@ from typing import (
 from annotated_types import Ge, Gt, Le, Len
 from pydantic import BeforeValidator, Field, create_model
 
-from animtool.core.options import (
-    FileKind,
-    Key,
-    OptionKind,
-    Range,
-    keys_of,
-    options_of,
-)
+from animtool.core.options import FileKind, Key, OptionKind, Range, keys_of, options_of
 from animtool.documents.check import FileModel, model_field
 from animtool.documents.other_words import AXES
 
@@ -89,17 +82,15 @@ def check_numbers(value: Any) -> Any:
         limit = MAX_NUMBER if isinstance(number, float) else MAX_SEED
         if not -limit <= number <= limit:
             name = ".".join(keys)
+            # Formatting a very long integer as decimal takes quadratic time.
             number_text = (
-                f"{number:g}" if isinstance(number, float) else _digit_count(number)
+                f"{number:g}"
+                if isinstance(number, float)
+                else f"{number:#x}"[:20] + "…"
             )
             range_text = f"a finite number up to {limit:g}"
             raise ValueError(f"{name} is {number_text}, not {range_text}")
     return value
-
-
-def _digit_count(number: int) -> str:
-    # Formatting a very long integer takes quadratic time.
-    return f"{number:#x}"[:20] + "…"
 
 
 def _numbers(
@@ -194,20 +185,16 @@ def with_fields(
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        insert_index = (
-            list(declared_keys).index(before_key) if before_key else len(declared_keys)
-        )
+        declared = list(declared_keys.items())
+        index = list(declared_keys).index(before_key) if before_key else len(declared)
         keys = keys_of(record, file_kind)
-        new_fields = {}
+        new_fields: dict[str, Any] = {}
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                new_fields[key] = _field_definition(record, name, keys[name], ranges)
-        definitions = [
-            *list(declared_keys.items())[:insert_index],
-            *new_fields.items(),
-            *list(declared_keys.items())[insert_index:],
-        ]
+                type_, default = _type_and_default(record, name, keys[name], ranges)
+                new_fields[key] = type_, model_field(keys[name], default)
+        definitions = [*declared[:index], *new_fields.items(), *declared[index:]]
         if order:
             definitions.sort(
                 key=lambda definition: (
@@ -253,14 +240,6 @@ def record_of(
 
 def _is_infinite(default: Any) -> bool:
     return isinstance(default, float) and math.isinf(default)
-
-
-def _field_definition(
-    record: Any, name: str, key: Key, ranges: Ranges
-) -> tuple[Any, Any]:
-    """Return the type of a key and its field, with default and documentation."""
-    type_, default = _type_and_default(record, name, key, ranges)
-    return type_, model_field(key, default)
 
 
 def _type_and_default(

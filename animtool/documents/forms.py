@@ -17,6 +17,7 @@ from animtool.documents.placeholders import (
     fields_of,
     inner_annotation,
     models_of,
+    value_at,
 )
 from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import plain_scalar
@@ -50,9 +51,7 @@ def form_hint(
     if match is None:
         return None
     depth, info = match
-    entry = value
-    for step in location:
-        entry = entry[step]
+    entry = value_at(value, location)
     examples = info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
     is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
@@ -129,9 +128,7 @@ def example_hint(model: type[BaseModel], value: Any, location: Location) -> str 
     if match is None or match[0] != len(location):
         return None
     example = (match[1].examples or [None])[0]
-    parent: Any = value
-    for step in location[:-1]:
-        parent = parent[step]
+    parent = value_at(value, location[:-1])
     entry = parent.get(location[-1]) if isinstance(parent, dict) else None
     unit = _NUMBER_UNIT.fullmatch(example) if isinstance(example, str) else None
     if unit is not None and type(entry) in (int, float):

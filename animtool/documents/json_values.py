@@ -14,10 +14,6 @@ _YAML_DIFFERENCES = re.compile(
 )
 
 
-class _NotPlainJsonError(ValueError):
-    """JSON text that the YAML parser would read differently."""
-
-
 def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
     """Parse a JSON mapping; None if the YAML parser must be used.
 
@@ -36,11 +32,9 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
 
     def checked_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
-        if len(values) != len(pairs):
-            raise _NotPlainJsonError
-        for key in values:
-            if len(key) > max_key_length:
-                raise _NotPlainJsonError
+        longest = max(map(len, values), default=0)
+        if len(values) != len(pairs) or longest > max_key_length:
+            raise ValueError
         return values
 
     try:
@@ -49,15 +43,13 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
         )
     except (ValueError, RecursionError):
         return None
-    return (
-        value
-        if isinstance(value, dict) and _nesting_depth(value) <= max_depth
-        else None
-    )
+    if not isinstance(value, dict) or _nesting_depth(value) > max_depth:
+        return None
+    return value
 
 
 def _refuse_constant(name: str) -> NoReturn:
-    raise _NotPlainJsonError(name)
+    raise ValueError(name)
 
 
 def _nesting_depth(value: Any) -> int:

@@ -98,50 +98,31 @@ def plan_migration(
     document, old_text = read_document(path), read_text(path)
     kind, version = version_of(document, table)
     newest_version = newest(table[kind])
+    plan = Migration(path, kind, version, newest_version, old_text, old_text)
     if version == newest_version:
-        return _rename_keys(
-            Migration(path, kind, version, newest_version, old_text, old_text)
-        )
+        return _rename_keys(plan)
     old_value = document.value
     new_value = copy.deepcopy(old_value)
     for step in range(version, newest_version):
         new_value = table[kind][step](new_value)
     new_value[kind] = f"animtool/{newest_version}"
     if {**new_value, kind: old_value[kind]} == old_value:
-        new_text = _replace_version(
-            document, old_text, kind, f"animtool/{newest_version}"
-        )
-        return Migration(path, kind, version, newest_version, old_text, new_text)
+        new_version = f"animtool/{newest_version}"
+        new_text = _replace_version(document, old_text, kind, new_version)
+        return replace(plan, after=new_text)
     # The kind comes first in a file, in whatever order the steps left the keys.
     kind_first = {kind: new_value.pop(kind), **new_value}
     if path.suffix == ".json":
-        return Migration(
-            path, kind, version, newest_version, old_text, json_text(kind_first)
-        )
-    comment_lines = comments_in(old_text)
-    notices = []
-    if comment_lines:
-        count = (
-            "a comment is"
-            if len(comment_lines) == 1
-            else f"{len(comment_lines)} comments are"
-        )
-        message = f"{count} lost: the file is rewritten"
-        hint = "copy important ones from the old file"
-        notices.append(
-            Fault(
-                "DOC101",
-                message,
-                str(path),
-                tuple(comment_lines),
-                hint,
-                Severity.WARNING,
-            )
-        )
-    new_text = yaml_text(kind_first)
-    return Migration(
-        path, kind, version, newest_version, old_text, new_text, tuple(notices)
-    )
+        return replace(plan, after=json_text(kind_first))
+    plan = replace(plan, after=yaml_text(kind_first))
+    lines = tuple(comments_in(old_text))
+    if not lines:
+        return plan
+    count = "a comment is" if len(lines) == 1 else f"{len(lines)} comments are"
+    message = f"{count} lost: the file is rewritten"
+    hint = "copy important ones from the old file"
+    notice = Fault("DOC101", message, str(path), lines, hint, Severity.WARNING)
+    return replace(plan, notices=(notice,))
 
 
 def _rename_keys(plan: Migration) -> Migration:
@@ -196,12 +177,8 @@ def migrate(
             "what would change"
         )
         message = "would be replaced"
-        raise OptionError(
-            [
-                Fault("OUT001", message, str(plan.path), (), hint)
-                for plan in outdated_documents
-            ]
-        )
+        paths = [str(plan.path) for plan in outdated_documents]
+        raise OptionError([Fault("OUT001", message, path, (), hint) for path in paths])
     check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
         for plan in outdated_documents:
@@ -228,10 +205,8 @@ def _replace_version(document: Document, text: str, kind: str, version: str) -> 
     """Return a text with only its version number replaced."""
     line, column = document.position((kind,))
     lines = text.splitlines(keepends=True)
-    before_version, after_version = (
-        lines[line - 1][: column - 1],
-        lines[line - 1][column - 1 :],
-    )
+    before_version = lines[line - 1][: column - 1]
+    after_version = lines[line - 1][column - 1 :]
     old_version: Any = document.value[kind]
     lines[line - 1] = before_version + after_version.replace(old_version, version, 1)
     return "".join(lines)

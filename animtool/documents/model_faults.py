@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -27,6 +27,7 @@ from animtool.documents.placeholders import (
     models_of,
     placeholder_of,
     set_value_at,
+    value_at,
 )
 from animtool.documents.value_faults import (
     expected_structures,
@@ -50,14 +51,8 @@ LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a
 
 def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
     """Return the faults of a value that is checked without a document."""
-    faults_by_location = _group_by_location(
-        value, error.errors(include_url=False)[:MAX_REPLACED]
-    )
-    ancestors = {
-        location[:depth]
-        for location, _ in faults_by_location
-        for depth in range(len(location))
-    }
+    faults_by_location = _group_by_location(value, error)
+    ancestors = _ancestors(faults_by_location)
     located_faults: LocatedFaults = []
     lists_of_pairs: set[Location] = set()  # lists of numbers where pairs are needed
     for (location, _), faults in faults_by_location.items():
@@ -76,7 +71,7 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
 
 def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return the values that are allowed apart from their case, with their location."""
-    groups = _group_by_location(value, error.errors(include_url=False)[:MAX_REPLACED])
+    groups = _group_by_location(value, error)
     choices = [(key[0], intended_choice(faults)) for key, faults in groups.items()]
     return [(location, choice) for location, choice in choices if choice is not None]
 
@@ -84,16 +79,9 @@ def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location,
 def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
     normalized = key.replace("_", "").lower()
-    equivalent_key = next(
-        (
-            candidate
-            for candidate in OTHER_KEYS.get(normalized, ())
-            if candidate in names
-        ),
-        None,
-    )
-    if equivalent_key is not None:
-        return f"the key is {equivalent_key!r}", equivalent_key
+    for equivalent_key in OTHER_KEYS.get(normalized, ()):
+        if equivalent_key in names:
+            return f"the key is {equivalent_key!r}", equivalent_key
     if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
     return nearest(key, names), most_similar(key, names)
@@ -118,13 +106,8 @@ class ModelFaults:
 
     def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a failed validation and replace the faulty values."""
-        errors = error.errors(include_url=False)
-        faults_by_location = _group_by_location(self.value, errors[:MAX_REPLACED])
-        ancestors = {
-            location[:depth]
-            for location, _ in faults_by_location
-            for depth in range(len(location))
-        }
+        faults_by_location = _group_by_location(self.value, error)
+        ancestors = _ancestors(faults_by_location)
         faults_by_type: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in faults_by_location.items():
             faults_by_type.setdefault(faults[0]["type"], []).append(key)
@@ -157,16 +140,14 @@ class ModelFaults:
                 and key[0][:-1] not in new_placeholders
             ):
                 self._record_wrong_value(key[0], faults_by_location[key])
-        if len(errors) > MAX_REPLACED:
+        if error.error_count() > MAX_REPLACED:
             self.document.check()
 
     def _record_unknown_key(self, location: Location) -> None:
         *steps, key = location
         mapping = tuple(steps)
         names = fields_at(self.model, self.value, mapping)
-        node = self.value
-        for step in mapping:
-            node = node[step]
+        node = value_at(self.value, mapping)
         if self._record_vector_mapping(mapping):
             return
         if key not in node or self._correct_name_pair(mapping, node):
@@ -186,7 +167,7 @@ class ModelFaults:
         message = f"unknown key {excerpt(str(key))}"
         hint, meant_key = intended_key_hint(str(key), names)
         if hint.startswith("allowed"):
-            hint = self._key_of_sibling(mapping, node, str(key)) or hint
+            hint = self._key_elsewhere(mapping, node, str(key)) or hint
         self.document.add("DOC020", location, message, hint, at_key=True)
         if meant_key and meant_key not in node:
             # Its names may be referenced, but whether it was meant is unknown.
@@ -194,10 +175,10 @@ class ModelFaults:
             self.document.old_keys[*mapping, meant_key] = str(key)
             self.document.guessed_keys.add((*mapping, meant_key))
 
-    def _key_of_sibling(
+    def _key_elsewhere(
         self, mapping: Location, node: dict[str, Any], key: str
     ) -> str | None:
-        """Return a hint that names a sibling mapping that accepts an unknown key."""
+        """Return a hint that names a related mapping that accepts an unknown key."""
         for sibling, value in node.items():
             first_element = value[0] if isinstance(value, list) and value else value
             index_step = (0,) if first_element is not value else ()
@@ -214,13 +195,23 @@ class ModelFaults:
                 ):
                     where = location_text((*location, only_key))
                     return f"it is a key of {where}: write it there"
+        for absent_key in fields_at(self.model, self.value, mapping):
+            for steps in ((absent_key,), (absent_key, 0)):
+                annotation = annotation_at(self.model, self.value, (*mapping, *steps))
+                if absent_key not in node and any(
+                    key in fields_of(kind) for kind in models_of(annotation)
+                ):
+                    return f"it is a key of {absent_key!r}: write it there"
+        for depth in reversed(range(len(mapping))):
+            if key in fields_at(self.model, self.value, mapping[:depth]):
+                where = location_text(mapping[:depth])
+                owner = f"of {where}" if where else "at the top level of the file"
+                return f"it is a key {owner}: write it there"
         return None
 
     def _record_unrecognised_entry(self, mapping: Location) -> bool:
         """Record a single fault if a list entry has no known key."""
-        node = self.value
-        for step in mapping:
-            node = node[step]
+        node = value_at(self.value, mapping)
         names = fields_at(self.model, self.value, mapping)
         unknown = [key for key in node if key not in names]
         if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
@@ -229,7 +220,8 @@ class ModelFaults:
         is_pair = bool(paired_entries(models, node))
         if is_pair or any(intended_key_hint(str(key), names)[1] for key in unknown):
             return False
-        message = f"no known key in {_short_names(unknown)}"
+        names_text = listed([excerpt(str(key)) for key in unknown])
+        message = f"no known key in {names_text}"
         self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
         self._insert_placeholder(mapping)
         return True
@@ -280,7 +272,7 @@ class ModelFaults:
         hint = form_hint(self.model, self.value, tuple(parent_path), expects_list=True)
         if hint is None:
             return False
-        entries = self._value_at(tuple(parent_path))
+        entries = value_at(self.value, parent_path)
         if len(entries) == 3 and "rotat" in str(parent_path[-1]):
             hint = "write a quaternion [w, x, y, z]"
             message = "3 numbers where 4 are needed"
@@ -295,17 +287,11 @@ class ModelFaults:
         self._insert_placeholder(tuple(parent_path))
         return True
 
-    def _value_at(self, location: Location) -> Any:
-        node = self.value
-        for step in location:
-            node = node[step]
-        return node
-
     def _record_vector_mapping(self, mapping: Location) -> bool:
         """Record a single fault if a vector is written as {x: …, y: …, z: …}."""
         if mapping in self.document.placeholders:
             return True
-        value = self._value_at(mapping)
+        value = value_at(self.value, mapping)
         numbers = vector_components(value)
         if numbers is None or not mapping:
             return False
@@ -388,21 +374,25 @@ class ModelFaults:
         set_value_at(self.value, location, placeholder_of(annotation))
 
 
-def _short_names(names: Sequence[Any]) -> str:
-    return listed([excerpt(str(name)) for name in names])
-
-
 def _group_by_location(
-    value: Any, errors: Sequence[Any]
+    value: Any, error: ValidationError
 ) -> dict[tuple[Location, str], list[Any]]:
-    """Group validation errors by location and missing key."""
+    """Group the first faults of a failed validation by location and missing key."""
     groups: dict[tuple[Location, str], list[Any]] = {}
-    for fault in errors:
+    for fault in error.errors(include_url=False)[:MAX_REPLACED]:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
-        groups.setdefault((_fault_location(value, fault), missing_key), []).append(
-            fault
-        )
+        key = _fault_location(value, fault), missing_key
+        groups.setdefault(key, []).append(fault)
     return groups
+
+
+def _ancestors(faults_by_location: Iterable[tuple[Location, str]]) -> set[Location]:
+    """Return the locations that contain a faulty one."""
+    return {
+        location[:depth]
+        for location, _ in faults_by_location
+        for depth in range(len(location))
+    }
 
 
 def _fault_location(value: Any, fault: Any) -> Location:

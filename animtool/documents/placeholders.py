@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from types import NoneType, UnionType
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -19,55 +20,62 @@ def annotation_of(field: FieldInfo) -> Any:
     return Annotated[(field.annotation, *field.metadata)]
 
 
-def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
-    """Return the expected type at a location; None if it is unknown."""
+def value_at(value: Any, location: Iterable[str | int]) -> Any:
+    """Return the value at a location, which must exist."""
+    for step in location:
+        value = value[step]
+    return value
+
+
+def _types_along(
+    model: type[BaseModel], value: Any, location: Location
+) -> Iterator[tuple[Any, Any]]:
+    """Yield the expected type and the value from the root down to a location.
+
+    Both are None where they are unknown or missing.
+    """
     annotation: Any = model
     node = value
+    yield annotation, node
     for step in location:
         annotation = inner_annotation(annotation, node, step)
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             node = None
-    return annotation
+        yield annotation, node
+
+
+def annotation_at(model: type[BaseModel], value: Any, location: Location) -> Any:
+    """Return the expected type at a location; None if it is unknown."""
+    return list(_types_along(model, value, location))[-1][0]
 
 
 def field_at(
     model: type[BaseModel], value: Any, location: Location
 ) -> tuple[int, FieldInfo] | None:
     """Return the innermost field that contains a location, and its depth."""
-    annotation: Any = model
-    node, innermost = value, None
-    for depth, step in enumerate(location, 1):
-        kinds = models_of(annotation, node)
-        candidates = (fields_of(kind).get(str(step)) for kind in kinds)
-        field = next(
-            (candidate for candidate in candidates if candidate is not None), None
-        )
-        innermost = innermost if field is None else (depth, field)
-        annotation = inner_annotation(annotation, node, step)
-        try:
-            node = node[step]
-        except (KeyError, IndexError, TypeError):
-            node = None
+    innermost = None
+    types = _types_along(model, value, location)
+    steps = zip(location, types, strict=False)
+    for depth, (step, (annotation, node)) in enumerate(steps, 1):
+        for kind in models_of(annotation, node):
+            if str(step) in fields_of(kind):
+                innermost = depth, fields_of(kind)[str(step)]
+                break
     return innermost
 
 
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
     """Return the allowed keys of a mapping at a location."""
-    node = value
-    for step in location:
-        node = node[step]
+    node = value_at(value, location)
     kinds = models_of(annotation_at(model, value, location), node)
     return sorted({key for kind in kinds for key in fields_of(kind)})
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models of a type; of a tagged union, only the one a value names."""
-    kinds = (
-        get_args(member)[0] if get_origin(member) is Annotated else member
-        for member in _union_members(annotation)
-    )
+    kinds = map(_without_constraints, _union_members(annotation))
     models = [
         kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)
     ]
@@ -109,19 +117,14 @@ def takes_no_text(annotation: Any) -> bool:
     >>> takes_no_text(float | None), takes_no_text(float | str)
     (True, False)
     """
-    kinds = [
-        get_args(member)[0] if get_origin(member) is Annotated else member
-        for member in _union_members(annotation)
-    ]
+    kinds = map(_without_constraints, _union_members(annotation))
     return all(kind in {float, int, bool} for kind in kinds)
 
 
 def set_value_at(value: Any, location: Location, new_value: Any) -> None:
     """Replace the value at a location, in place."""
     *parents, last_step = location
-    for step in parents:
-        value = value[step]
-    value[last_step] = new_value
+    value_at(value, parents)[last_step] = new_value
 
 
 def _empty_values(model: type[BaseModel]) -> dict[str, Any]:
@@ -151,9 +154,7 @@ def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
         field = fields_of(model).get(str(step))
         if field is not None:
             return annotation_of(field)
-    for member in _union_members(annotation):
-        if get_origin(member) is Annotated:
-            member = get_args(member)[0]  # noqa: PLW2901
+    for member in map(_without_constraints, _union_members(annotation)):
         if get_origin(member) is list and isinstance(step, int):
             return get_args(member)[0]
         if get_origin(member) is dict and isinstance(step, str):
@@ -161,11 +162,14 @@ def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
     return None
 
 
+def _without_constraints(annotation: Any) -> Any:
+    is_constrained = get_origin(annotation) is Annotated
+    return get_args(annotation)[0] if is_constrained else annotation
+
+
 def _union_members(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
-    inner_type = annotation
-    if get_origin(inner_type) is Annotated:
-        inner_type = get_args(inner_type)[0]
+    inner_type = _without_constraints(annotation)
     if get_origin(inner_type) in {Union, UnionType}:
         alternatives = [
             member

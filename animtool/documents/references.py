@@ -102,10 +102,7 @@ def missing_hint(document: Document, name: str) -> str | None:
 
 
 def resolve_input(
-    document: Document,
-    location: Location,
-    name: str,
-    roots: Sequence[Path],
+    document: Document, location: Location, name: str, roots: Sequence[Path]
 ) -> Path | None:
     """Resolve an input file of a document; None and a fault if it cannot be read.
 

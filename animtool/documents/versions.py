@@ -27,11 +27,11 @@ RENAMED_KEYS: dict[str, dict[tuple[str | None, ...], str]] = {
         ("passes", None, "simulate", "damping"): "ratio",
         ("passes", None, "simulate", "shear"): "diagonals",
         ("systems", None, "particles", "most"): "max_particles",
-    },
+    }
 }
 # Reused names: an old name only if its value has this type.
 _OLD_KEY_TYPES: dict[tuple[str | None, ...], type] = {
-    ("passes", None, "simulate", "colliders"): bool,
+    ("passes", None, "simulate", "colliders"): bool
 }
 # Hints for files passed instead of a clip, by their kind.
 _WRONG_KIND_HINTS = {

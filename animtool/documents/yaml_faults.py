@@ -95,10 +95,8 @@ def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault
 def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
     """Return the fault at the scanner's position."""
     if "mapping values are not allowed" in problem:
-        line_text, line_before = (
-            lines[min(line, len(lines)) - 1],
-            _line_above(lines, line),
-        )
+        line_text = lines[min(line, len(lines)) - 1]
+        line_before = _line_above(lines, line)
         if line_before and _indent_width(line_text) > _indent_width(
             lines[line_before - 1]
         ):

@@ -205,10 +205,8 @@ class _SlipFinder:
         self.ended_value = None
         if letter in ",]}:":
             return None
-        message, hint = (
-            f"no comma after '{last_character}'",
-            f"write '{last_character},'",
-        )
+        message = f"no comma after '{last_character}'"
+        hint = f"write '{last_character},'"
         return YamlFault(message, hint, line, column)
 
     def _quoted_end(self, column: int) -> int:

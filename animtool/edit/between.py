@@ -62,10 +62,8 @@ class TakeSampler:
         times, rows_on_curve = take.clock.times, dict[str, BoolArray]()
         for start in range(0, len(times), BLOCK_FRAMES):
             block_frames = slice(start, start + BLOCK_FRAMES)
-            curve_values, samples = (
-                take.curve(times[block_frames]),
-                take.motion.select(block_frames),
-            )
+            curve_values = take.curve(times[block_frames])
+            samples = take.motion.select(block_frames)
             for name in CURVE_CHANNELS:
                 is_equal = _equal_rows(
                     getattr(samples, name), getattr(curve_values, name)
@@ -153,10 +151,8 @@ class TakeSampler:
             is_moving &= not same_rows
             is_moving[interpolated_channel.animated] = True
             moving_rows = np.flatnonzero(is_moving & rows)
-            values_of_rows, values = (
-                interpolated_channel.gather(moving_rows),
-                curve_channel.gather(moving_rows),
-            )
+            values_of_rows = interpolated_channel.gather(moving_rows)
+            values = curve_channel.gather(moving_rows)
             if name == "rotations":
                 values = so3.align_to(values, values_of_rows[is_between])
             values_of_rows[is_between] = values

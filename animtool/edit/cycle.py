@@ -362,10 +362,8 @@ def _nearby_pairs(i: int, j: int, stride: int, ends: tuple[int, int]) -> IntArra
 def _closest_pair(pose_view: _PoseView, pairs: IntArray) -> tuple[int, int, float]:
     """Return the best-matching pair of frames, and its distance [m]."""
     frames, columns = np.unique(pairs, return_inverse=True)
-    table, (starts, end_columns) = (
-        pose_view.columns_of_frames(frames),
-        columns.reshape(pairs.shape),
-    )
+    table = pose_view.columns_of_frames(frames)
+    starts, end_columns = columns.reshape(pairs.shape)
     distances = _pose_distance(table[:, starts], table[:, end_columns])
     _, best_index = _first_minimum(distances / pose_view.static_extent)
     return (

@@ -228,7 +228,7 @@ def _run_difference(
 ) -> TakeStream:
     """Run the pass: subtract the base or the rest pose."""
     if options.base is None:
-        first_code = Fraction(1) if stream.start is None else stream.start
+        first_code = stream.first_frame
         base = rest_take(stream.rig, Clock(stream.fps, first_code, stream.step, 1))
     else:
         base = context.take(options.base, "base")
@@ -364,7 +364,7 @@ class _LayerPlan:
 
     def _layered_blocks(self, stream: TakeStream, other: Take) -> Iterator[Motion]:
         """Yield the layered motion; warn about the weights at the end."""
-        first_code = Fraction(1) if stream.start is None else stream.start
+        first_code = stream.first_frame
         delay = exact_fraction(self.delay, "delay") / stream.step
         operation = (
             interpolate_motions if self.mode is LayerMode.OVERRIDE else add_delta
@@ -385,10 +385,8 @@ class _LayerPlan:
             motion = align_signs(operation(block, other_motion, strength), previous)
             displaced.add(times, block, motion)
             yield motion
-            frame_count, previous = (
-                frame_count + block.frames,
-                motion.rotations.values[-1],
-            )
+            frame_count += block.frames
+            previous = motion.rotations.values[-1]
         clock = Clock(stream.fps, first_code, stream.step, frame_count)
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
         stream.notices.extend(displaced.warnings())

@@ -71,10 +71,8 @@ class SeamBlend:
         )
         offset_weight = s**3 * (10 - 15 * s + 6 * s**2)
         speed_weight = blend_length * s**3 * (-4 + 7 * s - 3 * s**2)
-        offset_weight, speed_weight = (
-            offset_weight[:, None, None],
-            speed_weight[:, None, None],
-        )
+        offset_weight = offset_weight[:, None, None]
+        speed_weight = speed_weight[:, None, None]
         return SeamBlend(
             length, frames_before, frames_after, offset_weight, speed_weight
         )
@@ -290,10 +288,8 @@ def loop(
     check_count(length * repeats)
     has_frame_before, has_frame_after = int(i > 0), int(j < clock.count - 1)
     seam = SeamBlend.from_lengths(length, blend, has_frame_before, has_frame_after)
-    cycle_frames, frames_with_neighbours = (
-        slice(i, j + 1),
-        slice(i - has_frame_before, j + has_frame_after + 1),
-    )
+    cycle_frames = slice(i, j + 1)
+    frames_with_neighbours = slice(i - has_frame_before, j + has_frame_after + 1)
     cycle = _CycleState(
         cycle_travel(take.rig, take.motion.select(cycle_frames)), seam, repeats
     )

@@ -281,10 +281,10 @@ def sample_blocks(
         if smooth:
             rotations = motion.rotations
             aligned_rotations = so3.align_signs(rotations.values, previous_rotations)
-            motion, previous_rotations = (
-                replace(motion, rotations=replace(rotations, values=aligned_rotations)),
-                aligned_rotations[-1],
+            motion = replace(
+                motion, rotations=replace(rotations, values=aligned_rotations)
             )
+            previous_rotations = aligned_rotations[-1]
         yield times.codes[block_samples], motion
 
 

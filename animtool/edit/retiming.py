@@ -88,7 +88,7 @@ def _run_trim(
     # The frames of a shot at the ends of the range may be between two samples.
     in_shot = context is not None and context.in_shot
     check_range(options.first, options.last)
-    first_code = Fraction(1) if stream.start is None else stream.start
+    first_code = stream.first_frame
     first_index, last_index = 0, None
     if options.first is not None:
         frames_from_start = (

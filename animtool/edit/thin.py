@@ -87,10 +87,8 @@ def _add_samples(measure: _RestoredError, kept_samples: IntArray) -> IntArray:
         peaks = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
         _, first_peaks = np.unique(interval_of_frame[peaks], return_index=True)
         split_frames = frames[peaks[first_peaks]][is_over_tolerance]
-        interval_starts, interval_ends = (
-            kept_samples[interval[starts[is_over_tolerance]]],
-            kept_samples[interval[starts[is_over_tolerance]] + 1],
-        )
+        interval_starts = kept_samples[interval[starts[is_over_tolerance]]]
+        interval_ends = kept_samples[interval[starts[is_over_tolerance]] + 1]
         margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)
         split_frames = np.clip(
             split_frames, interval_starts + margin, interval_ends - margin

@@ -97,10 +97,8 @@ class FramePositions:
         is_between = self.fractions > 0
         weight = self.fractions[is_between, None]
         if weight.size and values.size:
-            lower, upper = (
-                values[is_between],
-                channel.values[self.frames[is_between] + 1],
-            )
+            lower = values[is_between]
+            upper = channel.values[self.frames[is_between] + 1]
             if values.shape[-1] == 4:
                 values[is_between] = so3.slerp(lower, upper, weight)
             else:

@@ -92,22 +92,17 @@ def parse_number(text: str | None) -> float | None:
 
 @dataclass(frozen=True, slots=True)
 class TextRows:
-    """Rows of numbers as text.
+    """Rows of numbers as text."""
 
-    Attributes:
-        texts: The R rows that are not blank: cells between blanks or tabs, ``nan`` for
-            empty cells, without trailing empty cells.
-        line_numbers: 1-based line number of each row ``(R,)``.
-        value_counts: Number of cells of each row up to the last nonempty one ``(R,)``.
-        cell_counts: Number of cells of each row, trailing empty ones included ``(R,)``.
-        has_decimal_commas: Whether decimal commas were replaced by points.
-    """
-
+    # The R rows that are not blank: cells between blanks or tabs, ``nan`` for empty
+    # cells, without trailing empty cells.
     texts: list[bytes]
-    line_numbers: IntArray
+    line_numbers: IntArray  # 1-based line number of each row ``(R,)``
+    # Number of cells of each row up to the last nonempty one ``(R,)``.
     value_counts: IntArray
+    # Number of cells of each row, trailing empty ones included ``(R,)``.
     cell_counts: IntArray
-    has_decimal_commas: bool = False
+    has_decimal_commas: bool = False  # whether decimal commas were replaced by points
 
     def without_last(self) -> TextRows:
         """Return all rows except the last one."""
@@ -206,10 +201,8 @@ def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
     has_decimal_commas = has_decimal_commas and not any(b"." in text for text in texts)
     if has_decimal_commas:
         texts = [text.replace(b",", b".") for text in texts]
-    line_array, value_count_array = (
-        np.array(line_numbers, np.int64),
-        np.array(value_counts, np.int64),
-    )
+    line_array = np.array(line_numbers, np.int64)
+    value_count_array = np.array(value_counts, np.int64)
     return TextRows(
         texts,
         line_array,

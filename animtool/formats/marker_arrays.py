@@ -70,12 +70,8 @@ def read_markers(
         with Archives() as archives:
             return _read_arrays(file, archives, path, array, unit, up, fps, subject)
     except ValueError as error:
-        raise file.error("MKR012", _strip_file_name(str(error), path)) from error
-
-
-def _strip_file_name(message: str, path: Path) -> str:
-    """Return an archive's message without the leading file name."""
-    return message.removeprefix(path.name).lstrip("# ")
+        message = str(error).removeprefix(path.name).lstrip("# ")
+        raise file.error("MKR012", message) from error
 
 
 def _read_arrays(
@@ -107,21 +103,16 @@ def _read_arrays(
             "the limit"
         )
         raise file.error("MKR012", message)
-    suffix = (
-        _UNIT_SUFFIX.fullmatch(positions_name[positions_name.rfind("_") :])
-        if "_" in positions_name
-        else None
-    )
+    _, underscore, suffix_text = positions_name.rpartition("_")
+    suffix = _UNIT_SUFFIX.fullmatch(underscore + suffix_text)
     length_unit = file.unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     is_default = positions_name.partition("_")[0] == DEFAULT_PREFIX
 
     def read_number(name: str) -> float | None:
-        return (
-            float(archives.load_stored(path, name).ravel()[0])
-            if name in array_names
-            else None
-        )
+        if name not in array_names:
+            return None
+        return float(archives.load_stored(path, name).ravel()[0])
 
     def read_point_array(name: str) -> npt.NDArray[Any] | None:
         if name not in array_names or not is_default:

@@ -33,19 +33,12 @@ MAX_INTERPOLATED_GAP = 1.5
 
 @dataclass(frozen=True, slots=True)
 class TimeSteps:
-    """Row times fitted to frames of constant length.
+    """Row times fitted to frames of constant length."""
 
-    Attributes:
-        step: Length of a frame [s].
-        frames: Frame of each row ``(R,)``, from 0.
-        error: Largest distance of a time from its frame [s].
-        regular: Whether the error is within the rounding of printed times.
-    """
-
-    step: float
-    frames: IntArray
-    error: float
-    regular: bool
+    step: float  # length of a frame [s]
+    frames: IntArray  # frame of each row ``(R,)``, from 0
+    error: float  # largest distance of a time from its frame [s]
+    regular: bool  # whether the error is within the rounding of printed times
 
 
 def rounding_error(decimals: int) -> float:
@@ -178,19 +171,13 @@ def has_few_empty_frames(at: FloatArray | IntArray, markers: int) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class RowFrames:
-    """Frame positions of rows.
+    """Frame positions of rows."""
 
-    Attributes:
-        rate: Frames per second.
-        start: Number of the first frame.
-        at: Frame of each row ``(R,)``, from 0; integers unless times are irregular.
-        begin: Time of the first frame [s]; None if frame 1 is time 0.
-    """
-
-    rate: Fraction
-    start: int
+    rate: Fraction  # frames per second
+    start: int  # number of the first frame
+    # Frame of each row ``(R,)``, from 0; integers unless times are irregular.
     at: FloatArray
-    begin: float | None
+    begin: float | None  # time of the first frame [s]; None if frame 1 is time 0
 
     def at_frames(self, positions: FloatArray) -> FloatArray:
         """Resample positions ``(R, M, 3)`` at rows to frames ``(F, M, 3)``.

@@ -72,7 +72,11 @@ class MarkerFile:
         if fps is not None:
             return rate_option(fps)
         is_valid = stated_rate is not None and math.isfinite(stated_rate)
-        if stated_rate is None or not is_valid or not _in_range(stated_rate):
+        if (
+            stated_rate is None
+            or not is_valid
+            or not LOWEST_WRITTEN_RATE <= stated_rate <= HIGHEST_WRITTEN_RATE
+        ):
             message = "the file states no frame rate"
             if stated_rate:
                 message = f"the stated frame rate {stated_rate:g} is not usable"
@@ -89,11 +93,7 @@ class MarkerFile:
             return LengthUnit(option)
         if stated_unit is None or not stated_unit.strip():
             message = f"the file states no unit; using {default}"
-            self.note(
-                "MKR104",
-                message,
-                f"set the unit with {argument('source.unit')}",
-            )
+            self.note("MKR104", message, f"set the unit with {argument('source.unit')}")
             return default
         unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
         if unit is None:
@@ -201,7 +201,3 @@ def is_unlabelled(name: str) -> bool:
     (True, True, False)
     """
     return not name or _UNLABELLED.fullmatch(name) is not None
-
-
-def _in_range(rate: float) -> bool:
-    return LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE

@@ -1,4 +1,4 @@
-"""Detects targets that use another up axis or unit."""
+"""Detects targets that use another up axis, unit or space."""
 
 from __future__ import annotations
 
@@ -65,6 +65,40 @@ def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
                 f"{length_text(distance)} from {root!r}"
             )
     return None
+
+
+def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
+    """Return a hint if a missed target would be in reach relative to a joint.
+
+    The joints are the root of the rig and that of the limb, at rest.
+
+    Args:
+        solved_take: The solved take.
+        goal_index: A goal whose position is missed.
+        frame: Time code of a miss.
+    """
+    target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
+    root = solved_take.tracks.goals[goal_index].goal.root
+    if target is None or root is None:
+        return None
+    point, start, limb_length = target
+    if float(np.linalg.norm(point - start)) <= limb_length:
+        return None
+    positions = rest_world(rig).positions[0]
+    limb_root = rig.index(root)
+    for joint in ([*rig.upwards(limb_root)][-1], limb_root):
+        distance = float(np.linalg.norm(positions[joint] + point - start))
+        if distance <= limb_length:
+            return (
+                "positions are in world space: if this one is relative to "
+                f"{rig.names[joint]!r}, add its position at rest, "
+                f"{_point_text(positions[joint])}"
+            )
+    return None
+
+
+def _point_text(point: FloatArray) -> str:
+    return f"[{', '.join(f'{round(float(number), 3) + 0.0:g}' for number in point)}]"
 
 
 def _limb_target(

@@ -205,10 +205,8 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     independent_result = with_nearest_poses(
         clip.problem, result, clip.targets, clip.options.solving, clip.prefer
     )
-    poses, independent_poses = (
-        clip.chain_poses(result),
-        clip.chain_poses(independent_result),
-    )
+    poses = clip.chain_poses(result)
+    independent_poses = clip.chain_poses(independent_result)
     all_frames = slice(0, len(clip))
     interval = clip.interval(poses, all_frames, int(frames[0]))
     costs = clip.interval(independent_poses, all_frames, int(frames[0])).costs
@@ -221,10 +219,8 @@ def _with_nearer_frames(clip: ClipPath, result: IkResult) -> IkResult:
     )
     if not improvements.any():
         return result
-    paths, all_costs = (
-        [poses[None], independent_poses[None]],
-        [interval.costs[None], costs[None]],
-    )
+    paths = [poses[None], independent_poses[None]]
+    all_costs = [interval.costs[None], costs[None]]
     for row in np.argsort(-improvements, kind="stable")[:MAX_SEARCHES]:
         if improvements[row] > 0:
             tracks, cost = track_both_directions(

@@ -232,11 +232,9 @@ class _TargetsReader:
         self, location: Location, model: GoalModel, kind: GoalKind
     ) -> Value | None:
         """Return the value of a part of a goal; None if absent."""
-        location, value, key = (
-            (*location, kind.name),
-            getattr(model, kind.name),
-            kind.name,
-        )
+        location = (*location, kind.name)
+        value = getattr(model, kind.name)
+        key = kind.name
         if kind.has_axis and value is not None:
             location, value, key = (*location, "at"), value.at, "at"
         return self.values.read_value(location, value, key)

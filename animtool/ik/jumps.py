@@ -99,16 +99,12 @@ def find_jumps(
     windings = None if windings is None else windings[:, moving]
     is_cut_before = np.zeros(count - 1, np.bool_)
     goal_steps = goal_moves[:, None]
-    rotations, source_steps = (
-        _rotation_steps(solved_poses.rotations),
-        _rotation_steps(solved_poses.rotations[:1].repeat(count, 0)),
-    )
+    rotations = _rotation_steps(solved_poses.rotations)
+    source_steps = _rotation_steps(solved_poses.rotations[:1].repeat(count, 0))
     if source_poses is not None:
         source_steps = _rotation_steps(source_poses.rotations)
-    angles, source_angles = (
-        np.linalg.norm(rotations, axis=2),
-        np.linalg.norm(source_steps, axis=2),
-    )
+    angles = np.linalg.norm(rotations, axis=2)
+    source_angles = np.linalg.norm(source_steps, axis=2)
     if windings is not None:
         angles = angles + windings
     excess = angles - source_angles

@@ -17,7 +17,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.ik.axes import unit_hint, up_axis_hint
+from animtool.ik.axes import space_hint, unit_hint, up_axis_hint
 from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -29,10 +29,8 @@ from animtool.maths.runs import runs
 from animtool.rig.skeleton import JointType
 
 # Default misses above which a goal is reported [m], [rad].
-MISSED_LENGTH, MISSED_ANGLE = (
-    parse_length(REPORTED_MISS),
-    math.radians(REPORTED_MISS_DEGREES),
-)
+MISSED_LENGTH = parse_length(REPORTED_MISS)
+MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
 # Misses above this many chain lengths suggest wrong units.
 FAR_MISS = 10.0
 # So do targets farther than this many rig sizes from the rig in every frame.
@@ -237,6 +235,10 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     hint = up_axis_hint(solved_take, i, worst.frame) if worst.distance > 0 else None
     if hint is not None:
         return hint
+    if worst.distance > 0:
+        hint = space_hint(solved_take, i, worst.frame)
+    if hint is not None:
+        return hint
     far_miss = FAR_MISS * solved_take.problem.length
     if any(span.distance > far_miss for span in report.spans):
         return (
@@ -256,10 +258,8 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
 
 def _root_hint(solved_take: TakeIk) -> str | None:
     """Return a hint if a goal without root moves a free joint above other goals."""
-    rig, goals = (
-        solved_take.take.rig,
-        [track.goal for track in solved_take.tracks.goals],
-    )
+    rig = solved_take.take.rig
+    goals = [track.goal for track in solved_take.tracks.goals]
     chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
         if goal.root is not None:

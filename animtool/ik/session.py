@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed
-from animtool.core.names import most_similar
+from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
@@ -50,8 +51,8 @@ class Session:
 
     Args:
         rig: J joints, Q coordinates.
-        goals: Names of joints with targets for position, rotation, or both; or a `Goal`
-            for anything else.
+        goals: Names of chains of the rig, whose tips reach, or of joints, with targets
+            for position, rotation, or both; or a `Goal` for anything else.
         joints: Names of the joints that may move; None selects every joint that moves a
             goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
@@ -60,8 +61,8 @@ class Session:
         rest_weight: Weight of the preferred pose, see `build`.
 
     Raises:
-        OptionError: No goals (IK006), a duplicate goal (IK006), a joint that the rig
-            lacks (TGT001), or an invalid option (IK014).
+        OptionError: No goals (IK006), a duplicate goal (IK006), a joint or
+            chain that the rig lacks (TGT001), or an invalid option (IK014).
 
     >>> from animtool.rig.skeleton import Joint, JointType, Rig
     >>> upper = Joint("upper", -1, JointType.PIN)
@@ -205,15 +206,13 @@ class Session:
 
     def _unknown_goal_error(self, name: str) -> OptionError:
         """Return the error of a goal that the session does not have."""
-        suggestions = most_similar(name, self._goals)
-        hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"the session has no goal {excerpt(name)}"
-        return OptionError(Fault("TGT001", message, hint=hint))
+        return OptionError(Fault("TGT001", message, hint=nearest(name, self._goals)))
 
     def _pack(self, requested: RequestedKinds) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
         goals = [
-            _goal_of_call(self._goals[name], name, kind_mask)
+            self._goals[name] or _goal_of_call(self.rig, name, kind_mask)
             for name, kind_mask in requested
         ]
         problem = build(
@@ -241,7 +240,7 @@ class Session:
 def _goals_by_name(
     rig: Rig, goals: Sequence[str | Goal], joints: Sequence[str]
 ) -> dict[str, Goal | None]:
-    """Return goals by joint name; None for names whose kinds each call decides."""
+    """Return goals by name; None for names whose kinds each call decides."""
     if not goals:
         raise OptionError(Fault("IK006", "there are no goals"))
     by_name: dict[str, Goal | None] = {}
@@ -251,15 +250,23 @@ def _goals_by_name(
         if name in by_name:
             faults.append(Fault("IK006", f"{name!r} has two goals"))
         by_name[name] = None if isinstance(goal, str) else goal
-    for name in (*by_name, *joints):
-        if name not in rig.names:
-            suggestions = most_similar(name, rig.names)
-            hint = f"did you mean {suggestions}?" if suggestions else None
-            message = f"no joint of {rig.name!r} is {excerpt(name)}"
-            faults.append(Fault("TGT001", message, hint=hint))
+    chains = [chain.name for chain in rig.chains]
+    for name, named_goal in by_name.items():
+        names = rig.names if named_goal else [*chains, *rig.names]
+        faults += _unknown_joint_faults(rig, name, names)
+    for name in joints:
+        faults += _unknown_joint_faults(rig, name, rig.names)
     if faults:
         raise OptionError(faults)
     return by_name
+
+
+def _unknown_joint_faults(rig: Rig, name: str, names: Sequence[str]) -> list[Fault]:
+    """Return a fault unless a name is one of the allowed names (TGT001)."""
+    if name in names:
+        return []
+    message = f"no joint of {rig.name!r} is {excerpt(name)}"
+    return [Fault("TGT001", message, hint=nearest(name, names))]
 
 
 def _target_parts(
@@ -279,11 +286,15 @@ def _target_parts(
     return [part for part in value if part is not None], kind_mask
 
 
-def _goal_of_call(goal: Goal | None, name: str, kind_mask: tuple[bool, ...]) -> Goal:
-    """Return the session's goal, or one with the kinds of a call's targets."""
-    if goal is not None:
-        return goal
-    return Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))
+def _goal_of_call(rig: Rig, name: str, kind_mask: tuple[bool, ...]) -> Goal:
+    """Return the goal of a chain or joint, with the kinds of a call's targets."""
+    goal = Goal(name, position=float(kind_mask[0]), orientation=float(kind_mask[1]))
+    for chain in rig.chains:
+        if chain.name == name:
+            return replace(
+                goal, joint=chain.tip, root=chain.root, stretch=chain.stretch
+            )
+    return goal
 
 
 def _shape_error(values_by_goal: Mapping[str, Any]) -> OptionError:

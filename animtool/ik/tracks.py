@@ -258,10 +258,8 @@ class TargetTracks:
             mentioned_frames = [
                 end for goal in self.goals for end in _mentioned_range(goal)
             ] or [1.0]
-            first, last = (
-                Fraction(min(mentioned_frames)),
-                Fraction(max(mentioned_frames)),
-            )
+            first = Fraction(min(mentioned_frames))
+            last = Fraction(max(mentioned_frames))
         count = int((last - first) // 1) + 1
         if count > MAX_FRAMES:
             message = f"the range has {count} frames; the limit is {MAX_FRAMES}"

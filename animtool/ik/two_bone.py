@@ -52,10 +52,8 @@ def _joint_obstacle(chain: Chain) -> str | None:
         is_limited = not _is_unlimited(chain.numbers[1])
         return "its second joint is a ball with limits" if is_limited else None
     axis = _rest_matrix(chain, 1)[:, 2]
-    bone_along_axis, tool_along_axis = (
-        chain.goal_numbers[0, 2],
-        chain.goal_numbers[0, 5],
-    )
+    bone_along_axis = chain.goal_numbers[0, 2]
+    tool_along_axis = chain.goal_numbers[0, 5]
     largest_cosine = max(abs(axis @ upper), abs(bone_along_axis), abs(tool_along_axis))
     is_unscaled = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
     if chain.nodes[1, 0] == PIN and is_unscaled and largest_cosine < PERPENDICULAR:

@@ -189,10 +189,8 @@ def key_handles(
             (1, outs, free_outs),
             (0, ins, free_ins),
         ):
-            key_rows, signed_thirds = (
-                rows + 1 - handle_side,
-                third if handle_side else -third,
-            )
+            key_rows = rows + 1 - handle_side
+            signed_thirds = third if handle_side else -third
             if interp is Interp.TCB:
                 handles[key_rows, 1:] = (
                     slopes.tcb[handle_side][key_rows] * signed_thirds[:, None]
@@ -325,11 +323,9 @@ def evaluate(
     for c in extrapolated_curves:
         start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
         folded_times = fold_times(at, start, end, curves.pre[c], curves.post[c])
-        rows[c], overshoot[c], cycles[c] = (
-            folded_times.times,
-            folded_times.overshoot,
-            folded_times.cycles,
-        )
+        rows[c] = folded_times.times
+        overshoot[c] = folded_times.overshoot
+        cycles[c] = folded_times.cycles
     slopes = end_slopes(curves)
     rises = curves.values[ends] - curves.values[starts]
     values = _values_in_range(curves, rows, out)

@@ -171,10 +171,8 @@ def rigid_motion(
     >>> rotation.tolist(), translation.tolist()
     ([0.0, 0.0, 0.0, 1.0], [1.0, 2.0, 3.0])
     """
-    start, end = (
-        np.asarray(source_points, np.float64),
-        np.asarray(target_points, np.float64),
-    )
+    start = np.asarray(source_points, np.float64)
+    end = np.asarray(target_points, np.float64)
     centre, target_centre = start.mean(axis=0), end.mean(axis=0)
     rotation = _best_rotation(
         (start - centre).T @ (end - target_centre), _scale(start) * _scale(end)

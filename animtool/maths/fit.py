@@ -36,10 +36,8 @@ class FittedKeys:
         """Mask of keys with equal slopes on both sides ``(K,)``; true at the ends."""
         flags = np.ones(len(self.frames), np.bool_)
         lengths = np.diff(self.frames)[:, None]
-        slopes_before, slopes_after = (
-            self.ins[1:-1] / -lengths[:-1],
-            self.outs[1:-1] / lengths[1:],
-        )
+        slopes_before = self.ins[1:-1] / -lengths[:-1]
+        slopes_after = self.outs[1:-1] / lengths[1:]
         magnitude = np.abs(slopes_before) + np.abs(slopes_after)
         flags[1:-1] = (
             np.abs(slopes_before - slopes_after) <= 1e-9 * magnitude + 1e-300

@@ -210,12 +210,10 @@ def adjacent_level(values: FloatArray) -> FloatArray:
     ``values`` ``(S, N)``.
     """
     rows = np.pad(values, ((2, 2), (0, 0)))
-    before2, step_before, step_after, after2 = (
-        rows[:-4],
-        rows[1:-3],
-        rows[3:-1],
-        rows[4:],
-    )
+    before2 = rows[:-4]
+    step_before = rows[1:-3]
+    step_after = rows[3:-1]
+    after2 = rows[4:]
     stays_level = np.maximum(step_before, step_after)
     returns_after_level = np.maximum(step_before, after2)
     returned_before_level = np.maximum(before2, step_after)

@@ -82,11 +82,9 @@ def cross(a: FloatArray, b: FloatArray) -> FloatArray:
     bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
     x = ay * bz - az * by
     product = np.empty((*x.shape, 3))
-    product[..., 0], product[..., 1], product[..., 2] = (
-        x,
-        az * bx - ax * bz,
-        ax * by - ay * bx,
-    )
+    product[..., 0] = x
+    product[..., 1] = az * bx - ax * bz
+    product[..., 2] = ax * by - ay * bx
     return product
 
 
@@ -181,10 +179,8 @@ def angle_between(a: ArrayLike, b: ArrayLike) -> FloatArray:
     a, b = np.asarray(a, np.float64), np.asarray(b, np.float64)
     distance = np.linalg.norm(a - b, axis=-1)
     negated_distance = np.linalg.norm(a + b, axis=-1)
-    low, high = (
-        np.minimum(distance, negated_distance),
-        np.maximum(distance, negated_distance),
-    )
+    low = np.minimum(distance, negated_distance)
+    high = np.maximum(distance, negated_distance)
     return np.asarray(4.0 * np.arctan2(low, high))
 
 

@@ -18,7 +18,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, excerpt, listed
 from animtool.core.names import nearest
-from animtool.core.old_names import old_object, rename_attributes, renamed_arguments
+from animtool.core.old_names import old_objects, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
     listed_entries,
@@ -305,9 +305,8 @@ rename_attributes(Pass, **_OLD_FIELDS)
 setattr(Pass, "__init__", renamed_arguments(**_OLD_FIELDS)(Pass.__init__))  # noqa: B010
 
 
-def __getattr__(name: str) -> Any:
-    """Return `FrameScope` by its old name, which plug-ins may import."""
-    return old_object(__name__, name, {"Scope": FrameScope})
+# Plug-ins may import `FrameScope` by its old name.
+__getattr__ = old_objects(__name__, Scope=FrameScope)
 
 
 def find_pass(name: str) -> Pass:
@@ -443,10 +442,8 @@ def _check_points(stream: TakeStream, pass_: Pass) -> None:
 
 def _unchanged_controls(source_take: Take, result_take: Take) -> set[str]:
     """Return the controls with equal values in every frame."""
-    before_controls, after_controls = (
-        source_take.motion.controls,
-        result_take.motion.controls,
-    )
+    before_controls = source_take.motion.controls
+    after_controls = result_take.motion.controls
     has_same_controls = (
         source_take.clock == result_take.clock
         and source_take.rig.controls == result_take.rig.controls

@@ -254,11 +254,15 @@ class TakeStream:
         joints = counted(len(self.rig.joints), "joint")
         return f"<TakeStream of {self.rig.name!r} at {rate_label(self.fps)}, {joints}>"
 
+    @property
+    def first_frame(self) -> Fraction:
+        """Time code of the first frame; 1 if the source states none."""
+        return Fraction(1) if self.start is None else self.start
+
     def collect(self) -> Take:
         """Return the complete take, with static joints stored once."""
         motion = Motion.concatenate(list(self.blocks)).map(Channel.compact)
-        start = Fraction(1) if self.start is None else self.start
-        clock = Clock(self.fps, start, self.step, motion.frames)
+        clock = Clock(self.fps, self.first_frame, self.step, motion.frames)
         return Take(
             self.rig, clock, motion, tuple(self.notices), self.tracks, self.curve
         )

@@ -100,7 +100,7 @@ def fit_to_page(
         )
         # The duration of the take need not be a whole number of frames.
         notices += [fault for fault in faults if fault.code not in ignored_codes]
-        start = Fraction(1) if stream.start is None else stream.start
+        start = stream.first_frame
     if new_rate is not None and take.stream.fps != fps:
         message = (
             f"has {rate_label(take.stream.fps)}, but is shown at {rate_label(fps)}"
@@ -184,10 +184,8 @@ def _range_in_stage(
     """Return the first and last frame of a take within its stage's range, if any."""
     if stage_range is None or timed.shift:
         return timed.first_frame, timed.last
-    first, last = (
-        max(timed.first_frame, stage_range[0]),
-        min(timed.last, stage_range[1]),
-    )
+    first = max(timed.first_frame, stage_range[0])
+    last = min(timed.last, stage_range[1])
     return (first, last) if first <= last else (timed.first_frame, timed.last)
 
 

@@ -59,18 +59,17 @@ def compare_weights(
     first_weights, second_weights = (_weights(take) for take in (first, second))
     names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
     pairs = _shape_pairs(*names)
-    mismatches = []
-    for column, (weights, other_label) in enumerate(
-        ((first_weights, "second"), (second_weights, "first"))
-    ):
-        unmatched_columns = set(range(weights.shape[1])) - {
-            pair_index[column] for pair_index in pairs
-        }
-        missing_names = [
-            names[column][s] for s in sorted(unmatched_columns) if weights[:, s].any()
-        ]
-        if missing_names:
-            mismatches.append(missing_text("shape", missing_names, other_label))
+    unmatched_names = []
+    for side, weights in enumerate((first_weights, second_weights)):
+        matched_shapes = {pair[side] for pair in pairs}
+        unmatched_names.append(
+            [
+                name
+                for s, name in enumerate(names[side])
+                if s not in matched_shapes and weights[:, s].any()
+            ]
+        )
+    mismatches = missing_texts("shape", *unmatched_names)
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(
         first_weights[:frames, first_columns] - second_weights[:frames, second_columns]
@@ -86,11 +85,17 @@ def compare_weights(
     return largest, len(pairs), mismatches
 
 
-def missing_text(noun: str, missing_names: Sequence[str], other_label: str) -> str:
-    """Return a text that lists names missing from the other file or take."""
-    verb = "is" if len(missing_names) == 1 else "are"
-    count = counted(len(missing_names), noun)
-    return f"{count} {verb} not in the {other_label}: {listed(missing_names)}"
+def missing_texts(
+    noun: str, only_first: Sequence[str], only_second: Sequence[str]
+) -> list[str]:
+    """Return texts that list the names which only one of two files or takes has."""
+    texts = []
+    for names, other_label in ((only_first, "second"), (only_second, "first")):
+        if names:
+            verb = "is" if len(names) == 1 else "are"
+            count = counted(len(names), noun)
+            texts.append(f"{count} {verb} not in the {other_label}: {listed(names)}")
+    return texts
 
 
 def _weights(take: Take) -> FloatArray:
@@ -103,10 +108,7 @@ def _weights(take: Take) -> FloatArray:
 def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
     """Return index pairs of shapes, matched by name and then by ARKit name."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
-    used_first, used_second = (
-        {i for i, _ in pairs},
-        {second_index for _, second_index in pairs},
-    )
+    used_first, used_second = dict(pairs), {second_index for _, second_index in pairs}
     by_arkit_name = {
         arkit: second_index
         for second_index, name in enumerate(second)
@@ -151,9 +153,8 @@ class TakeDifference:
     # Differences that do not affect the takes, as text.
     notes: list[str] = field(default_factory=list)
     notices: list[Fault] = field(default_factory=list)  # warnings and notes
-    skeletons: int = (
-        1  # skeletons compared, whose joints and shapes are counted together
-    )
+    # Skeletons compared, whose joints and shapes are counted together.
+    skeletons: int = 1
     size: float = 0.0  # largest extent of the joints in a frame [m]
 
     def tolerance_warnings(
@@ -244,24 +245,19 @@ _TakeOpeners: TypeAlias = Mapping[str, Callable[[], TakeStream]]
 def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDifference:
     """Compare the skeletons of two stages, matched in pairs."""
     pairs = _skeleton_pairs(list(first), list(second))
-    mismatches = [
-        missing_text("skeleton", missing_names, other_label)
-        for names, column, other_label in ((first, 0, "second"), (second, 1, "first"))
-        if (
-            missing_names := [
-                name for name in names if name not in {pair[column] for pair in pairs}
-            ]
-        )
-    ]
-    no_difference = Difference(0.0, "", 0.0)
+    first_matches, second_matches = dict(pairs), {path for _, path in pairs}
+    mismatches = missing_texts(
+        "skeleton",
+        [path for path in first if path not in first_matches],
+        [path for path in second if path not in second_matches],
+    )
+    equal = Difference(0.0, "", 0.0)
     total = TakeDifference(
-        *(
-            no_difference,
-            no_difference,
-            no_difference,
-            no_difference,
-            ShapeDifference(),
-        ),
+        equal,
+        equal,
+        equal,
+        equal,
+        ShapeDifference(),
         frames=0,
         joints=0,
         shapes=0,
@@ -361,13 +357,9 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     first_joint, second_joint = (
         take.motion.select(slice(0, frames)).dense() for take in (first, second)
     )
-    world_a, world_b = (
-        forward_kinematics(first.rig, *first_joint),
-        forward_kinematics(second.rig, *second_joint),
-    )
-    difference = (
-        world_a.positions[:, first_joints] - world_b.positions[:, second_joints]
-    )
+    first_world = forward_kinematics(first.rig, *first_joint).positions
+    second_world = forward_kinematics(second.rig, *second_joint).positions
+    difference = first_world[:, first_joints] - second_world[:, second_joints]
     translation = first_joint[0][:, first_joints] - second_joint[0][:, second_joints]
     rotation = so3.angle_between(
         first_joint[1][:, first_joints], second_joint[1][:, second_joints]
@@ -387,9 +379,7 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         len(pairs),
         shapes,
         mismatches + missing_shapes,
-        size=max(
-            _largest_extent(world_a.positions), _largest_extent(world_b.positions)
-        ),
+        size=max(_largest_extent(first_world), _largest_extent(second_world)),
     )
 
 
@@ -433,18 +423,17 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 
 
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
-    names = []
-    for take, other_label, column in ((first, "second", 0), (second, "first", 1)):
-        matched_joints = {pair[column] for pair in pairs}
-        unmatched_names = [
-            name for i, name in enumerate(take.rig.names) if i not in matched_joints
-        ]
-        if unmatched_names:
-            names.append(missing_text("joint", unmatched_names, other_label))
+    """Return the joints, frames and rates that differ, as text."""
+    matched_joints = dict(pairs), {joint for _, joint in pairs}
+    unmatched_names = [
+        [name for i, name in enumerate(take.rig.names) if i not in matched]
+        for take, matched in zip((first, second), matched_joints, strict=True)
+    ]
+    mismatches = missing_texts("joint", *unmatched_names)
     if first.clock.count != second.clock.count:
         frames = counted(first.clock.count, "frame")
-        names.append(f"{frames} instead of {second.clock.count}")
+        mismatches.append(f"{frames} instead of {second.clock.count}")
     if first.clock.rate != second.clock.rate:
         rates = f"{first.clock.rate} fps instead of {second.clock.rate}"
-        names.append(f"{rates}; frames are compared by time from the first")
-    return names
+        mismatches.append(f"{rates}; frames are compared by time from the first")
+    return mismatches

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, counted
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
-from animtool.report.compare import SCALE_TOLERANCE, missing_text, space_notes
+from animtool.report.compare import SCALE_TOLERANCE, missing_texts, space_notes
 from animtool.report.tolerances import hidden_angle, hidden_length
 
 if TYPE_CHECKING:
@@ -79,7 +79,11 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     source_b = None if source_a is None else open_points(second)
     if source_a is None or source_b is None:
         return None
-    mismatches = _missing_prims(source_a, source_b)
+    mismatches = missing_texts(
+        "prim",
+        [name for name in source_a.names if name not in source_b.names],
+        [name for name in source_b.names if name not in source_a.names],
+    )
     common_names = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
     samples, size = 0, 0.0
@@ -108,13 +112,8 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             ).items():
                 worst_index = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst_index] > largest[quantity].value:
-                    candidate = (
-                        float(values[worst_index]),
-                        name,
-                        int(ids[worst_index]),
-                        code,
-                    )
-                    largest[quantity] = PointDifference(*candidate)
+                    worst, point = float(values[worst_index]), int(ids[worst_index])
+                    largest[quantity] = PointDifference(worst, name, point, code)
     if source_a.fps != source_b.fps:
         mismatches.append(
             f"{source_a.fps} time codes per second instead of {source_b.fps}"
@@ -126,10 +125,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         samples=samples,
         mismatches=mismatches,
         notes=[
-            *space_notes(
-                (source_a.up, source_b.up),
-                (source_a.unit, source_b.unit),
-            ),
+            *space_notes((source_a.up, source_b.up), (source_a.unit, source_b.unit)),
             *_start_notes(source_a, source_b, common_names),
         ],
         size=size,
@@ -141,20 +137,6 @@ def _bounds_diagonal(sample: PointSample) -> float:
     if not len(sample.points):
         return 0.0
     return float(np.linalg.norm(np.ptp(sample.points, axis=0)))
-
-
-def _missing_prims(source_a: PointSource, source_b: PointSource) -> list[str]:
-    names = []
-    for source, other_source, ordinal in (
-        (source_a, source_b, "second"),
-        (source_b, source_a, "first"),
-    ):
-        missing_names = [
-            name for name in source.names if name not in other_source.names
-        ]
-        if missing_names:
-            names.append(missing_text("prim", missing_names, ordinal))
-    return names
 
 
 def _sample_pairs(
@@ -213,10 +195,8 @@ def _point_mismatch(first: PointSample, second: PointSample) -> str:
             return f"the second file has no point with the id {int(unmatched_ids[0])}"
     if first.prototype_indices is not None and second.prototype_indices is not None:
         ids, first_indices, second_indices = _matched_indices(first, second)
-        first_meshes, second_meshes = (
-            first.prototype_indices[first_indices],
-            second.prototype_indices[second_indices],
-        )
+        first_meshes = first.prototype_indices[first_indices]
+        second_meshes = second.prototype_indices[second_indices]
         (differing_rows,) = np.nonzero(first_meshes != second_meshes)
         if len(differing_rows):
             row = int(differing_rows[0])

@@ -123,12 +123,14 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         clock.rate,
         clock.step,
         clock.start,
-        clock.start + clock.step * (clock.count - 1),
+        clock.span.last,
         clock.duration,
         channel_count if isinstance(channel_count, int) else None,
         animated_counts,
         len(rig.shapes),
-        _moving_shapes(take),
+        []
+        if motion.weights is None
+        else [rig.shapes[shape].name for shape in motion.weights.animated.tolist()],
         (
             (np.min(block_minima, axis=0) / meters).tolist(),
             (np.max(block_maxima, axis=0) / meters).tolist(),
@@ -201,20 +203,8 @@ def _characters(path: Path, options: SourceOptions | None) -> CharactersFacts | 
 
 def _contents(path: Path) -> GltfContents | None:
     """Return the contents of a glTF or FBX file."""
-    if reader_of(path) is FBX:
-        from animtool.report.describe_fbx import fbx_contents
-
-        return fbx_contents(path)
-    if reader_of(path) is not GLTF:
+    if reader_of(path) not in {FBX, GLTF}:
         return None
-    from animtool.report.describe_gltf import gltf_contents
+    from animtool.report.describe_gltf import fbx_contents, gltf_contents
 
-    return gltf_contents(path)
-
-
-def _moving_shapes(take: Take) -> list[str]:
-    """Return the names of shapes with changing weights."""
-    weights = take.motion.weights
-    if weights is None:
-        return []
-    return [take.rig.shapes[shape].name for shape in weights.animated.tolist()]
+    return fbx_contents(path) if reader_of(path) is FBX else gltf_contents(path)

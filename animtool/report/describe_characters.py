@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from operator import attrgetter
 from pathlib import Path
 
 import numpy as np
@@ -77,6 +78,7 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
         [value for extent in extents if (value := getattr(extent, name)) is not None]
         for name in ("speed", "lowest", "rise")
     )
+    value_of = attrgetter("value")
     bounds = None
     if extents:
         low = np.min([extent.low for extent in extents], axis=0).tolist()
@@ -87,14 +89,10 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
         unreadable_count,
         bounds,
         float(np.mean(means)) if means else None,
-        max(speeds, key=_value, default=None),
-        min(lows, key=_value, default=None),
-        max(rises, key=_value, default=None),
+        max(speeds, key=value_of, default=None),
+        min(lows, key=value_of, default=None),
+        max(rises, key=value_of, default=None),
     )
-
-
-def _value(extreme: Extreme) -> float:
-    return extreme.value
 
 
 def _summarize(name: str, take: Take) -> _CharacterSummary:

@@ -1,4 +1,4 @@
-"""Contents of a glTF file: nodes, skins, characters and clips."""
+"""Contents of a glTF or FBX file: nodes, skins, characters and clips."""
 
 from __future__ import annotations
 
@@ -75,8 +75,38 @@ def _contents(gltf: Gltf) -> GltfContents:
         len(gltf.skins),
         len(gltf.animations),
         len(gltf.scenes),
-        [animation.path for animation in skeletons] if len(skeletons) > 1 else [],
+        [skeleton.path for skeleton in skeletons] if len(skeletons) > 1 else [],
         clips,
         {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)},
         list(gltf.ignored_contents),
+    )
+
+
+def fbx_contents(path: Path | str) -> GltfContents:
+    """Return the contents of an FBX file."""
+    from animtool.formats.fbx.read import scene_take_names
+    from animtool.formats.fbx.scene import open_fbx
+    from animtool.formats.fbx.settings import TICKS_PER_SECOND
+
+    scene = open_fbx(path)
+    skeletons = find_characters(scene) if scene.nodes else ()
+    clips = [
+        GltfClip(
+            name,
+            take.start_ticks / TICKS_PER_SECOND,
+            take.end_ticks / TICKS_PER_SECOND,
+            len(take.curves()),
+        )
+        for name, take in zip(scene_take_names(scene), scene.takes, strict=True)
+    ]
+    return GltfContents(
+        len(scene.nodes),
+        len(scene.meshes),
+        len(scene.skins),
+        len(scene.takes),
+        1,
+        [skeleton.path for skeleton in skeletons] if len(skeletons) > 1 else [],
+        clips,
+        {},
+        list(scene.ignored_contents),
     )

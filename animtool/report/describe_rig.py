@@ -155,9 +155,7 @@ def describe_targets(path: Path) -> TargetsDescription:
     clock = tracks.clock
     goals = tuple(
         GoalDescription(
-            track.name,
-            tuple(kind.name for kind in track.goal.kinds),
-            track.spans,
+            track.name, tuple(kind.name for kind in track.goal.kinds), track.spans
         )
         for track in tracks.goals
     )
@@ -165,7 +163,7 @@ def describe_targets(path: Path) -> TargetsDescription:
         path,
         "" if tracks.fps is None else rate_label(tracks.fps),
         float(clock.start),
-        float(clock.start + (clock.count - 1) * clock.step),
+        float(clock.span.last),
         goals,
         tracks.notices,
     )

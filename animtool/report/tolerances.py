@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text, percent_hint
 
 # Default tolerances, which cause no warning [m], [deg], [1].
@@ -34,7 +34,7 @@ def hidden_length(tolerance: float, largest: float, size: float) -> list[Fault]:
         f"{length_text(size)}"
     )
     hint = f"a number alone is in metres: for millimetres write {tolerance:g}mm"
-    return [_warning(message, hint)]
+    return [warning("CLI107", message, hint)]
 
 
 def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
@@ -45,7 +45,8 @@ def hidden_angle(tolerance: float, largest: float) -> list[Fault]:
         f"{argument('angle_tolerance')} {tolerance:g} hides every difference: the "
         f"largest is {largest:.3g}°, and no rotation differs by more than 180°"
     )
-    return [_warning(message, "use a smaller angle, or inf to ignore rotations")]
+    hint = "use a smaller angle, or inf to ignore rotations"
+    return [warning("CLI107", message, hint)]
 
 
 def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
@@ -59,8 +60,4 @@ def hidden_weight(tolerance: float, largest: float) -> list[Fault]:
         f"largest is {largest:.3g}, and weights are from 0 to 1"
     )
     hint = f"{percent_hint(tolerance)}, or inf to ignore weights"
-    return [_warning(message, hint)]
-
-
-def _warning(message: str, hint: str) -> Fault:
-    return Fault("CLI107", message, hint=hint, severity=Severity.WARNING)
+    return [warning("CLI107", message, hint)]

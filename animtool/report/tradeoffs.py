@@ -193,8 +193,6 @@ def table_parts(table: TrialTable) -> TableParts:
         "chosen" if row.chosen else "recommended" if row.recommended else ""
         for row in table.applicable
     ]
-    header, advice = (
-        render(table, _HEADER_LINES, _PRINTERS),
-        render(table, _ADVICE_LINES, _PRINTERS),
-    )
+    header = render(table, _HEADER_LINES, _PRINTERS)
+    advice = render(table, _ADVICE_LINES, _PRINTERS)
     return TableParts(header, rows, left_columns, classes, advice)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import field, replace
+from itertools import compress
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity, listed
+from animtool.core.errors import Fault, listed, warning
 from animtool.core.record import dataclass
 from animtool.retarget.fingers import finger_roles
 from animtool.retarget.names import (
@@ -154,11 +155,12 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
     if len(roots) == 1:
         # Bodies below one root: their hips are not below each other.
         hips = [j for j, votes in enumerate(body.votes) if "hips" in votes]
-        nested_hips = [set(body.rig.upwards(j)[1:]) & set(hips) for j in hips]
         roots = [
-            j for j, hips_above in zip(hips, nested_hips, strict=True) if not hips_above
+            j
+            for j in hips
+            if set(hips).isdisjoint(body.rig.upwards(j)[1:])
+            and body.counts[j] >= MIN_BODY_JOINTS
         ]
-        roots = [j for j in roots if body.counts[j] >= MIN_BODY_JOINTS]
     if len(roots) < 2:
         return []
     main_hips = max(roots, key=lambda j: body.counts[j])
@@ -178,7 +180,7 @@ def _largest_tree(search: _RoleSearch) -> list[Fault]:
         f"mapped, {other_names} are skipped"
     )
     hint = "export the others to separate files"
-    return [Fault("MAP103", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("MAP103", message, hint)]
 
 
 def _find_limbs(search: _RoleSearch) -> None:
@@ -239,10 +241,8 @@ def _assign_sides_by_position(search: _RoleSearch, across: FloatArray) -> None:
         if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
             search.has_guessed_sides = True
         elif signed_distance < 0:
-            tip_joints[tip_names[0]], tip_joints[tip_names[1]] = (
-                tip_joints[tip_names[1]],
-                tip_joints[tip_names[0]],
-            )
+            left, right = (tip_joints[name] for name in tip_names)
+            tip_joints |= {tip_names[0]: right, tip_names[1]: left}
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
@@ -255,11 +255,9 @@ def _assign_trunk(search: _RoleSearch) -> None:
     if head < 0 and chest >= 0:
         head = _find_head(search, chest)
     upper_joints = [j for j in (chest, head) if j >= 0]
-    fork = (
-        body.lowest_common_ancestor([*legs, *upper_joints])
-        if legs and upper_joints
-        else -1
-    )
+    fork = -1
+    if legs and upper_joints:
+        fork = body.lowest_common_ancestor([*legs, *upper_joints])
     leg_fork = body.lowest_common_ancestor(legs) if len(legs) == 2 else fork
     hips = _find_hips(search, fork, leg_fork)
     search.set_role(hips, "hips")
@@ -272,11 +270,8 @@ def _assign_trunk(search: _RoleSearch) -> None:
     for j in body.path(spine_start, leg_fork) if leg_fork > spine_start else ():
         search.set_role(j, "pelvis")
     if upper_joints:
-        spine_start = (
-            spine_start
-            if spine_start in body.rig.upwards(upper_joints[-1])
-            else max(hips, 0)
-        )
+        if spine_start not in body.rig.upwards(upper_joints[-1]):
+            spine_start = max(hips, 0)
         _assign_spine(search, spine_start, chest, head)
 
 
@@ -338,31 +333,29 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, kind, side = search.body, *limb.split("_")
     tip = search.tips[limb]
-    other_tips = {
+    joints_of_others = {
         j
         for name, other in search.tips.items()
         if name != limb
         for j in body.rig.upwards(other)
     }
     path = [
-        j for j in body.rig.upwards(tip) if j not in other_tips and not search.roles[j]
+        j
+        for j in body.rig.upwards(tip)
+        if j not in joints_of_others and not search.roles[j]
     ]
     path = [*path[::-1], *body.longest_path(tip)[1:]]
     if not path:
         return
-    path, branch = (
-        _split_hand(search, path, side)
-        if kind == "arm"
-        else (_split_toes(search, path), -1)
-    )
+    branch = -1
+    if kind == "arm":
+        path, branch = _split_hand(search, path, side)
+    else:
+        path = _split_toes(search, path)
     joint_roles = split_limb(body, path, _LIMB_SHAPES[limb], branch)
     for j, role_of_joint in zip(path, joint_roles, strict=True):
         search.set_role(j, "" if body.kinds[j] == CONTROL else role_of_joint)
-    hand_joints = [
-        j
-        for j, role_of_joint in zip(path, joint_roles, strict=True)
-        if role_of_joint == f"hand_{side}"
-    ]
+    hand_joints = list(compress(path, (r == f"hand_{side}" for r in joint_roles)))
     if kind == "arm" and hand_joints:
         for j, role in finger_roles(body, hand_joints, side).items():
             search.set_role(j, "" if body.kinds[j] == CONTROL else role)
@@ -410,30 +403,21 @@ def _assign_toes(search: _RoleSearch, side: str) -> None:
         for j in body.limb_children(feet[-1])
         if search.roles[j] in {"", role} and not body.kinds[j]
     ]
-    directions = np.array(
-        [_chain_end(body, j) - body.positions[feet[-1]] for j in toe_roots]
-    )
     if len(toe_roots) < 2:
         return
+    last_joints = [body.longest_path(j)[-1] for j in toe_roots]
+    ends = body.positions[last_joints] + body.last_bones[last_joints]
+    directions = ends - body.positions[feet[-1]]
     sizes = np.linalg.norm(directions, axis=1)
     alignment = (
         directions @ directions[int(np.argmax(sizes))] / max(float(sizes.max()), 1e-30)
     )
-    toes = [
-        j
-        for j, fraction in zip(toe_roots, alignment, strict=True)
-        if fraction > _MIN_TOE_FRACTION * alignment.max()
-    ]
+    is_toe = alignment > _MIN_TOE_FRACTION * alignment.max()
+    toes = list(compress(toe_roots, is_toe))
     for toe in toes if len(toes) > 1 else ():
         for j in range(toe, len(search.roles)):
             if toe in body.rig.upwards(j) and not body.kinds[j] and not body.is_tip(j):
                 search.set_role(j, role)
-
-
-def _chain_end(body: SkeletonTree, joint: int) -> FloatArray:
-    """Return the end position of the chain that starts at a joint ``(3,)`` [m]."""
-    last_joint = body.longest_path(joint)[-1]
-    return np.asarray(body.positions[last_joint] + body.last_bones[last_joint])
 
 
 def _assign_remaining(search: _RoleSearch) -> None:
@@ -489,7 +473,4 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
         message = f"left and right cannot be told apart in {rig.name!r}"
         hint = "the first limb of the file is assumed to be the left one; check the map"
         texts.append(("MAP105", message, hint))
-    return [
-        Fault(code, message, hint=hint, severity=Severity.WARNING)
-        for code, message, hint in texts
-    ]
+    return [warning(code, message, hint) for code, message, hint in texts]

@@ -65,15 +65,12 @@ def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
     starts = []
     for first_joint in sorted(j for j in joints if int(parents[j]) not in joints):
         chain_ends = [j for j in joints if first_joint in skeleton.rig.upwards(j)]
-        foot = skeleton.positions[_foot_joint(skeleton, side)]
+        foot = skeleton.positions[skeleton.first(f"foot_{side}")]
         length = float(np.linalg.norm(skeleton.positions[max(chain_ends)] - foot))
         distance = float(np.linalg.norm(skeleton.positions[first_joint] - foot))
         next_joints = [j for j in chain_ends if int(parents[j]) == first_joint]
-        starts.append(
-            next_joints[0]
-            if next_joints and distance < METATARSAL_START * length
-            else first_joint
-        )
+        has_metatarsal = next_joints and distance < METATARSAL_START * length
+        starts.append(next_joints[0] if has_metatarsal else first_joint)
     return starts
 
 
@@ -90,11 +87,6 @@ def _ankle_to_ball(
     return np.asarray(foremost + sideways_offset * facing[0])
 
 
-def _foot_joint(skeleton: RoledSkeleton, side: str) -> int:
-    """Return the foot joint of a side."""
-    return skeleton.first(f"foot_{side}")
-
-
 @dataclass(frozen=True, slots=True)
 class _FootShape:
     """Vectors from the ankle of a foot at rest; components left, up, forward [m]."""
@@ -105,11 +97,9 @@ class _FootShape:
 
 def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
     """Return the shape of a foot; None if the skeleton's facing is unknown."""
-    facing, foot, toes = (
-        skeleton.facing,
-        _foot_joint(skeleton, side),
-        _first_toe_joints(skeleton, side),
-    )
+    facing = skeleton.facing
+    foot = skeleton.first(f"foot_{side}")
+    toes = _first_toe_joints(skeleton, side)
     if facing is None:
         return None
     start = skeleton.positions[foot]
@@ -184,12 +174,10 @@ def _foot_end(
         offsets, key=lambda offset: float(offset @ offset), default=None
     )
     shin_bone = ankle - skeleton.positions[shin]
-    length = 0.0 if farthest_offset is None else float(np.linalg.norm(farthest_offset))
-    if farthest_offset is None or length < MIN_FOOT_LENGTH * float(
-        np.linalg.norm(shin_bone)
-    ):
+    if farthest_offset is None:
         return None
-    cosine = float(farthest_offset @ shin_bone) / (
-        length * float(np.linalg.norm(shin_bone))
-    )
+    length, shin_length = map(float, map(np.linalg.norm, (farthest_offset, shin_bone)))
+    if length < MIN_FOOT_LENGTH * shin_length:
+        return None
+    cosine = float(farthest_offset @ shin_bone) / (length * shin_length)
     return None if cosine > MIN_SHIN_COSINE else np.asarray(farthest_offset)

@@ -38,10 +38,8 @@ def bend_limb(
     thigh, shin = knee - hip, ankle - knee
     a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    shortest_distance, longest_distance = (
-        np.abs(a - b) * (1 + 1e-9),
-        (a + b) * MAX_EXTENSION,
-    )
+    shortest_distance = np.abs(a - b) * (1 + 1e-9)
+    longest_distance = (a + b) * MAX_EXTENSION
     # A leg that was straighter may stay so.
     longest_distance = np.maximum(
         longest_distance, np.minimum(np.linalg.norm(ankle - hip, axis=1), a + b)
@@ -94,10 +92,8 @@ def bend_at_pin(
     """
     upper, lower = bones
     axial_product = float((upper @ axis) * (lower @ axis))
-    cosine, sine = (
-        float(upper @ lower) - axial_product,
-        float(upper @ np.cross(axis, lower)),
-    )
+    cosine = float(upper @ lower) - axial_product
+    sine = float(upper @ np.cross(axis, lower))
     amplitude = float(np.hypot(cosine, sine))
     if not amplitude:
         return thigh, angle
@@ -120,9 +116,8 @@ def bend_at_pin(
     if limits is not None:
         chosen_angle = limits.clamped(chosen_angle)
     tip = upper + so3.rotate(so3.from_axis_angle(axis, chosen_angle), lower)
-    return so3.multiply(
-        shortest_rotations(so3.rotate(thigh, tip), goal - hip), thigh
-    ), chosen_angle
+    swing = shortest_rotations(so3.rotate(thigh, tip), goal - hip)
+    return so3.multiply(swing, thigh), chosen_angle
 
 
 def shortest_rotations(

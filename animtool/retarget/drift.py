@@ -111,10 +111,8 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     )
     largest_shift = float(np.linalg.norm(positions - root_positions, axis=1).max())
     degrees = float(np.degrees(np.abs(angle)).max())
-    message = (
-        f"the root is moved by up to {length_text(largest_shift)} and rotated by up to "
-    )
-    message += f"{angle_text(degrees)}, measured from planted feet"
+    message = f"the root is moved by up to {length_text(largest_shift)} and rotated by "
+    message += f"up to {angle_text(degrees)}, measured from planted feet"
     context.notices.append(Fault("CAP104", message, severity=Severity.NOTE))
     return replace(take, motion=motion)
 
@@ -148,10 +146,8 @@ def _root_correction(
     displacement = -np.exp(1j * angle) * (speed + position_error)
     shift = _integrate(displacement, rate)
     if options.closed:
-        end_positions = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
-        shift = shift - (end_positions[1] - end_positions[0]) * np.linspace(
-            0.0, 1.0, len(root)
-        )
+        start, end = np.exp(1j * angle[[0, -1]]) * root[[0, -1]] + shift[[0, -1]]
+        shift = shift - (end - start) * np.linspace(0.0, 1.0, len(root))
     return angle, shift
 
 
@@ -172,11 +168,9 @@ def _stance_tracks(
     take: Take, skeleton: RoledSkeleton, *, heading: bool
 ) -> _StanceTracks | None:
     """Return the motion of planted feet; None if none is planted for long."""
-    (up, (a, b)), rate, count = (
-        _ground_axes(take),
-        float(take.clock.rate),
-        take.clock.count,
-    )
+    up, (a, b) = _ground_axes(take)
+    rate = float(take.clock.rate)
+    count = take.clock.count
     world = take.world()
     position_sums, contact_counts = np.zeros((count, 3)), np.zeros(count)
     # Per contact: its middle, duration, spin, speed and position.
@@ -203,28 +197,20 @@ def _stance_tracks(
             )
             base = float(np.median(pivot[is_planted, up]))
             inverse_start = so3.conjugate(rotations[stance_frames.start])
-            headings = np.unwrap(
-                _angle_about_up(
-                    so3.multiply(rotations[stance_frames], inverse_start), up
-                )
-            )
+            relative = so3.multiply(rotations[stance_frames], inverse_start)
+            headings = np.unwrap(_angle_about_up(relative, up))
             speed = _least_squares_rate(pivot[stance_frames], rate)
-            spin = (
-                float(_least_squares_rate(headings[:, None], rate)[0])
-                if heading
-                else 0.0
-            )
+            spin = 0.0
+            if heading:
+                spin = float(_least_squares_rate(headings[:, None], rate)[0])
             length = stance_frames.stop - stance_frames.start
             middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
             mean_position = pivot[stance_frames].mean(axis=0)
             contact_rows.append(
                 [middle_frame, length, spin, *speed[[a, b]], *mean_position[[a, b]]]
             )
-            position_sums[stance_frames] += pivot[stance_frames][:, [a, b, up]] - [
-                0.0,
-                0.0,
-                base,
-            ]
+            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, base]
+            position_sums[stance_frames] += positions
             contact_counts[stance_frames] += 1
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:
         return None
@@ -234,21 +220,13 @@ def _stance_tracks(
     # Remove the motion caused by the spin about the origin.
     contacts[:, 3] += smooth_spin * contacts[:, 6]
     contacts[:, 4] -= smooth_spin * contacts[:, 5]
-    smooth_speed = [
-        smooth_spin,
-        *(_windowed_medians(contacts, k, width) for k in (3, 4)),
-    ]
-    smooth_height = [
-        np.interp(frames, contacts[:, 0], column) for column in smooth_speed
-    ]
-    drift = lowpass(np.stack(smooth_height, axis=1), DRIFT_FREQUENCY, rate)
+    medians = [smooth_spin, *(_windowed_medians(contacts, k, width) for k in (3, 4))]
+    tracks = [np.interp(frames, contacts[:, 0], column) for column in medians]
+    drift = lowpass(np.stack(tracks, axis=1), DRIFT_FREQUENCY, rate)
     position_sums /= np.maximum(contact_counts, 1)[:, None]
-    position = lowpass(
-        position_sums[:, :2], STEP_FREQUENCY, rate, valid=contact_counts > 0
-    )
-    height = lowpass(
-        position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=contact_counts > 0
-    )
+    valid = contact_counts > 0
+    position = lowpass(position_sums[:, :2], STEP_FREQUENCY, rate, valid=valid)
+    height = lowpass(position_sums[:, 2], DRIFT_FREQUENCY, rate, valid=valid)
     return _StanceTracks(
         position[:, 0] + 1j * position[:, 1],
         drift[:, 1] + 1j * drift[:, 2],

@@ -8,12 +8,12 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
 from animtool.maths.filters import rotation_noise
 from animtool.maths.runs import runs
 from animtool.motion.contacts import find_contacts, gaussian_smooth
 from animtool.motion.take import Take
 from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.legs import up_index
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import middle_of_hips
 
@@ -57,11 +57,9 @@ def measure_capture(take: Take) -> CaptureFacts | None:
     legs = {side: skeleton.leg(side) for side in "lr"}
     if not any(legs.values()) or take.clock.count < 2:
         return None
-    feet_joints = [leg[2:] for leg in legs.values() if leg is not None]
-    hips, positions = joint_positions(
-        take, skeleton, sorted({j for foot_joints in feet_joints for j in foot_joints})
-    )
-    up, fps = 1 if rig.up is UpAxis.Y else 2, float(take.clock.rate)
+    feet_joints = {j for leg in legs.values() if leg is not None for j in leg[2:]}
+    hips, positions = joint_positions(take, skeleton, sorted(feet_joints))
+    up, fps = up_index(rig), float(take.clock.rate)
     feet = {}
     for side, leg in legs.items():
         if leg is None:
@@ -98,10 +96,8 @@ def joint_positions(
 
 def ground_speeds(take: Take, hips: FloatArray) -> FloatArray:
     """Return the horizontal speed of hips ``(F, 3)`` per frame ``(F - 1,)`` [m/s]."""
-    up, fps = 1 if take.rig.up is UpAxis.Y else 2, float(take.clock.rate)
-    ground_positions = gaussian_smooth(
-        np.delete(hips, up, axis=1), SPEED_INTERVAL / 2 * fps
-    )
+    fps, on_ground = float(take.clock.rate), np.delete(hips, up_index(take.rig), axis=1)
+    ground_positions = gaussian_smooth(on_ground, SPEED_INTERVAL / 2 * fps)
     return np.asarray(np.linalg.norm(np.diff(ground_positions, axis=0), axis=1) * fps)
 
 

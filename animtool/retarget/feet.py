@@ -76,9 +76,8 @@ class PlacedFeet:
     rotations: Sequence[FloatArray]  # world rotations of each foot (F, 4)
     is_locked: Sequence[BoolArray]  # frames in which each foot is planted (F,)
     toe_rolls: Sequence[FloatArray]  # weight of standing on the toe only, 0 to 1 (F,)
-    sole_heights: Sequence[
-        float
-    ]  # planted height of each toe, or of the ankle without a toe [m]
+    # Planted height of each toe, or of the ankle without a toe [m].
+    sole_heights: Sequence[float]
     max_lowering: float  # largest distance that the hips sank so that legs reach [m]
 
 
@@ -100,26 +99,23 @@ def plant_feet(
         up: Index of the up axis.
     """
     rotations = [_planted_rotations(foot, fps, up) for foot in feet]
-    ankle_to_toe_vectors = [
-        _ankle_to_toe(foot, rotation)
-        for foot, rotation in zip(feet, rotations, strict=True)
-    ]
+    toe_vectors = list(map(_ankle_to_toe, feet, rotations))
     # A foot that rolls over its toe pins the toe, else the ankle.
     pinned_points = [
-        foot.ankle if foot.toe is None else foot.toe - ankle_to_toe
-        for foot, ankle_to_toe in zip(feet, ankle_to_toe_vectors, strict=True)
+        foot.ankle if foot.toe is None else foot.toe - toe_vector
+        for foot, toe_vector in zip(feet, toe_vectors, strict=True)
     ]
     hips = hips.copy()
     heel_heights = [
-        _ankle_rise(foot, ankle_to_toe, up)
-        for foot, ankle_to_toe in zip(feet, ankle_to_toe_vectors, strict=True)
+        _ankle_rise(foot, toe_vector, up)
+        for foot, toe_vector in zip(feet, toe_vectors, strict=True)
     ]
     hips[:, up] += _hip_lift(hips, feet, pinned_points, heel_heights, fps, up)
     is_planted = [foot.contacts.any for foot in feet]
     ankles = [
-        _locked_path(hips + ankle, ankle_to_toe, foot, fps, up)
-        for foot, ankle, ankle_to_toe in zip(
-            feet, pinned_points, ankle_to_toe_vectors, strict=True
+        _locked_path(hips + ankle, toe_vector, foot, fps, up)
+        for foot, ankle, toe_vector in zip(
+            feet, pinned_points, toe_vectors, strict=True
         )
     ]
     hip_drop, rise = _hip_shifts(hips, feet, ankles, fps, up)
@@ -150,11 +146,8 @@ def _planted_rotations(foot: Foot, fps: float, up: int) -> FloatArray:
             level_rotation = so3.multiply(
                 _heading_rotation(lean, up), foot.flat_rotation
             )
-            target = (
-                mean
-                if so3.angle_between(level_rotation, mean) > MAX_LEAN
-                else level_rotation
-            )
+            if so3.angle_between(level_rotation, mean) <= MAX_LEAN:
+                target = level_rotation
         inverse_rotations = so3.conjugate(foot.rotation[start:end])
         correction[start:end] = so3.log(so3.multiply(target, inverse_rotations))
     fill_between(correction, is_flat, fps)
@@ -263,10 +256,8 @@ def _level_bone(foot: Foot, up: int) -> float:
         return 0.0
     if foot.flat_rotation is None:
         is_flat = foot.contacts.ankle & foot.contacts.toe
-        ankle_to_toe = (foot.toe - foot.ankle)[
-            is_flat if is_flat.any() else slice(None), up
-        ]
-        return float(np.median(ankle_to_toe))
+        heights = (foot.toe - foot.ankle)[:, up]
+        return float(np.median(heights[is_flat] if is_flat.any() else heights))
     rotation = so3.multiply(foot.flat_rotation, so3.conjugate(foot.rotation[:1]))
     return float(so3.rotate(rotation, (foot.toe - foot.ankle)[:1])[0, up])
 
@@ -295,23 +286,16 @@ def _locked_path(
         positions_in_flat = np.searchsorted(flat_frames, heel_only)
         flat_before = flat_frames[np.maximum(positions_in_flat - 1, 0)]
         flat_after = flat_frames[np.minimum(positions_in_flat, len(flat_frames) - 1)]
-        toe_offset[heel_only] = toe_offset[
-            np.where(
-                heel_only - flat_before <= flat_after - heel_only,
-                flat_before,
-                flat_after,
-            )
-        ]
+        is_before_nearer = heel_only - flat_before <= flat_after - heel_only
+        nearest_flat = np.where(is_before_nearer, flat_before, flat_after)
+        toe_offset[heel_only] = toe_offset[nearest_flat]
         goal = (ankle_path + toe_offset)[flat_frames].mean(axis=0)
         goal[up] = level
         if foot.toe is None:
             # A kneeling body rests on its toes, even without toe joints.
             median_height = float(np.median(foot.height_change[start:end]))
-            goal[up] += (
-                median_height
-                if median_height > RAISED_HEEL_HEIGHT * foot.leg_length
-                else 0.0
-            )
+            if median_height > RAISED_HEEL_HEIGHT * foot.leg_length:
+                goal[up] += median_height
         correction[start:end] = goal - toe_offset - ankle_path
     fill_between(correction, is_planted, fps)
     _raise_above_ground(
@@ -392,9 +376,8 @@ def _hip_shifts(
         # A body hanging by its feet is not flipped.
         is_above = (offset[:, up] > 0) & (lowest > 0)
         rise = np.maximum(rise, np.where(is_above, lowest - offset[:, up], 0.0))
-    return smooth_cover(hip_drop, LOWERING_SECONDS * fps), smooth_cover(
-        rise, LOWERING_SECONDS * fps
-    )
+    width = LOWERING_SECONDS * fps
+    return smooth_cover(hip_drop, width), smooth_cover(rise, width)
 
 
 def smooth_cover(values: FloatArray, width: float) -> FloatArray:

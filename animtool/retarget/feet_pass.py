@@ -7,19 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from animtool.core.errors import (
-    Fault,
-    OptionError,
-    Severity,
-)
+from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.motion.passes import (
-    FrameScope,
-    Pass,
-    PassContext,
-    TakePart,
-)
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import Take, TakeStream
 from animtool.retarget.legs import leg_joints
 from animtool.retarget.options import RetargetOptions
@@ -44,7 +35,7 @@ def no_body_warning(error: OptionError) -> Fault:
         raise error
     message = "no person was recognised in the take: it is unchanged"
     hint = "name its joints in a map file, or skip what needs a person"
-    return Fault("CAP105", message, hint=hint, severity=Severity.WARNING)
+    return warning("CAP105", message, hint)
 
 
 def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
@@ -77,17 +68,13 @@ def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     for j, parent in enumerate(take.rig.parents.tolist()):
         if parent in joints_of_legs:
             joints_of_legs.add(j)
-    rotating_joints, root = (
-        np.array(sorted(joints_of_legs)),
-        np.array([max(skeleton.first("hips"), 0)]),
-    )
-    source_motion = take.motion
+    rotating_joints = np.array(sorted(joints_of_legs))
+    root = np.array([max(skeleton.first("hips"), 0)])
+    rotations = motion.rotations.gather(rotating_joints)
     planted_motion = replace(
-        source_motion,
-        rotations=source_motion.rotations.put(
-            rotating_joints, motion.rotations.gather(rotating_joints)
-        ),
-        translations=source_motion.translations.put(
+        take.motion,
+        rotations=take.motion.rotations.put(rotating_joints, rotations),
+        translations=take.motion.translations.put(
             root, motion.translations.gather(root)
         ),
     )

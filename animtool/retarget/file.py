@@ -180,25 +180,19 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> FileMap:
         )
         for i, entry in enumerate(model.joints)
     ]
-    listed_twists = list(enumerate(model.twists or ()))
-    joints = [
-        joint_indices("target", [t.joint], "twists", i, "joint")
-        for i, t in listed_twists
-    ]
-    bones = [
-        joint_indices("target", [t.bone], "twists", i, "bone") for i, t in listed_twists
-    ]
+    twists: list[TwistFraction] = []
+    for i, twist in enumerate(model.twists or ()):
+        joints = joint_indices("target", [twist.joint], "twists", i, "joint")
+        bones = joint_indices("target", [twist.bone], "twists", i, "bone")
+        twists += [
+            TwistFraction(*ends, twist.share)
+            for ends in zip(joints, bones, strict=False)
+        ]
     ignored = [
         frozenset(joint_indices(side, getattr(model.ignored, side), "ignored", side))
         for side in rigs
     ]
     document.check()
-    twists = [
-        TwistFraction(joint, bone, twist.share)
-        for (joint,), (bone,), (_, twist) in zip(
-            joints, bones, listed_twists, strict=True
-        )
-    ]
     return FileMap(
         tuple(entries),
         None if model.twists is None else tuple(twists),

@@ -156,9 +156,7 @@ def hand_contacts(
         pair_goals = [
             middle + sign * float(np.mean(scales)) * separation for sign in (0.5, -0.5)
         ]
-        reaches = [
-            REACH_FRACTION * _arm_length(transfer.target, side) for side in sides
-        ]
+        reaches = [REACH_FRACTION * _arm_length(transfer.target, s) for s in sides]
         for k, goal in enumerate(_shift_into_reach(pair_goals, shoulders, reaches)):
             goals[k][is_joined] = goal[is_joined]
             is_active[k] |= is_joined
@@ -178,26 +176,21 @@ def hand_contacts(
             gripped_props.add(prop.track)
         if floor is not None:
             height = source[:, up] - floor.source
-            ground_level = floor.target + transfer.scale * np.minimum(
-                height, GROUND_HEIGHT / 2 * length
-            )
+            kept_height = np.minimum(height, GROUND_HEIGHT / 2 * length)
+            ground_level = floor.target + transfer.scale * kept_height
             is_slow = find_contacts(source, None, fps, length, up).ankle & ~grip_frames
-            for start, end in runs(
-                is_slow & (height < GROUND_HEIGHT * length) & ~is_active[k]
-            ):
+            is_near = height < GROUND_HEIGHT * length
+            for start, end in runs(is_slow & is_near & ~is_active[k]):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(ground_level[start:end].mean())
                 is_active[k][start:end] = True
         is_contact = is_active[k].copy()
         if ground_level is not None:
-            height_above_ground, soft_height = (
-                wrists[k][:, up] - ground_level,
-                SLOWING_HEIGHT * length * transfer.scale,
-            )
+            height_above_ground = wrists[k][:, up] - ground_level
+            soft_height = SLOWING_HEIGHT * length * transfer.scale
             is_low = ~is_contact & (height_above_ground < soft_height)
-            goals[k][is_low, up] = (
-                ground_level + _soften_heights(height_above_ground, soft_height)
-            )[is_low]
+            soft_goal = ground_level + _soften_heights(height_above_ground, soft_height)
+            goals[k][is_low, up] = soft_goal[is_low]
             is_contact |= is_low
         bends = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
@@ -240,12 +233,6 @@ def _arm_rotations(
     flat_bends = bends.reshape(len(bends), 6)
     fill_between(flat_bends, is_contact, fps, FADE_SECONDS)
     return flat_bends.reshape(bends.shape)
-
-
-def _wrist_of_bent_arm(tracks: ArmTracks, bends: FloatArray) -> FloatArray:
-    """Return wrist positions relative to the shoulder after bending ``(F, 3)`` [m]."""
-    bones = np.diff(tracks.joints, axis=1)
-    return np.asarray(so3.rotate(so3.exp(bends), bones).sum(axis=1))
 
 
 def _soften_heights(heights: FloatArray, depth: float) -> FloatArray:

@@ -78,20 +78,15 @@ class LegTracks:
         """Return the target's foot, with the contacts of the source's foot."""
         leg = leg_joints(transfer.target, side)
         up = up_index(transfer.target.rig)
-        hip, ankle, toe = (
-            self.source_points[:, :3],
-            self.source_points[:, 3:6],
-            self.source_points[:, 6:],
-        )
+        hip = self.source_points[:, :3]
+        ankle = self.source_points[:, 3:6]
+        toe = self.source_points[:, 6:]
         length = transfer.source.leg_length(side)
         tip = toe if side in transfer.source.balls else None
         contacts = find_contacts(ankle, tip, fps, length, up)
-        hip_ankle_distance = np.linalg.norm(ankle - hip, axis=1)
-        straightness = (
-            hip_ankle_distance / length
-            if length > 0
-            else np.ones(len(hip_ankle_distance))
-        )
+        straightness = np.ones(len(ankle))
+        if length > 0:
+            straightness = np.linalg.norm(ankle - hip, axis=1) / length
         shortest_reach, longest_reach = _leg_reach(transfer.target, leg)
         return Foot(
             contacts,
@@ -145,10 +140,8 @@ def _leg_reach(
     joint, rest_rotation = rig.joints[shin], rig.rest_rotations[shin]
     upper, lower = rig.rest_translations[shin], rig.rest_translations[foot]
     if joint.type is not JointType.PIN:
-        bone_lengths = np.linalg.norm(upper), np.linalg.norm(lower)
-        return float(abs(bone_lengths[0] - bone_lengths[1])), float(
-            bone_lengths[0] + bone_lengths[1]
-        )
+        a, b = np.linalg.norm(upper), np.linalg.norm(lower)
+        return float(abs(a - b)), float(a + b)
     lower_limit, upper_limit = -np.pi, np.pi
     if isinstance(joint.limits, RangeLimit):
         lower_limit, upper_limit = joint.limits.low, joint.limits.high
@@ -198,12 +191,10 @@ def _planted_ankle_height(
     balls = target.balls.get(side), source.balls.get(side)
     if balls[0] is None or balls[1] is None:
         return ground * transfer.scale
-    foot_lengths = [
+    length, source_length = (
         float(np.linalg.norm(ball.offset)) for ball in balls if ball is not None
-    ]
-    return ground * (
-        foot_lengths[0] / foot_lengths[1] if foot_lengths[1] > 0 else transfer.scale
     )
+    return ground * (length / source_length if source_length > 0 else transfer.scale)
 
 
 def ankle_rotations(
@@ -228,11 +219,9 @@ def ankle_rotations(
     bone_rotations = limb_rotations(
         target, leg, joints, goal, rotations, _knee_axis(target, leg[1])
     )
-    return (
-        bone_rotations
-        if swivel is None
-        else swivel_leg(bone_rotations, goal - joints[:, 0], swivel)
-    )
+    if swivel is None:
+        return bone_rotations
+    return swivel_leg(bone_rotations, goal - joints[:, 0], swivel)
 
 
 def limb_rotations(

@@ -68,9 +68,8 @@ class _Leg:
         swivel = np.zeros(len(hips))
         rotations, axis = self.rotations(hips), self.ankle_goal - hips - self.tracks.hip
         all_frames = np.arange(len(hips))
-        violating_frames = np.flatnonzero(
-            self._squared_excess(rotations, axis, all_frames, swivel) > 0
-        )
+        excess = self._squared_excess(rotations, axis, all_frames, swivel)
+        violating_frames = np.flatnonzero(excess > 0)
         if not len(violating_frames):
             return swivel
         best_swivel = np.zeros(len(violating_frames))
@@ -81,9 +80,8 @@ class _Leg:
                 + (SWIVEL_COST * angles) ** 2
                 for angles in candidates
             ]
-            best_swivel = candidates[
-                np.argmin(costs, axis=0), np.arange(len(violating_frames))
-            ]
+            columns = np.arange(len(violating_frames))
+            best_swivel = candidates[np.argmin(costs, axis=0), columns]
         swivel[violating_frames] = best_swivel
         return gaussian_smooth(swivel, SWIVEL_TIME * fps)
 
@@ -100,12 +98,10 @@ class _Leg:
         thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
         violation = np.zeros(len(frames))
+        inverse_shin = so3.conjugate(shin_rotation)
         for joint, local in (
             (thigh, so3.multiply(inverse_parent, thigh_rotation)),
-            (
-                foot,
-                so3.multiply(so3.conjugate(shin_rotation), self.foot_rotations[frames]),
-            ),
+            (foot, so3.multiply(inverse_shin, self.foot_rotations[frames])),
         ):
             limit = rig.joints[joint].limits
             if isinstance(limit, BallLimit):
@@ -118,10 +114,8 @@ class _Leg:
 
         It is caused by hip limits, and 0 while the foot is in the air.
         """
-        rig, (thigh, shin, foot, _) = (
-            self.target.rig,
-            leg_joints(self.target, self.side),
-        )
+        rig = self.target.rig
+        thigh, shin, foot, _ = leg_joints(self.target, self.side)
         limit = rig.joints[thigh].limits
         if not isinstance(limit, BallLimit):
             return np.zeros(len(hips))
@@ -129,10 +123,8 @@ class _Leg:
         thigh_rotation, shin_rotation = swivel_leg(
             self.rotations(hips), self.ankle_goal - hip_positions, swivel
         )
-        parent_rotation, rest_rotation = (
-            self.tracks.rotations[:, 0],
-            rig.rest_rotations[thigh],
-        )
+        parent_rotation = self.tracks.rotations[:, 0]
+        rest_rotation = rig.rest_rotations[thigh]
         local = so3.multiply(
             so3.conjugate(so3.multiply(parent_rotation, rest_rotation)), thigh_rotation
         )
@@ -167,27 +159,13 @@ def solve_within_limits(
         placed: Goals of hips and feet.
         fps: Frames a second.
     """
-    legs = [
-        _Leg(target, *leg_data)
-        for leg_data in zip(
-            sides,
-            tracks,
-            placed.ankles,
-            placed.rotations,
-            placed.is_locked,
-            strict=True,
-        )
-    ]
+    feet = (placed.ankles, placed.rotations, placed.is_locked)
+    legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *feet, strict=True)]
     hips = placed.hips.copy()
     angles = [leg.solve_swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):
-        depth = np.max(
-            [
-                leg.ankle_depth(hips, angle)
-                for leg, angle in zip(legs, angles, strict=True)
-            ],
-            0,
-        )
+        depths = [leg.ankle_depth(hips, a) for leg, a in zip(legs, angles, strict=True)]
+        depth = np.max(depths, axis=0)
         if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
         hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_TIME * fps)

@@ -93,10 +93,8 @@ def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
         elif pair.target in chain_joints:
             continue
         else:
-            source_text, target_text = (
-                yaml_scalar(source_names[pair.source]),
-                yaml_scalar(target_names[pair.target]),
-            )
+            source_text = yaml_scalar(source_names[pair.source])
+            target_text = yaml_scalar(target_names[pair.target])
         role = f", role: {pair.role}" if pair.role else ""
         confidence_note = f"  # {pair.evidence or 'unsure'}, {pair.confidence:.0%} sure"
         comment = confidence_note if pair.confidence < 1.0 else ""
@@ -104,10 +102,8 @@ def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     if joint_map.twists:
         yield "twists:"
     for twist in joint_map.twists:
-        joint, bone = (
-            yaml_scalar(target_names[twist.target]),
-            yaml_scalar(target_names[twist.bone]),
-        )
+        joint = yaml_scalar(target_names[twist.target])
+        bone = yaml_scalar(target_names[twist.bone])
         fraction = decimal_text(round(twist.fraction, 6))
         yield f"- {{joint: {joint}, bone: {bone}, share: {fraction}}}"
     unmapped_names = {

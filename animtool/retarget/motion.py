@@ -6,6 +6,7 @@ depend on all frames but need little data per frame; joints follow in the second
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -117,30 +118,20 @@ class Retargeting:
             props: Tracks of the take that hands may grip.
         """
         self.transfer, self._moves = transfer, False
-        # Errors ignored on request.
         self.ignored_errors: list[Fault] = []
         # Frame of the source that is its rest pose; None for another one.
         self.rest_frame: int | None = None
         self._start: tuple[FloatArray, FloatArray] | None = None
-        # Moving joints of the source.
         self.moving_joints: set[int] = set()
-        # Largest distance of the source's joints from their parents (J,) [m].
         self.max_bone_lengths: FloatArray = np.zeros(len(transfer.source.rig.joints))
         self._spool = Spool()
         self._clamped_blocks: list[dict[int, BoolArray]] = []
-        legs = "".join(
-            side
-            for side in "lr"
-            if transfer.target.leg(side) and transfer.source.leg(side)
-        )
-        arms = "".join(
-            side
-            for side in "lr"
-            if hands
-            and arm_joints(transfer.target, side)
-            and arm_joints(transfer.source, side)
-        )
-        tracks, leg_lengths = self._read_tracks(motions, legs, arms)
+        skeletons = transfer.target, transfer.source
+        legs = "".join(s for s in "lr" if all(k.leg(s) for k in skeletons))
+        arms = ""
+        if hands:
+            arms = "".join(s for s in "lr" if all(arm_joints(k, s) for k in skeletons))
+        tracks, arm_tracks = self._read_tracks(motions, legs, arms)
         feet = [
             leg_tracks.foot(transfer, side, fps)
             for leg_tracks, side in zip(tracks, legs, strict=True)
@@ -152,7 +143,7 @@ class Retargeting:
         hand_goals = hand_contacts(
             transfer,
             arms,
-            leg_lengths,
+            arm_tracks,
             self._hips,
             floor,
             fps,
@@ -165,7 +156,7 @@ class Retargeting:
         contacts = tuple(foot.contacts for foot in feet)
         self.contact_frames = ContactFrames(legs, contacts, planted, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)
-        self._clamped_frames: dict[int, int] = {}
+        self._clamped_frames: Counter[int] = Counter()
         self._frames = 0
 
     def _read_tracks(
@@ -182,21 +173,15 @@ class Retargeting:
             self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
-            arm_arguments = block.source, rotations.world, block.relative_positions
+            source, target = block.source, (rotations.world, block.relative_positions)
             tracks.append(
                 [
-                    LegTracks.of(
-                        transfer,
-                        side,
-                        arm_arguments[0],
-                        block.balls[:, k],
-                        *arm_arguments[1:],
-                    )
+                    LegTracks.of(transfer, side, source, block.balls[:, k], *target)
                     for k, side in enumerate(legs)
                 ]
             )
             arm_tracks.append(
-                [ArmTracks.of(transfer, side, *arm_arguments) for side in arms]
+                [ArmTracks.of(transfer, side, source, *target) for side in arms]
             )
             hips.append(block.hips)
             frame_arrays = [
@@ -210,14 +195,8 @@ class Retargeting:
             self._clamped_blocks.append(rotations.clamped)
         self._hips = np.concatenate(hips)
         return (
-            [
-                concatenate_tracks([track[k] for track in tracks])
-                for k in range(len(legs))
-            ],
-            [
-                concatenate_tracks([track[k] for track in arm_tracks])
-                for k in range(len(arms))
-            ],
+            [concatenate_tracks(parts) for parts in zip(*tracks, strict=True)],
+            [concatenate_tracks(parts) for parts in zip(*arm_tracks, strict=True)],
         )
 
     def _record_moving_joints(self, motion: Motion) -> None:
@@ -270,10 +249,7 @@ class Retargeting:
         balls = np.zeros((len(positions), len(legs), 3))
         for k, side in enumerate(legs):
             balls[:, k] = ball_of_foot(source, side, positions, world)
-        source_points = (
-            transfer.to_target_axes(positions),
-            transfer.to_target_axes(balls),
-        )
+        source_points = map(transfer.to_target_axes, (positions, balls))
         return _PosedFrames(*source_points, posed, bones, relative, hips)
 
     @property
@@ -318,10 +294,8 @@ class Retargeting:
             rotations = self._solve_legs(rotations, hips, hip_relative, begin)
             rotations = self._solve_arms(rotations, begin)
             self._frames += count
-            for j, frame_count in rotations.clamped.items():
-                self._clamped_frames[j] = self._clamped_frames.get(j, 0) + int(
-                    frame_count.sum()
-                )
+            for j, is_clamped in rotations.clamped.items():
+                self._clamped_frames[j] += int(is_clamped.sum())
             local = rotations.local
             twists = distribute_twist(self.transfer, local, twists)
             root, path = root_translations(
@@ -331,11 +305,8 @@ class Retargeting:
             translations[:, root] = path
             local = so3.align_signs(local, signs)
             signs = local[-1]
-            first_rows = (
-                (translations[0].copy(), local[0].copy())
-                if first_rows is None
-                else first_rows
-            )
+            if first_rows is None:
+                first_rows = translations[0].copy(), local[0].copy()
             # Motion from rounding alone is removed.
             for values, first_row in zip(
                 (translations, local), first_rows, strict=True
@@ -384,23 +355,16 @@ class Retargeting:
                 bone = ball.offset
                 if ball.toe >= 0:
                     inverse_rotation = so3.conjugate(rotations.world[rows, foot])
-                    tip = (
-                        relative_positions[rows, ball.toe]
-                        - relative_positions[rows, foot]
-                    )
+                    toe = relative_positions[rows, ball.toe]
+                    tip = toe - relative_positions[rows, foot]
                     bone = so3.rotate(inverse_rotation, tip)
-                requested, actual = (
-                    placed.rotations[k][output_frames],
-                    solution.world[rows, foot],
-                )
+                requested = placed.rotations[k][output_frames]
+                actual = solution.world[rows, foot]
                 toe_error = so3.rotate(requested, bone) - so3.rotate(actual, bone)
-                goal = (
-                    placed.ankles[k][output_frames]
-                    + placed.toe_rolls[k][output_frames, None] * toe_error
-                )
-                largest_error = np.maximum(
-                    largest_error, np.abs(goal - goals[k][rows]).max(axis=1)
-                )
+                toe_roll = placed.toe_rolls[k][output_frames, None]
+                goal = placed.ankles[k][output_frames] + toe_roll * toe_error
+                error = np.abs(goal - goals[k][rows]).max(axis=1)
+                largest_error = np.maximum(largest_error, error)
                 goals[k][rows] = goal
             rows = rows[largest_error > ANKLE_TOLERANCE * target.size]
             if not len(rows):
@@ -470,7 +434,7 @@ def _ankle_heights(
 Tracks = TypeVar("Tracks", LegTracks, ArmTracks)
 
 
-def concatenate_tracks(parts: list[Tracks]) -> Tracks:
+def concatenate_tracks(parts: Sequence[Tracks]) -> Tracks:
     """Concatenate the tracks of consecutive blocks along the frame axis."""
     names = parts[0].__dataclass_fields__
     arrays = (np.concatenate([getattr(part, name) for part in parts]) for name in names)

@@ -143,22 +143,17 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
     """
     names_without_prefix = strip_common_prefix(names)
     sides = pair_sides(names, parents)
-    partners_by_joint = {j: int(sides.partners[j]) for j in range(len(names))}
     left_joints = set(sides.left)
     parsed_names = []
     for j, name in enumerate(names_without_prefix):
         side, words = _split_side(_split_words(name))
-        without_side_letter = _strip_side_letter(
-            name, names_without_prefix[partners_by_joint[j]]
-        )
+        partner = names_without_prefix[int(sides.partners[j])]
+        without_side_letter = _strip_side_letter(name, partner)
         if without_side_letter:
-            side, words = (
-                "l" if j in left_joints else "r",
-                _split_words(without_side_letter),
-            )
-        parsed_names.append(
-            ParsedName(side, _normalized_key(words), _name_kind(name, words))
-        )
+            side = "l" if j in left_joints else "r"
+            words = _split_words(without_side_letter)
+        key = _normalized_key(words)
+        parsed_names.append(ParsedName(side, key, _name_kind(name, words)))
     return parsed_names
 
 
@@ -177,12 +172,10 @@ def _name_kind(name: str, words: Sequence[str]) -> str:
         return CONTROL
     if _TWIST_WORDS.search("".join(map(str.lower, words))):
         return TWIST
-    return (
-        END
-        if lowercase_words
-        and (lowercase_words[-1] in _END_WORDS or lowercase_words[0] == "leaf")
-        else ""
-    )
+    if not lowercase_words:
+        return ""
+    is_end = lowercase_words[-1] in _END_WORDS or lowercase_words[0] == "leaf"
+    return END if is_end else ""
 
 
 @cache
@@ -205,15 +198,14 @@ def _read_preset(name: str, entry: dict[str, Any]) -> Preset:
     keys: dict[str, set[str]] = {}
     joints: dict[str, list[str]] = {}
     for role, template in _templates(_expand_digits(entry)):
-        stripped_name = _PREFIX.sub(
-            "", _NAMESPACE.sub("", template.replace("{s}", " "))
-        )
-        keys.setdefault(_normalized_key(_split_words(stripped_name)), set()).add(role)
-        sides = zip(entry["sides"], SIDES, strict=True) if "{s}" in template else ()
-        for word, side in sides:
-            text = template.replace("{s}", word)
-            joints.setdefault(f"{role}_{side}", []).append(text)
-        if "{s}" not in template:
+        name_without_side = _NAMESPACE.sub("", template.replace("{s}", " "))
+        words = _split_words(_PREFIX.sub("", name_without_side))
+        keys.setdefault(_normalized_key(words), set()).add(role)
+        if "{s}" in template:
+            for word, side in zip(entry["sides"], SIDES, strict=True):
+                text = template.replace("{s}", word)
+                joints.setdefault(f"{role}_{side}", []).append(text)
+        else:
             joints.setdefault(role, []).append(template)
     return Preset(
         name,
@@ -278,31 +270,28 @@ def role_votes(
     parsed_names: Sequence[ParsedName], preset: Preset | None
 ) -> list[dict[str, float]]:
     """Return the roles that each name may mean, with weights from 0 to 1."""
-    tables, words = (
-        preset.roles_by_key if preset else {},
-        _load_tables()[COMMON_WORDS].roles_by_key,
-    )
-    votes = []
+    tables = preset.roles_by_key if preset else {}
+    words = _load_tables()[COMMON_WORDS].roles_by_key
+    votes: list[dict[str, float]] = []
     for name in parsed_names:
+        if name.kind not in {"", TWIST}:
+            votes.append({})
+            continue
         # The detected convention takes precedence over other meanings of the word.
         table, weight = (
             (tables, 1.0) if name.name_key in tables else (words, _WORD_WEIGHT)
         )
         weights = dict.fromkeys(table.get(name.name_key, ()), weight)
         if weights:
-            other_weights = dict.fromkeys(
-                _limb_words().get(name.name_key, ()), _OTHER_WEIGHT
-            )
-            weights = {**other_weights, **weights}
+            other_roles = _limb_words().get(name.name_key, ())
+            weights = dict.fromkeys(other_roles, _OTHER_WEIGHT) | weights
         suffix = f"_{name.side}" if name.side else ""
         # Sorted, since the order of a set differs between processes.
-        votes_with_side = {role + suffix: weights[role] for role in sorted(weights)}
-        may_vote = name.kind in {"", TWIST}
         votes.append(
             {
-                vote_role: vote_weight
-                for vote_role, vote_weight in votes_with_side.items()
-                if may_vote and vote_role in ROLES
+                role + suffix: weights[role]
+                for role in sorted(weights)
+                if role + suffix in ROLES
             }
         )
     return votes

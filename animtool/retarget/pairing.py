@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import field
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, counted, listed
+from animtool.core.errors import Fault, OptionError, Severity, counted, listed, warning
 from animtool.core.record import dataclass
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import FileMap, MapFile, load_map, resolve_map
@@ -47,6 +48,8 @@ _NEXT_ROLES = {
 }
 # Joints that other joints move, that end bones, or that are no part of the body.
 _NO_ROLE = frozenset({TWIST, END, CONTROL})
+# Evidence from the name of a joint.
+_NAME_SOURCES = frozenset({RoleSource.NAME, RoleSource.PRESET, RoleSource.FILE})
 # A take with fewer joints has no limb.
 MIN_BODY_JOINTS = 4
 # Twist joints belong to the bone given by their name or position.
@@ -93,16 +96,10 @@ def map_joints(
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
         entries = resolve_map(file, source, target)
     by_names = mode != "structure"
+    find = partial(find_anatomy, by_names=by_names)
     anatomies = (
-        find_anatomy(
-            source, preset=preset, positions=source_positions, by_names=by_names
-        ),
-        find_anatomy(
-            target,
-            preset=target_preset,
-            positions=target_positions,
-            by_names=by_names,
-        ),
+        find(source, preset=preset, positions=source_positions),
+        find(target, preset=target_preset, positions=target_positions),
     )
     pairing = _PairCollector((source, target), anatomies)
     if entries is not None:
@@ -157,10 +154,8 @@ def _crossed_sides(
     """Return a warning if left joints are paired with right joints (MAP108)."""
     crossed_pairs = []
     for pair in pairs:
-        source_roles, target_roles = (
-            anatomies[0].roles[pair.source],
-            anatomies[1].roles[pair.target],
-        )
+        source_roles = anatomies[0].roles[pair.source]
+        target_roles = anatomies[1].roles[pair.target]
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed_pairs.append(f"{names[0]} to {names[1]}")
@@ -193,7 +188,7 @@ def _leg_counts(
         "arms and front legs are paired, and their poses differ"
     )
     hint = "choose a rig with the same legs, or pair joints in a map file"
-    return [Fault("MAP109", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("MAP109", message, hint)]
 
 
 def _unmapped_joints(
@@ -240,15 +235,13 @@ class _PairCollector:
         follows = np.full(len(target.joints), -1)
         for pair in self.pairs.values():
             follows[pair.target] = pair.source
-        used_joints = {j for chain in self.chains for j in chain.source} | self.ignored[
-            0
-        ]
+        used_joints = {j for chain in self.chains for j in chain.source}
+        used_joints |= self.ignored[0]
         for joint, other in equal_name_pairs(source, target, follows):
             roles = self.anatomies[0].roles[other], self.anatomies[1].roles[joint]
             is_free = other not in used_joints and joint not in self.ignored[1]
             if is_free and _NO_ROLE.isdisjoint(roles):
-                pair = JointPair(other, joint, "", RoleSource.NAME, 1.0)
-                self.pairs[joint] = pair
+                self.pairs[joint] = JointPair(other, joint, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
         """Pair the remaining joints of one role."""
@@ -256,7 +249,8 @@ class _PairCollector:
             [
                 j
                 for j in anatomy.chain(role)
-                if j not in ignored and (mode != "names" or _is_named(anatomy, j))
+                if j not in ignored
+                and (mode != "names" or anatomy.evidence[j] in _NAME_SOURCES)
             ]
             for anatomy, ignored in zip(self.anatomies, self.ignored, strict=True)
         )
@@ -301,14 +295,11 @@ class _PairCollector:
                 for j in first_joints[1]:
                     if j not in self.pairs and j not in self.ignored[1]:
                         self._add(self.anatomies[1].roles[j], source_joints[:1], [j])
-            elif (
-                target_joints
-                and not source_joints
-                and first_joints[0]
-                and target_joints[0] not in self.pairs
-            ):
+            elif target_joints and first_joints[0] and not source_joints:
                 middle_finger = first_joints[0][min(1, len(first_joints[0]) - 1)]
-                self._add(f"{MITTEN_ROLE}_{side}", [middle_finger], target_joints[:1])
+                if target_joints[0] not in self.pairs:
+                    role = f"{MITTEN_ROLE}_{side}"
+                    self._add(role, [middle_finger], target_joints[:1])
 
     def _add(
         self,
@@ -325,33 +316,21 @@ class _PairCollector:
             )
         ]
         if len(source_joints) > 1 or len(target_joints) > 1:
-            chain = (
-                tuple(source_joints),
-                tuple(target_joints),
-                tuple(positions[0]),
-                tuple(positions[1]),
-            )
+            chain = map(tuple, (source_joints, target_joints, *positions))
             self.chains.append(JointChain(role, *chain))
         for i, j in enumerate(target_joints):
-            is_same_length = len(source_joints) == len(target_joints)
-            source_joint = (
-                source_joints[i]
-                if is_same_length
-                else source_joints[_last_index_before(positions[0], positions[1][i])]
+            nearest = i
+            if len(source_joints) != len(target_joints):
+                nearest = _last_index_before(positions[0], positions[1][i])
+            source_joint = source_joints[nearest]
+            anatomy, joint = min(
+                zip(self.anatomies, (source_joint, j), strict=True),
+                key=lambda anatomy_joint: anatomy_joint[0].confidence[anatomy_joint[1]],
             )
-            joint_anatomies = zip(self.anatomies, (source_joint, j), strict=True)
-            confidence, evidence_of_pair = min(
-                (
-                    (anatomy.confidence[joint], anatomy.evidence[joint])
-                    for anatomy, joint in joint_anatomies
-                ),
-                key=lambda pair: pair[0],
-            )
+            basis = anatomy.evidence[joint], anatomy.confidence[joint]
             if evidence is not None:
-                confidence, evidence_of_pair = 1.0, evidence
-            self.pairs[j] = JointPair(
-                source_joint, j, role, evidence_of_pair, confidence
-            )
+                basis = evidence, 1.0
+            self.pairs[j] = JointPair(source_joint, j, role, *basis)
 
 
 def _toes_inside_out(
@@ -372,15 +351,6 @@ def _toes_inside_out(
         return toes
     inward_direction = positions[feet[1][0]] - positions[feet[0][0]]
     return sorted(toes, key=lambda toe: -float(positions[toe[0]] @ inward_direction))
-
-
-def _is_named(anatomy: Anatomy, joint: int) -> bool:
-    """Return whether the evidence for a joint's role is its name."""
-    return anatomy.evidence[joint] in {
-        RoleSource.NAME,
-        RoleSource.PRESET,
-        RoleSource.FILE,
-    }
 
 
 def _last_index_before(starts: Sequence[float], position: float) -> int:

@@ -51,42 +51,36 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
     The joint above twists about its bone, so that the bone below the pin keeps its
     direction; a straight limb keeps its twist.
     """
-    target, adjusted_rotations = transfer.target, rotations
+    target = transfer.target
     rig = target.rig
     for j, joint in enumerate(rig.joints):
         parent = int(rig.parents[j])
         if joint.type is not JointType.PIN or parent < 0:
             continue
         # Joints that follow none stay at rest.
-        if (
-            rig.joints[parent].type is not JointType.BALL
-            or transfer.source_joints[j] < 0
-        ):
-            continue
+        is_ball = rig.joints[parent].type is JointType.BALL
         bone = target.bone(j)
-        if bone is None:
+        if not is_ball or transfer.source_joints[j] < 0 or bone is None:
             continue
-        upper_direction = so3.rotate(
-            adjusted_rotations[:, parent], _normalize(rig.rest_translations[j])
-        )
+        upper_bone = _normalize(rig.rest_translations[j])
+        upper_direction = so3.rotate(rotations[:, parent], upper_bone)
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
-        direction = so3.rotate(adjusted_rotations[:, j], bone_local)
+        direction = so3.rotate(rotations[:, j], bone_local)
         rest_axis = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
-        axis = so3.rotate(adjusted_rotations[:, parent], rest_axis)
+        axis = so3.rotate(rotations[:, parent], rest_axis)
         bend_normal = np.cross(upper_direction, direction)
         sine = np.linalg.norm(bend_normal, axis=1)
         bend_normal = bend_normal / np.maximum(sine, 1e-12)[:, None]
         # It bends as its limits allow, else towards the axis.
         bend_sign = np.where((bend_normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
         if isinstance(joint.limits, RangeLimit):
-            bend_sign = np.full_like(bend_sign, _bend_direction(joint.limits))
-        perpendicular = (
-            axis - (axis * upper_direction).sum(axis=1)[:, None] * upper_direction
-        )
+            bends_forward = joint.limits.low + joint.limits.high >= 0
+            bend_sign = np.full_like(bend_sign, 1.0 if bends_forward else -1.0)
+        along_bone = (axis * upper_direction).sum(axis=1)[:, None]
+        perpendicular = axis - along_bone * upper_direction
+        crossed = np.cross(perpendicular, bend_normal * bend_sign)
         angle = np.arctan2(
-            (np.cross(perpendicular, bend_normal * bend_sign) * upper_direction).sum(
-                axis=1
-            ),
+            (crossed * upper_direction).sum(axis=1),
             (perpendicular * bend_normal * bend_sign).sum(axis=1),
         )
         bend_weight = np.clip(
@@ -94,15 +88,8 @@ def bend_hinges(transfer: Transfer, rotations: FloatArray) -> FloatArray:
         )
         angle = angle * bend_weight * bend_weight * (3 - 2 * bend_weight)
         twist = so3.from_axis_angle(upper_direction, angle)
-        adjusted_rotations[:, parent] = so3.multiply(
-            twist, adjusted_rotations[:, parent]
-        )
-    return adjusted_rotations
-
-
-def _bend_direction(limits: RangeLimit) -> float:
-    """Return the bending direction of a pin: 1 for positive angles, -1 for negative."""
-    return 1.0 if limits.low + limits.high >= 0 else -1.0
+        rotations[:, parent] = so3.multiply(twist, rotations[:, parent])
+    return rotations
 
 
 def _normalize(vector: FloatArray) -> FloatArray:
@@ -174,20 +161,16 @@ def local_rotations(
             twisted_joint = _twist_joint(target, j)
             if twisted_joint >= 0:
                 twisted_rest = so3.conjugate(rig.rest_rotations[twisted_joint])
-                joint_local = so3.multiply(
-                    inverse_parent,
-                    so3.multiply(rotations[:, twisted_joint], twisted_rest),
-                )
+                twisted = so3.multiply(rotations[:, twisted_joint], twisted_rest)
+                joint_local = so3.multiply(inverse_parent, twisted)
         joint_local, is_clamped = _clamp_to_limits(joint, rest_rotation, joint_local)
         clamped.pop(j, None)
         if is_clamped.any():
             clamped[j] = np.broadcast_to(is_clamped, len(local)).copy()
         local[:, j] = joint_local
-        world[:, j] = (
-            joint_local
-            if parent_rotation is None
-            else so3.multiply(parent_rotation, joint_local)
-        )
+        world[:, j] = joint_local
+        if parent_rotation is not None:
+            world[:, j] = so3.multiply(parent_rotation, joint_local)
     return LocalRotations(local, world, clamped)
 
 
@@ -196,21 +179,12 @@ def _twist_joint(target: RoledSkeleton, j: int) -> int:
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1
-    children = [k for k, parent in enumerate(rig.parents) if parent == j]
-    children_with_role = [
-        k for k in children if target.roles[k] not in {"", "twist", "end"}
-    ]
-    if (
-        len(children_with_role) != 1
-        or target.roles[children_with_role[0]] == target.roles[j]
-    ):
+    children = target.children_with_role(j)
+    if len(children) != 1 or target.roles[children[0]] == target.roles[j]:
         return -1
-    bone = _normalize(rig.rest_translations[children_with_role[0]])
-    return (
-        children_with_role[0]
-        if abs(float(bone @ np.array(joint.axis))) > MIN_BONE_COSINE
-        else -1
-    )
+    bone = _normalize(rig.rest_translations[children[0]])
+    is_along_bone = abs(float(bone @ np.array(joint.axis))) > MIN_BONE_COSINE
+    return children[0] if is_along_bone else -1
 
 
 def _clamp_to_limits(
@@ -234,10 +208,10 @@ def _clamp_to_limits(
         )
     elif isinstance(limits, BallLimit):
         clamped_rotations = limits.clamped(rotation_from_rest)
-        is_clamped, rotation_from_rest = (
-            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING,
-            clamped_rotations,
+        is_clamped = (
+            so3.angle_between(clamped_rotations, rotation_from_rest) > LIMIT_ROUNDING
         )
+        rotation_from_rest = clamped_rotations
     else:
         rotation_from_rest = np.broadcast_to(so3.IDENTITY, rotation_from_rest.shape)
     return so3.multiply(rest, rotation_from_rest), is_clamped
@@ -270,10 +244,9 @@ def distribute_twist(
     last_angles = np.zeros(len(transfer.twists))
     for k, (joint, _, next_joint, fraction) in enumerate(transfer.twists):
         axis = _normalize(rig.rest_translations[next_joint])
-        rotation_from_rest = so3.multiply(
-            so3.conjugate(rig.rest_rotations[next_joint]), local[:, next_joint]
-        )
-        next_axis = so3.rotate(so3.conjugate(rig.rest_rotations[next_joint]), axis)
+        inverse_rest = so3.conjugate(rig.rest_rotations[next_joint])
+        rotation_from_rest = so3.multiply(inverse_rest, local[:, next_joint])
+        next_axis = so3.rotate(inverse_rest, axis)
         angle = swing_twist(rotation_from_rest, tuple(next_axis))[1]
         if previous_angles is None:
             angle = np.unwrap(angle)
@@ -308,16 +281,10 @@ def root_translations(
     if parent < 0:
         return root, position
     parent_positions = np.zeros((len(hips), 3))
-    chain = []
-    while parent >= 0:
-        chain.append(parent)
-        parent = int(rig.parents[parent])
-    for j in reversed(chain):
-        ancestor = int(rig.parents[j])
-        bone = bones[:, j]
-        parent_positions = parent_positions + (
-            bone if ancestor < 0 else so3.rotate(rotations[:, ancestor], bone)
-        )
-    return root, so3.rotate(
-        so3.conjugate(rotations[:, chain[0]]), position - parent_positions
-    )
+    for j in reversed(rig.upwards(parent)):
+        ancestor, bone = int(rig.parents[j]), bones[:, j]
+        if ancestor >= 0:
+            bone = so3.rotate(rotations[:, ancestor], bone)
+        parent_positions = parent_positions + bone
+    offset = position - parent_positions
+    return root, so3.rotate(so3.conjugate(rotations[:, parent]), offset)

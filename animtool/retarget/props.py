@@ -48,9 +48,8 @@ class PropMotion:
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
         local = self.in_prop_frame(wrist)
-        speed = (
-            np.gradient(gaussian_smooth(local, SMOOTHING_SECONDS * fps), axis=0) * fps
-        )
+        smooth_local = gaussian_smooth(local, SMOOTHING_SECONDS * fps)
+        speed = np.gradient(smooth_local, axis=0) * fps
         is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
         is_near = np.linalg.norm(local, axis=1) < GRIP_DISTANCE * arm
         is_gripped = remove_short_runs(is_steady & is_near, fps)
@@ -84,14 +83,9 @@ class PropTracks:
         motions = []
         for i, track in enumerate(self.tracks):
             if track.has_transform and track.is_animated:
-                upright_transforms = rotate_track(track, transfer.upright).at(
-                    times[:, i]
-                )
-                motions.append(
-                    PropMotion(
-                        i, upright_transforms.translations, upright_transforms.rotations
-                    )
-                )
+                upright = rotate_track(track, transfer.upright).at(times[:, i])
+                motion = PropMotion(i, upright.translations, upright.rotations)
+                motions.append(motion)
         return motions
 
     def rescale_gripped(

@@ -99,11 +99,9 @@ class FitMeter:
     def __init__(
         self, transfer: Transfer, joint_map: JointMap, contact_frames: ContactFrames
     ) -> None:
-        self._transfer, self._joint_map, self._contact_frames = (
-            transfer,
-            joint_map,
-            contact_frames,
-        )
+        self._transfer = transfer
+        self._joint_map = joint_map
+        self._contact_frames = contact_frames
         self._up = up_index(transfer.target.rig)
         self._frames = 0
         # Ankle and ball of each foot, of the target and of the source, scaled; the ball
@@ -117,12 +115,9 @@ class FitMeter:
         # Largest accelerations of both so far, and the last frames of both.
         self._max_accelerations = np.zeros(2)
         self._last_frames: list[FloatArray] = []
-        target_lengths = transfer.target.path_lengths[
-            [pair.target for pair in joint_map.pairs]
-        ]
-        source_lengths = transfer.source.path_lengths[
-            [pair.source for pair in joint_map.pairs]
-        ]
+        pairs = joint_map.pairs
+        target_lengths = transfer.target.path_lengths[[pair.target for pair in pairs]]
+        source_lengths = transfer.source.path_lengths[[pair.source for pair in pairs]]
         source_lengths = np.maximum(source_lengths, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
         path_ratios = np.divide(
@@ -150,9 +145,9 @@ class FitMeter:
         frames = slice(begin, begin + len(target))
         for k, side in enumerate(self._contact_frames.sides):
             ball = ball_of_foot(self._transfer.target, side, target, world.rotations)
-            tip_positions, foot_rows = (ball, balls[:, k]), []
+            foot_rows = []
             for (skeleton, points, scale_factor), tip_position in zip(
-                self._both_skeletons(target, source), tip_positions, strict=True
+                self._both_skeletons(target, source), (ball, balls[:, k]), strict=True
             ):
                 ankle = points[:, leg_joints(skeleton, side)[2]]
                 foot_rows.append(scale_factor * np.stack([ankle, tip_position], axis=1))
@@ -163,10 +158,9 @@ class FitMeter:
         self._add_score("hands", reach_errors)
         for hand in self._contact_frames.hands:
             wrist = target[:, self._transfer.target.first(f"hand_{hand.side}")]
-            hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)[
-                hand.is_active[frames]
-            ]
-            self._hand = max(self._hand, float(hand_errors.max(initial=0.0)))
+            hand_errors = np.linalg.norm(wrist - hand.goal[frames], axis=1)
+            largest = hand_errors[hand.is_active[frames]].max(initial=0.0)
+            self._hand = max(self._hand, float(largest))
         pairs = self._joint_map.pairs
         current = [
             target[:, [pair.target for pair in pairs]],
@@ -174,22 +168,22 @@ class FitMeter:
         ]
         if self._last_frames:
             current = [
-                np.concatenate(previous)
-                for previous in zip(self._last_frames, current, strict=True)
+                np.concatenate(parts)
+                for parts in zip(self._last_frames, current, strict=True)
             ]
-        self._last_frames = [previous[-2:].copy() for previous in current]
+        self._last_frames = [points[-2:].copy() for points in current]
         if len(current[0]) > 2:
-            scale_factors = [
-                np.linalg.norm(np.diff(previous, 2, axis=0), axis=2).max(
+            accelerations = [
+                np.linalg.norm(np.diff(points, 2, axis=0), axis=2).max(
                     axis=1, initial=0
                 )
-                for previous in current
+                for points in current
             ]
+            largest_of_block = [values.max(initial=0.0) for values in accelerations]
             self._max_accelerations = np.maximum(
-                self._max_accelerations,
-                [previous.max(initial=0.0) for previous in scale_factors],
+                self._max_accelerations, largest_of_block
             )
-            self._add_score("acceleration", scale_factors[0])
+            self._add_score("acceleration", accelerations[0])
 
     def _add_score(self, score: str, values: FloatArray) -> None:
         """Add per-frame values of a score."""
@@ -224,21 +218,16 @@ class FitMeter:
                         directions.append(points[:, end_joint] - points[:, start_joint])
                 if len(directions) < 2:
                     continue
-                cross_length = np.linalg.norm(
-                    np.cross(directions[0], directions[1]), axis=1
-                )
-                angle = np.arctan2(
-                    cross_length, (directions[0] * directions[1]).sum(axis=1)
-                )
+                cross_length = np.linalg.norm(np.cross(*directions), axis=1)
+                cosine = (directions[0] * directions[1]).sum(axis=1)
+                angle = np.arctan2(cross_length, cosine)
+                rows: BoolArray | slice = slice(None)
                 if role in {"thigh", "shin"} and side in contact_frames.sides:
                     k = contact_frames.sides.index(side)
-                    is_unplanted = ~contact_frames.contacts[k].any[frames]
-                    bends[is_unplanted] += angle[is_unplanted]
-                    counts[is_unplanted] += 1
-                    angle = angle[is_unplanted]
-                else:
-                    bends += angle
-                    counts += 1
+                    rows = ~contact_frames.contacts[k].any[frames]
+                angle = angle[rows]
+                bends[rows] += angle
+                counts[rows] += 1
                 angle_sum, count = angle_sum + float(angle.sum()), count + len(angle)
                 largest_angle = max(largest_angle, float(angle.max(initial=0.0)))
         self._angle_sums = angle_sum, count, largest_angle
@@ -246,24 +235,18 @@ class FitMeter:
 
     def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
         """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
-        planted, contacts = (
-            self._contact_frames.placed,
-            self._contact_frames.contacts[k],
-        )
+        planted = self._contact_frames.placed
+        contacts = self._contact_frames.contacts[k]
         if planted is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
         heel_distance = np.linalg.norm(ankle - planted.ankles[k], axis=1)
-        return np.asarray(
-            contacts.toe
-            & (heel_distance > RAISED_HEEL_HEIGHT * self._transfer.target.size)
-        )
+        min_distance = RAISED_HEEL_HEIGHT * self._transfer.target.size
+        return np.asarray(contacts.toe & (heel_distance > min_distance))
 
     def _keep_worst(self, score: str, values: FloatArray) -> None:
         """Merge per-frame values into a score; keep the larger value of each frame."""
-        previous = self._worst_by_frame.get(score)
-        self._worst_by_frame[score] = (
-            values if previous is None else np.fmax(previous, values)
-        )
+        previous = self._worst_by_frame.get(score, values)
+        self._worst_by_frame[score] = np.fmax(previous, values)
 
     def verdict(
         self, clamped: Mapping[int, float], forced: Sequence[Fault] = ()
@@ -280,10 +263,8 @@ class FitMeter:
         } | self._worst_by_frame
         if "acceleration" in values:
             # Second differences belong to their middle frame.
-            accelerations = values["acceleration"] / max(
-                float(self._max_accelerations[1]), 1e-300
-            )
-            values["acceleration"] = np.pad(accelerations, 1)
+            source_largest = max(float(self._max_accelerations[1]), 1e-300)
+            values["acceleration"] = np.pad(values["acceleration"] / source_largest, 1)
         source_values = {"drift": report.source_drift_max}
         return assess_take(fit_scores(report), values, source_values, forced)
 
@@ -293,62 +274,48 @@ class FitMeter:
         Args:
             clamped: Fraction of frames in which limits clamp each joint.
         """
-        transfer, joint_map, contact_frames = (
-            self._transfer,
-            self._joint_map,
-            self._contact_frames,
-        )
+        transfer = self._transfer
+        joint_map = self._joint_map
+        contact_frames = self._contact_frames
         self._worst_by_frame.clear()
         all_drifts, source_drifts = [np.zeros(0)], [np.zeros(0)]
         sole_heights: list[float] = []
         depths: list[float] = []
         planted_frames = 0.0
         for k, side in enumerate(contact_frames.sides):
-            feet, contacts = (
-                np.concatenate(self._foot_blocks[k]),
-                contact_frames.contacts[k],
-            )
+            feet = np.concatenate(self._foot_blocks[k])
+            contacts = contact_frames.contacts[k]
             planted_frames += float(contacts.any.mean()) / len(contact_frames.sides)
             has_toe = side in transfer.target.balls
             both_balls = has_toe and side in transfer.source.balls
             is_heel_planted = contacts.ankle & ~self._is_heel_raised(k, feet[:, 0, 0])
             for joint, mask in enumerate((is_heel_planted, contacts.toe)):
                 if joint == 0 or both_balls:
-                    all_drifts.append(
-                        _drift_in_contacts(feet[:, 0, joint], mask, self._up)
-                    )
-                    planted_heights = contacts.toe if joint else contacts.ankle
+                    drift = _drift_in_contacts(feet[:, 0, joint], mask, self._up)
+                    all_drifts.append(drift)
+                    self._keep_worst("drift", drift)
+                    source_mask = contacts.toe if joint else contacts.ankle
                     source_drifts.append(
-                        _drift_in_contacts(feet[:, 1, joint], planted_heights, self._up)
+                        _drift_in_contacts(feet[:, 1, joint], source_mask, self._up)
                     )
-                    self._keep_worst("drift", all_drifts[-1])
             sole_height = feet[:, 0, 1, self._up]
             is_flat = contacts.toe if has_toe else contacts.any
             if is_flat.any():
                 ground_level = float(np.median(sole_height[is_flat]))
                 if contact_frames.placed is not None:
                     ground_level = contact_frames.placed.sole_heights[k]
-                sole_heights.append(
-                    float(np.abs(sole_height[is_flat] - ground_level).max())
-                )
-                self._keep_worst(
-                    "soles", np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
-                )
+                sole_errors = np.where(is_flat, np.abs(sole_height - ground_level), 0.0)
+                sole_heights.append(float(sole_errors.max()))
+                self._keep_worst("soles", sole_errors)
                 depths.append(ground_level - float(sole_height.min()))
         drift, source_drift = (
-            drift_values[~np.isnan(drift_values)]
-            for drift_values in (
-                np.concatenate(all_drifts),
-                np.concatenate(source_drifts),
-            )
+            values[~np.isnan(values)]
+            for values in map(np.concatenate, (all_drifts, source_drifts))
         )
         angle_sum, count, max_angle = self._angle_sums
         fastest, source_fastest = self._max_accelerations.tolist()
         names, source_names = transfer.target.rig.names, transfer.source.rig.names
         joints = transfer.target.rig.joints
-        driven_joints = {
-            j for j, joint in enumerate(joints) if joint.driven is not None
-        }
         planted = contact_frames.placed
         return RetargetReport(
             self._frames,
@@ -370,7 +337,7 @@ class FitMeter:
             _mean_clamped(joint_map, clamped),
             tuple(source_names[j] for j in joint_map.unmapped_source),
             tuple(
-                names[j] for j in joint_map.unmapped_target if j not in driven_joints
+                names[j] for j in joint_map.unmapped_target if joints[j].driven is None
             ),
         )
 
@@ -379,6 +346,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
     """Return the scores by which takes are compared, and the joints they concern."""
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     unmapped_count, mean_clamped = len(report.unmapped_source), report.held_mean
+    unmapped_fraction = unmapped_count / max(unmapped_count + report.pairs, 1)
     values = (
         ("drift", report.drift_max, length, MAX_DRIFT, 0.0),
         ("soles", report.sole_error, length, MAX_SOLE_ERROR, 0.0),
@@ -386,13 +354,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
         ("limbs", report.bone_angle_mean, ScoreUnit.ANGLE, MAX_BONE_ANGLE, 0.0),
         ("acceleration", report.acceleration, ScoreUnit.RATIO, MAX_ACCELERATION, 1.0),
         ("limits", mean_clamped, fraction, MAX_CLAMPED_FRACTION, 0.0),
-        (
-            "not mapped",
-            unmapped_count / max(unmapped_count + report.pairs, 1),
-            fraction,
-            MAX_UNMAPPED,
-            0.0,
-        ),
+        ("not mapped", unmapped_fraction, fraction, MAX_UNMAPPED, 0.0),
     )
     names = {
         "stopped by their limits": tuple(report.held),

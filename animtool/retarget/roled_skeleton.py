@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.retarget.roles import base_role
+from animtool.retarget.roles import END, TWIST, base_role
 from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import Rig
 
@@ -55,26 +55,24 @@ class RoledSkeleton:
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
         """Build from a rig; local rotations ``pose`` ``(J, 4)`` replace its rest."""
-        if pose is None:
-            rest_transforms = rest_world(rig)
-        else:
-            rest_transforms = forward_kinematics(
-                rig, rig.rest_translations[None], pose[None]
-            )
-        return RoledSkeleton(
-            rig, roles, rest_transforms.positions[0], rest_transforms.rotations[0]
-        )
+        rest = rest_world(rig)
+        if pose is not None:
+            rest = forward_kinematics(rig, rig.rest_translations[None], pose[None])
+        return RoledSkeleton(rig, roles, rest.positions[0], rest.rotations[0])
 
     def last(self, role: str) -> int:
         """Return the last joint of a role; -1 for none."""
-        return max(
-            (j for j, joint_role in enumerate(self.roles) if joint_role == role),
-            default=-1,
-        )
+        joints = [j for j, joint_role in enumerate(self.roles) if joint_role == role]
+        return max(joints, default=-1)
 
     def first(self, role: str) -> int:
         """Return the first joint of a role; -1 for none."""
         return self.roles.index(role) if role in self.roles else -1
+
+    def children_with_role(self, joint: int) -> list[int]:
+        """Return the children of a joint that have a role in the body."""
+        children = [k for k, parent in enumerate(self.rig.parents) if parent == joint]
+        return [k for k in children if self.roles[k] not in {"", TWIST, END}]
 
     def bone(self, joint: int) -> FloatArray | None:
         """Return the rest direction of a joint's bone, a unit vector ``(3,)``.

@@ -152,36 +152,30 @@ def measure_stance(
     axes, other_axis = body_axes(roles, positions), _other_axis(up)
     is_along_other = axes @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     upright = axes @ np.array(up.vector)
-    fraction, upright_fraction = (
-        float(is_along_other.mean()),
-        float((upright > MIN_STANDING_COSINE).mean()),
-    )
-    if float((upright < -MIN_STANDING_COSINE).mean()) >= MIN_STANDING_FRACTION:
-        return Stance(
-            fraction=float((upright < -MIN_STANDING_COSINE).mean()), upside_down=True
-        )
+    fraction = float(is_along_other.mean())
+    upright_fraction = float((upright > MIN_STANDING_COSINE).mean())
+    inverted_fraction = float((upright < -MIN_STANDING_COSINE).mean())
+    if inverted_fraction >= MIN_STANDING_FRACTION:
+        return Stance(fraction=inverted_fraction, upside_down=True)
     rest_axis = np.zeros(3) if rest is None else body_axes(roles, rest[None])[0]
+    is_frequent = fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
+    stands_throughout = fraction >= MIN_STANDING_FRACTION
     if rest_axis @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
-        is_standing_at_end = bool(
-            is_along_other[0] or is_along_other[-1]
-        ) and fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
         along_other = (
-            is_standing_at_end
-            or fraction >= MIN_STANDING_FRACTION
+            (is_frequent and (is_along_other[0] or is_along_other[-1]))
+            or stands_throughout
             or _is_trunk_along(roles, positions, other_axis, up)
         )
         return Stance(other_axis, fraction) if along_other else Stance()
-    if fraction < MIN_STANDING_FRACTION and not (
-        is_along_other[0] and fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
-    ):
+    if not (stands_throughout or (is_along_other[0] and is_frequent)):
         return Stance()
     standing_positions = positions[is_along_other]
-    if _travels_across(positions, other_axis, up) or _feet_on_ground(
-        standing_positions, other_axis, up
-    ):
-        return Stance(other_axis, fraction)
-    is_lying = fraction < MIN_STANDING_FRACTION or _on_one_level(standing_positions, up)
-    return Stance() if is_lying else Stance(other_axis, fraction)
+    stands_along_other = (
+        _travels_across(positions, other_axis, up)
+        or _feet_on_ground(standing_positions, other_axis, up)
+        or (stands_throughout and not _on_one_level(standing_positions, up))
+    )
+    return Stance(other_axis, fraction) if stands_along_other else Stance()
 
 
 def _is_trunk_along(
@@ -208,28 +202,21 @@ def _on_one_level(positions: FloatArray, up: UpAxis) -> bool:
     """Return whether the lowest joint keeps its height, as for a lying body."""
     body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     lowest = (positions @ np.array(up.vector)).min(axis=1)
-    return (
-        float(
-            np.quantile(lowest, 1 - MAX_CHANCE_FRACTION)
-            - np.quantile(lowest, MAX_CHANCE_FRACTION)
-        )
-        < LYING_VARIATION * body_size
+    low, high = (
+        np.quantile(lowest, q) for q in (MAX_CHANCE_FRACTION, 1 - MAX_CHANCE_FRACTION)
     )
+    return float(high - low) < LYING_VARIATION * body_size
 
 
 def _feet_on_ground(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
     """Return whether feet are at 0 along an axis, but the body is not at 0 along up."""
-    extents = np.ptp(positions, axis=1).max(axis=1)
-    body_size = float(np.median(extents))
+    body_size = float(np.median(np.ptp(positions, axis=1).max(axis=1)))
     feet = (positions @ np.array(axis.vector)).min(axis=1) / body_size
     lowest = (positions @ np.array(up.vector)).min(axis=1) / body_size
     is_on_ground = float((np.abs(feet) < GROUND_DISTANCE).mean()) >= GROUND_FRACTION
     # A lying body has nothing below the ground.
-    is_lying = (
-        float(((lowest > -GROUND_DEPTH) & (lowest < GROUND_DISTANCE)).mean())
-        >= GROUND_FRACTION
-    )
-    return is_on_ground and not is_lying
+    is_level = (lowest > -GROUND_DEPTH) & (lowest < GROUND_DISTANCE)
+    return is_on_ground and float(is_level.mean()) < GROUND_FRACTION
 
 
 def _travels_across(positions: FloatArray, axis: UpAxis, up: UpAxis) -> bool:
@@ -279,10 +266,8 @@ def _other_is_longer(rig: Rig, motion: Motion) -> bool:
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLES).astype(int)
-    up_vector, other_vector = (
-        np.array(rig.up.vector),
-        np.array(_other_axis(rig.up).vector),
-    )
+    up_vector = np.array(rig.up.vector)
+    other_vector = np.array(_other_axis(rig.up).vector)
     for frame in sorted(set(sampled_frames.tolist())):
         single_frame = motion.select(slice(frame, frame + 1))
         pose = forward_kinematics(
@@ -348,10 +333,8 @@ def with_source_warnings(
     ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
     state it.
     """
-    rate, known_codes = (
-        stream.fps / stream.step,
-        {notice.code for notice in stream.notices},
-    )
+    rate = stream.fps / stream.step
+    known_codes = {notice.code for notice in stream.notices}
     reader = reader_of(path)
     has_rate = reader is not None and "fps" in reader.options
     rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
@@ -361,18 +344,16 @@ def with_source_warnings(
             notice if namer is None else notice.worded(namer) for notice in notices
         )
 
-    reader_notices = stream.notices[:]
-    stream.notices.clear()
-    add_notices(reader_notices)
+    if namer is not None:
+        stream.notices[:] = [notice.worded(namer) for notice in stream.notices]
     if {*known_codes, *reported_codes}.isdisjoint({"BVH105", "TAKE009"}):
         add_notices(replace(notice, path=str(path)) for notice in rate_warnings)
     file_format = stream.details.get("format")
     if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         add_notices(_size_warning(path, stream.rig, unit))
     is_stated = up is None and file_format not in {"BVH", "markers"}
-    severity = (
-        Severity.NOTE if up is None and file_format == "BVH" else Severity.WARNING
-    )
+    is_note = up is None and file_format == "BVH"
+    severity = Severity.NOTE if is_note else Severity.WARNING
 
     def blocks() -> Iterator[Motion]:
         """Yield the blocks; check the first for its up axis."""
@@ -393,12 +374,11 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     if not size or low <= size <= MAX_RIG_SIZE:
         return []
     message = f"the skeleton measures {length_text(size)}, with lengths in {unit}"
+    shortest, tallest = PERSON_HEIGHTS
     fitting_units = [
-        str(unit_option)
-        for unit_option in LengthUnit
-        if PERSON_HEIGHTS[0]
-        <= size / unit.meters * unit_option.meters
-        <= PERSON_HEIGHTS[1]
+        str(other)
+        for other in LengthUnit
+        if shortest <= size / unit.meters * other.meters <= tallest
     ]
     hint = f"remove {argument('source.unit')} if the file states its unit"
     if fitting_units:

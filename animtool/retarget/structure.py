@@ -18,7 +18,6 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
 from animtool.retarget.roles import CONTROL, END, SIDES, TWIST
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Rig
@@ -238,14 +237,10 @@ def _similar_subtrees(body: SkeletonTree) -> list[JointIndices]:
         for a, b in combinations(
             sorted(long_children, key=body.length_through_joint)[-_MAX_LIMB_JOINTS:], 2
         ):
-            shorter, longer = sorted(
-                (body.length_through_joint(a), body.length_through_joint(b))
-            )
+            shorter, longer = sorted(map(body.length_through_joint, (a, b)))
             fewer_joints, more_joints = sorted((body.counts[a], body.counts[b]))
-            if (
-                longer - shorter <= _PAIR_TOLERANCE * longer
-                and more_joints <= 1.2 * fewer_joints + 2
-            ):
+            has_similar_length = longer - shorter <= _PAIR_TOLERANCE * longer
+            if has_similar_length and more_joints <= 1.2 * fewer_joints + 2:
                 pairs.append((more_joints - fewer_joints, longer - shorter, (a, b)))
     best_pairs: list[JointIndices] = []
     for _, _, pair in sorted(pairs):
@@ -297,11 +292,9 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
     if min(lengths) <= 0.05 * body.size:
         return None
     cosine = float(trunk @ mean_drop) / (lengths[0] * lengths[1])
-    return (
-        trunk / lengths[0] - mean_drop / lengths[1]
-        if cosine < _MAX_UPRIGHT_COSINE
-        else None
-    )
+    if cosine >= _MAX_UPRIGHT_COSINE:
+        return None
+    return trunk / lengths[0] - mean_drop / lengths[1]
 
 
 def find_left_direction(
@@ -309,8 +302,7 @@ def find_left_direction(
 ) -> FloatArray:
     """Return a body's left direction ``(3,)``, from feet and trunk."""
     if up is None:
-        is_y = body.rig.up is UpAxis.Y
-        up = np.array([0.0, 1.0, 0.0] if is_y else [0.0, 0.0, 1.0])
+        up = np.array(body.rig.up.vector)
     # A body that stands along an axis faces that axis's conventional forward direction.
     axis = int(np.argmax(np.abs(up)))
     forward: FloatArray = np.array([0.0, 0.0, 1.0] if axis == 1 else [0.0, -1.0, 0.0])
@@ -323,9 +315,8 @@ def find_left_direction(
         for bone in (bones, tip):
             horizontal = bone - unit * float(bone @ unit)
             # A leaning shin or ankle does not show where feet point.
-            if np.linalg.norm(horizontal) > 0.6 * max(
-                float(np.linalg.norm(bone)), 1e-30
-            ):
+            length = max(float(np.linalg.norm(bone)), 1e-30)
+            if np.linalg.norm(horizontal) > 0.6 * length:
                 feet += horizontal
     if np.linalg.norm(feet) > 0.01 * body.size:
         forward = feet / np.linalg.norm(feet)
@@ -336,9 +327,8 @@ def find_left_direction(
 class LimbShape:
     """Names and typical bone lengths of a limb's joints."""
 
-    roles: tuple[
-        str, ...
-    ]  # before the limb, its two long bones, its end, beyond the end
+    # Before the limb, its two long bones, its end, beyond the end.
+    roles: tuple[str, ...]
     lower_over_upper: float  # of the upper long bone to the lower one
     before_over_upper: float  # length before the limb, relative to the upper bone
     end_over_upper: float  # length from the end's joint on, relative to the lower bone
@@ -372,15 +362,13 @@ def split_limb(
                 for role, (a, b) in zip(limb.roles, pairwise(boundaries), strict=True)
                 for _ in range(b - a)
             ]
-            score = _name_score(body, path, labels) + _shape_score(
-                distances, boundaries, limb
-            )
+            score = _name_score(body, path, labels)
+            score += _shape_score(distances, boundaries, limb)
             if branch >= 0:
                 score += 4.0 if end_index < n and path[end_index] == branch else -4.0
             elif not limb.starts_with_lead and end_index < n - 1:
-                score += _bend_amount(
-                    body, [path[lower], path[end_index], path[end_index + 1]]
-                )
+                triple = [path[lower], path[end_index], path[end_index + 1]]
+                score += _bend_amount(body, triple)
             if score > best_score:
                 best_labels, best_score = labels, score
     return best_labels + [""] * len(remaining_joints)
@@ -411,33 +399,21 @@ def _shape_score(
     score -= 2.0 * (counts[1] == 0) + 2.0 * (counts[2] == 0) + 2.0 * (counts[3] == 0)
     score -= 0.5 * abs(counts[0] - limb.starts_with_lead)
     score -= 0.5 * max(counts[3] - 1, 0) + 0.5 * max(counts[4] - 1, 0)
-    length_before, upper_length = (
-        float(distances[upper] - distances[0]),
-        float(distances[lower] - distances[upper]),
-    )
-    lower_length, end_length = (
-        float(distances[end_index] - distances[lower]),
-        float(distances[n] - distances[end_index]),
-    )
+    length_before, upper_length, lower_length, end_length = np.diff(
+        distances[[0, upper, lower, end_index, n]]
+    ).tolist()
     if upper_length > 0 and lower_length > 0:
-        score -= _ratio_penalty(
-            upper_length / lower_length, limb.lower_over_upper, _RATIO_SPREAD
-        )
+        ratio = upper_length / lower_length
+        score -= _ratio_penalty(ratio, limb.lower_over_upper, _RATIO_SPREAD)
     elif distances[n] > 0:
         score -= 8.0
     if length_before > 0 and upper_length > 0:
-        score -= _ratio_penalty(
-            max(length_before / upper_length, 0.3 * limb.before_over_upper),
-            limb.before_over_upper,
-            _BEFORE_SPREAD,
-        )
+        ratio = max(length_before / upper_length, 0.3 * limb.before_over_upper)
+        score -= _ratio_penalty(ratio, limb.before_over_upper, _BEFORE_SPREAD)
     if end_length > 0 and lower_length > 0:
         min_end_ratio = 0.0 if end_index < n and limb.roles[4] else limb.end_over_upper
-        score -= _ratio_penalty(
-            max(end_length / lower_length, min_end_ratio),
-            limb.end_over_upper,
-            _END_SPREAD,
-        )
+        ratio = max(end_length / lower_length, min_end_ratio)
+        score -= _ratio_penalty(ratio, limb.end_over_upper, _END_SPREAD)
     return float(score)
 
 

@@ -19,6 +19,8 @@ from animtool.core.errors import (
     Severity,
     counted,
     listed,
+    refuse,
+    warning,
 )
 from animtool.core.options import with_text_values
 from animtool.core.quantities import length_text, plain_number
@@ -101,14 +103,12 @@ def insufficient_pairs_fault(
         f"{source.name!r} are paired"
     )
     if limbs and not intact_limbs:
-        message += (
-            f", and none of its limbs ({listed(sorted(limbs), MAX_LISTED_LIMBS)})"
-        )
+        names = listed(sorted(limbs), MAX_LISTED_LIMBS)
+        message += f", and none of its limbs ({names})"
     hint = (
         "write a map file, or retarget what is paired with "
-        f"{argument('force_fit', True)}, "
+        f"{argument('force_fit', True)}, in a pass force_fit: true"
     )
-    hint += "in a pass force_fit: true"
     return Fault("MAP010", message, hint=hint)
 
 
@@ -130,17 +130,13 @@ def zero_length_fault(
         & (lengths > 0)
         & (source.parents >= 0)
     )
-    bones = sorted(
-        {
-            j
-            for joints in _complete_limbs(roles).values()
-            for end_joint, start_joint in ((joints[-1], joints[0]),)
-            for j in source.upwards(end_joint)
-            if has_collapsed[j]
-            and j != start_joint
-            and start_joint in source.upwards(j)
-        }
-    )
+    limb_joints: set[int] = set()
+    for start_joint, *_, end_joint in _complete_limbs(roles).values():
+        path = source.upwards(end_joint)
+        limb_joints.update(
+            path[: path.index(start_joint)] if start_joint in path else ()
+        )
+    bones = sorted(j for j in limb_joints if has_collapsed[j])
     if not bones:
         return None
     names = listed([repr(source.names[j]) for j in bones], MAX_LISTED_LIMBS)
@@ -151,9 +147,9 @@ def zero_length_fault(
     )
     hint = (
         f"for a BVH, {argument('source.positions', 'offsets')} uses the OFFSETs; "
-        f"{argument('force_fit', True)}, in a pass "
+        f"{argument('force_fit', True)}, in a pass force_fit: true, retargets it as it "
+        "is"
     )
-    hint += "force_fit: true, retargets it as it is"
     return Fault("MAP011", message, hint=hint)
 
 
@@ -221,12 +217,8 @@ def retarget_stream(
     frame = None if isinstance(options.rest, str) else options.rest
     rest_rotations, blocks = _rest_frame(stream.blocks, frame)
     first_block = next(blocks)
-    joint_map = _pair_joints(
-        stream.rig,
-        rig,
-        options,
-        _standing_positions(stream.rig, first_block, rest_rotations),
-    )
+    positions = _standing_positions(stream.rig, first_block, rest_rotations)
+    joint_map = _pair_joints(stream.rig, rig, options, positions)
     notices = list(joint_map.notices)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
@@ -235,49 +227,40 @@ def retarget_stream(
         stated = argument("source.up", source.up)
         message = f"the body stands along {stance_axis}, but {stated} was given"
         hint = f"read it with {argument('source.up', stance_axis)}"
-        notices.append(Fault("MOT214", message, hint=hint, severity=Severity.WARNING))
+        notices.append(warning("MOT214", message, hint))
     elif stance_axis is not None:
         message = (
             f"the body stands along {stance_axis}, though the take's up axis is "
-            f"{source.up}; "
+            f"{source.up}; using {stance_axis} up"
         )
-        message += f"using {stance_axis} up"
         hint = (
             f"confirm with {argument('source.up', stance_axis)}, or write "
             f"{argument('source.up', source.up)} if it lies"
         )
-        notices.append(Fault("MAP009", message, hint=hint, severity=Severity.WARNING))
+        notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
     transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
     notices += _scale_warnings(transfer.scale)
-    fps = float(stream.fps / stream.step)
-    lock = not options.free_feet
-    motions = chain([first_block], blocks)
-    keep_hands = options.hold_hands
     retargeting = Retargeting(
         transfer,
         joint_map,
-        motions,
-        fps,
-        lock=lock,
+        chain([first_block], blocks),
+        float(stream.fps / stream.step),
+        lock=not options.free_feet,
         plant_similar_legs=plant_similar_legs,
-        hands=keep_hands,
+        hands=options.hold_hands,
         props=props,
     )
     retargeting.rest_frame = frame
-    missing_pairs = insufficient_pairs_fault(
-        source, joint_map, transfer.source_joints, retargeting.moving_joints
-    )
-    if options.map is not None:
-        missing_pairs = None
-    missing_pairs = (
-        zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
-        or missing_pairs
-    )
-    if missing_pairs is not None and not options.force_fit and not plant_similar_legs:
-        raise FormatError(missing_pairs)
-    retargeting.ignored_errors = [] if missing_pairs is None else [missing_pairs]
-    contacts = retargeting.contact_frames.contacts if lock else ()
+    fault = zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
+    if fault is None and options.map is None:
+        fault = insufficient_pairs_fault(
+            source, joint_map, transfer.source_joints, retargeting.moving_joints
+        )
+    if fault is not None and not options.force_fit and not plant_similar_legs:
+        raise FormatError(fault)
+    retargeting.ignored_errors = [] if fault is None else [fault]
+    contacts = () if options.free_feet else retargeting.contact_frames.contacts
     if contacts and not any(foot_contacts.any.any() for foot_contacts in contacts):
         message = "no foot is planted in any frame: none is held"
         hint = "does the take show a person with legs, for more than two frames?"
@@ -301,12 +284,10 @@ def _pair_joints(
         )
     except OptionError as error:
         if error.code == "MAP004":
-            roles = find_anatomy(
-                source, preset=options.preset, positions=positions
-            ).roles
-            unpaired_fault = unpaired_body_fault(source, roles, target)
-            if unpaired_fault is not None:
-                raise FormatError(unpaired_fault) from error
+            anatomy = find_anatomy(source, preset=options.preset, positions=positions)
+            fault = unpaired_body_fault(source, anatomy.roles, target)
+            if fault is not None:
+                raise FormatError(fault) from error
         raise
 
 
@@ -334,11 +315,8 @@ def _standing_positions(rig: Rig, first: Motion, rest: FloatArray | None) -> Flo
     """
     first_frame = first.select(slice(0, 1))
     rotations = first_frame.rotations.dense() if rest is None else rest[None]
-    return np.asarray(
-        forward_kinematics(rig, first_frame.translations.dense(), rotations).positions[
-            0
-        ]
-    )
+    pose = forward_kinematics(rig, first_frame.translations.dense(), rotations)
+    return np.asarray(pose.positions[0])
 
 
 # Size ratios that a child, a giant or a doll explains; beyond these, a wrong unit is
@@ -358,14 +336,13 @@ def _scale_warnings(scale: float) -> list[Fault]:
         f"is the unit right? {argument('source.unit')} sets that of a BVH take; a "
         "rig file states its own"
     )
-    return [Fault("MAP106", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("MAP106", message, hint)]
 
 
 def _rig_of_options(options: RetargetPassOptions) -> Path:
     """Return the path of the target rig."""
     if options.rig is None:
-        message = "rig must name the file of a rig"
-        raise OptionError(Fault("CAP001", message))
+        refuse("CAP001", "rig must name the file of a rig")
     return options.rig
 
 
@@ -394,15 +371,10 @@ def _run(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     retargeted = passthrough.restore(retargeted)
     if props is None:
         return retargeted
-    gripped_tracks = {
-        track for hand in retargeting.contact_frames.hands for track in hand.props
-    }
-    return replace(
-        retargeted,
-        tracks=props.rescale_gripped(
-            gripped_tracks, retargeting.transfer, retargeting.lift
-        ),
-    )
+    hands, transfer = retargeting.contact_frames.hands, retargeting.transfer
+    gripped = {track for hand in hands for track in hand.props}
+    tracks = props.rescale_gripped(gripped, transfer, retargeting.lift)
+    return replace(retargeted, tracks=tracks)
 
 
 def _with_fit_report(
@@ -451,8 +423,7 @@ def _check_bound(options: Any) -> None:
     """Refuse an invalid score bound (CAP001)."""
     bound = options.warn_above
     if bound is not None and not 0 <= bound < np.inf:
-        message = f"warn_above must be finite and 0 or more, not {bound:g}"
-        raise OptionError(Fault("CAP001", message))
+        refuse("CAP001", f"warn_above must be finite and 0 or more, not {bound:g}")
 
 
 def _option_checks(options: Any) -> OptionChecks:

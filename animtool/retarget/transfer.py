@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis, up_from_up
+from animtool.core.units import up_from_up
 from animtool.maths import so3
 from animtool.retarget.balls import find_balls
 from animtool.retarget.map import JointMap
@@ -69,8 +69,7 @@ class Transfer:
             source_joints[pair.target] = next_source_joints[pair.target] = pair.source
         for chain in joint_map.chains:
             if len(chain.source) == len(chain.target):
-                positions = list(zip(chain.target, chain.source, strict=True))
-                for joint, source_joint in positions:
+                for joint, source_joint in zip(chain.target, chain.source, strict=True):
                     source_joints[joint] = next_source_joints[joint] = source_joint
                 continue
             middles = _fraction_middles(chain.source_at)
@@ -80,13 +79,10 @@ class Transfer:
                 k = int(np.searchsorted(middles, position))
                 lower_index, upper_index = max(k - 1, 0), min(k, len(middles) - 1)
                 spacing = middles[upper_index] - middles[lower_index]
-                source_joints[joint], next_source_joints[joint] = (
-                    chain.source[lower_index],
-                    chain.source[upper_index],
-                )
-                next_weights[joint] = (
-                    (position - middles[lower_index]) / spacing if spacing > 0 else 0.0
-                )
+                source_joints[joint] = chain.source[lower_index]
+                next_source_joints[joint] = chain.source[upper_index]
+                if spacing > 0:
+                    next_weights[joint] = (position - middles[lower_index]) / spacing
         for joint, source_joint in equal_name_pairs(
             source.rig, target.rig, source_joints
         ):
@@ -94,10 +90,11 @@ class Transfer:
         aligned = _rest_alignment(source, target, source_joints, upright, as_rig=as_rig)
         twists = []
         for twist in joint_map.twists:
-            twisting_joint = _twist_source(target, twist.bone)
-            if twisting_joint >= 0:
+            # The next joint below with a role twists the bone.
+            next_joints = target.children_with_role(twist.bone)
+            if next_joints:
                 twists.append(
-                    (twist.target, twist.bone, twisting_joint, twist.fraction)
+                    (twist.target, twist.bone, next_joints[0], twist.fraction)
                 )
         scale = _leg_ratio(source, target, source_joints)
         return Transfer(
@@ -146,7 +143,7 @@ class Transfer:
                 rotations_from_rest, so3.conjugate(self.upright)
             )
         world_rotations = np.zeros((len(world), len(rig.joints), 4))
-        for j, (joint, parent) in enumerate(zip(rig.joints, rig.parents, strict=True)):
+        for j, parent in enumerate(rig.parents.tolist()):
             source_joint = self.source_joints[j]
             if source_joint < 0:
                 rest_rotation = rig.rest_rotations[j]
@@ -155,15 +152,11 @@ class Transfer:
                 )
                 world_rotations[:, j] = so3.multiply(parent_rotations, rest_rotation)
                 continue
-            del joint
             rotation = rotations_from_rest[:, source_joint]
             if self.next_source_joints[j] != source_joint:
                 fraction = np.full(len(world), self.next_weights[j])
-                rotation = so3.slerp(
-                    rotation,
-                    rotations_from_rest[:, self.next_source_joints[j]],
-                    fraction,
-                )
+                next_rotation = rotations_from_rest[:, self.next_source_joints[j]]
+                rotation = so3.slerp(rotation, next_rotation, fraction)
             world_rotations[:, j] = so3.multiply(rotation, self.rest_alignment[j])
         return world_rotations
 
@@ -188,10 +181,8 @@ class Transfer:
         local_translations = target_rig.rest_translations[None]
         hips = self.target.first("hips")
         for joint, source_joint in enumerate(self.source_joints.tolist()):
-            target_parent, source_parent = (
-                int(target_rig.parents[joint]),
-                int(source_rig.parents[max(source_joint, 0)]),
-            )
+            target_parent = int(target_rig.parents[joint])
+            source_parent = int(source_rig.parents[max(source_joint, 0)])
             if (
                 source_joint < 0
                 or not is_moving[source_joint]
@@ -203,14 +194,11 @@ class Transfer:
                 local_translations = np.repeat(
                     local_translations, len(rotations), axis=0
                 )
-            offset = so3.rotate(
-                self.upright,
-                so3.rotate(world[:, source_parent], deviations[:, source_joint]),
-            )
+            offset = so3.rotate(world[:, source_parent], deviations[:, source_joint])
+            offset = so3.rotate(self.upright, offset)
             inverse_rotations = so3.conjugate(rotations[:, target_parent])
-            local_translations[:, joint] += self.scale * so3.rotate(
-                inverse_rotations, offset
-            )
+            offset = so3.rotate(inverse_rotations, offset)
+            local_translations[:, joint] += self.scale * offset
         return np.asarray(local_translations)
 
     def hips(self, positions: FloatArray) -> FloatArray:
@@ -240,10 +228,8 @@ def equal_name_pairs(
     source: Rig, target: Rig, source_joints: IntArray
 ) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
-    used_joints, names = (
-        {*source_joints.tolist()},
-        {name: j for j, name in enumerate(source.names)},
-    )
+    used_joints = {*source_joints.tolist()}
+    names = {name: j for j, name in enumerate(source.names)}
     return [
         (joint, names[name])
         for joint, name in enumerate(target.names)
@@ -255,13 +241,6 @@ def _fraction_middles(start_fractions: Sequence[float]) -> FloatArray:
     """Return the midpoint of each bone of a chain, as fractions of its length."""
     edges = np.append(start_fractions, 1.0)
     return np.asarray((edges[1:] + edges[:-1]) / 2)
-
-
-def _twist_source(skeleton: RoledSkeleton, bone: int) -> int:
-    """Return the joint whose rotation twists a bone: the next one below with a role."""
-    children = [k for k, parent in enumerate(skeleton.rig.parents) if parent == bone]
-    with_role = [k for k in children if skeleton.roles[k] not in {"", "twist", "end"}]
-    return with_role[0] if with_role else -1
 
 
 def _rest_alignment(
@@ -277,7 +256,7 @@ def _rest_alignment(
     Headings agree; limbs point along the source's limbs, feet along the ground, unless
     the rest poses are equal.
     """
-    up = np.eye(3)[1 if target.rig.up is UpAxis.Y else 2]
+    up = np.array(target.rig.up.vector)
     heading = _heading_alignment(source, target, upright, up)
     rotations = so3.multiply(heading, target.rotations)
     for j, source_joint in enumerate(source_joints.tolist() if not as_rig else []):
@@ -315,10 +294,7 @@ def _heading_alignment(
     if source_facing is None or target_facing is None:
         return so3.IDENTITY
     source_facing = so3.rotate(upright, source_facing)
-    if (
-        min(float(source_facing[1] @ up), float(target_facing[1] @ up))
-        < MIN_STANDING_COSINE
-    ):
+    if min(source_facing[1] @ up, target_facing[1] @ up) < MIN_STANDING_COSINE:
         return so3.from_matrix(source_facing.T @ target_facing)
     target_forward, source_forward = (
         forward - (forward @ up) * up
@@ -350,24 +326,17 @@ def _leg_ratio(
     ]
     if not leg_lengths:
         path_lengths = target.path_lengths, source.path_lengths
-        leg_lengths = [
-            (
-                float(path_lengths[0][target.first(role)]),
-                float(path_lengths[1][source.first(role)]),
-            )
+        joint_pairs = [
+            (target.first(role), source.first(role))
             for role in dict.fromkeys(source.roles)
             if base_role(role) in BODY_ROLES and role in target.roles
-        ]
-        mapped_joints = np.flatnonzero(source_joints >= 0)
-        leg_lengths = leg_lengths or [
-            (float(path_lengths[0][j]), float(path_lengths[1][source_joints[j]]))
-            for j in mapped_joints
+        ] or [(j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0)]
+        leg_lengths = [
+            (float(path_lengths[0][j]), float(path_lengths[1][k]))
+            for j, k in joint_pairs
         ]
     target_length, source_length = (
         sum(lengths) for lengths in zip((0.0, 0.0), *leg_lengths, strict=True)
     )
-    return (
-        target_length / source_length
-        if source_length > 0 and target_length > 0
-        else 1.0
-    )
+    has_lengths = source_length > 0 and target_length > 0
+    return target_length / source_length if has_lengths else 1.0

@@ -16,7 +16,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.maths.runs import merge_runs, runs
-from animtool.motion.scores import PassScores, Score
+from animtool.motion.scores import PassScores
 
 # Scores above this multiple of a good take's value need a look [1].
 CHECK_FACTOR = 3.0
@@ -95,10 +95,8 @@ class Verdict:
 
     def in_output_frames(self, numbers: FrameNumbers) -> Verdict:
         """Return the verdict on the frames of an output, in its numbering."""
-        reasons_in_output = [
-            reason.in_output_frames(numbers) for reason in self.reasons
-        ]
-        reasons = tuple(reason for reason in reasons_in_output if reason is not None)
+        in_output = [reason.in_output_frames(numbers) for reason in self.reasons]
+        reasons = tuple(reason for reason in in_output if reason is not None)
         is_good = self.status is TakeStatus.LOOK and not reasons
         return Verdict(TakeStatus.GOOD if is_good else self.status, reasons)
 
@@ -124,36 +122,18 @@ def assess_take(
     limbs = by_name["limbs"]
     if limbs.value > MAX_LIMB_DEVIATION:
         return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
-    excess = [
-        (
-            score_name,
-            _score_bound(score_name, source_values.get(score_name.name, math.nan)),
-        )
-        for score_name in scores.scores
-    ]
-    excess = [(score, bound) for score, bound in excess if score.value > bound]
-    excess.sort(key=lambda reason: -reason[0].excess)
-    reasons = tuple(
-        VerdictReason(
-            score.name, score.text, _exceeding_runs(values, score.name, bound)
-        )
-        for score, bound in excess
-    )
-    return Verdict(TakeStatus.LOOK if reasons else TakeStatus.GOOD, reasons)
-
-
-def _score_bound(score: Score, source_values: float) -> float:
-    """Return the bound above which a score must be checked."""
-    bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
-    return bound if math.isnan(source_values) else max(bound, source_values)
-
-
-def _exceeding_runs(
-    values: Mapping[str, FloatArray], name: str, bound: float
-) -> tuple[tuple[int, int], ...]:
-    """Return first and last frames of runs in which a score exceeds a bound."""
-    samples = values.get(name)
-    if samples is None:
-        return ()
-    joined_runs = merge_runs(runs(samples > bound), MAX_JOINED_GAP)
-    return tuple((first, end - 1) for first, end in joined_runs)
+    reasons: list[tuple[float, VerdictReason]] = []
+    for score in scores.scores:
+        bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
+        source_value = source_values.get(score.name, math.nan)
+        if not math.isnan(source_value):
+            bound = max(bound, source_value)
+        if score.value > bound:
+            exceeds = values.get(score.name, np.zeros(0)) > bound
+            frames = merge_runs(runs(exceeds), MAX_JOINED_GAP)
+            spans = tuple((first, end - 1) for first, end in frames)
+            reason = VerdictReason(score.name, score.text, spans)
+            reasons.append((score.excess, reason))
+    reasons.sort(key=lambda excess_and_reason: -excess_and_reason[0])
+    status = TakeStatus.LOOK if reasons else TakeStatus.GOOD
+    return Verdict(status, tuple(reason for _, reason in reasons))

@@ -54,25 +54,43 @@ class ArrayReader:
         shape: Shape,
         count: int | None = None,
     ) -> ArraySource:
-        """Return the reference to an array, and record the faults of the array."""
-        name, key = split_reference(text, _ROLE_KEYS.get(role, role))
+        """Return the array of an entry at a location, and record the array's faults."""
+        key = _ROLE_KEYS.get(role, role)
+        location = (*location, key)
+        name, array_key = split_reference(text, key)
         path = self.paths.get(name)
         path = path or resolve_reference(self.document, location, name, self.roots)
         if path is None:
             return NO_ARRAY
         self.paths[name] = path
-        array_reference = ArrayRef(text, path, key)
+        array_reference = ArrayRef(text, path, array_key)
         try:
-            if self._check_header(location, array_reference, role, shape):
-                message = _value_fault(
-                    role, self.archives.load_stored(path, key), count
-                )
-                if message is not None:
-                    self.document.add("RIG027", location, f"{text!r} {message}")
+            message = self._header_fault(array_reference, role, shape)
+            if message is not None:
+                self.document.add("RIG019", location, f"{text!r} {message}")
+                return array_reference
+            message = _value_fault(
+                role, self.archives.load_stored(path, array_key), count
+            )
+            if message is not None:
+                self.document.add("RIG027", location, f"{text!r} {message}")
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
             self.document.add(code, location, str(error))
         return array_reference
+
+    def read_optional_array(
+        self,
+        location: Location,
+        text: str | None,
+        role: str,
+        shape: Shape,
+        count: int | None = None,
+    ) -> ArraySource | None:
+        """Return an array like `read_array`; None if the entry has none."""
+        if text is None:
+            return None
+        return self.read_array(location, text, role, shape, count)
 
     def row_count(self, ref: ArraySource) -> int | None:
         """Return the length of an array; None if it cannot be read."""
@@ -88,10 +106,8 @@ class ArrayReader:
         except ValueError:
             return None
 
-    def _check_header(
-        self, location: Location, ref: ArrayRef, role: str, shape: Shape
-    ) -> bool:
-        """Return whether an array's shape and type match; record a fault otherwise."""
+    def _header_fault(self, ref: ArrayRef, role: str, shape: Shape) -> str | None:
+        """Return a description of an unexpected shape or type of an array, or None."""
         header = self.archives.header(ref.path, ref.key)
         is_match = len(header.shape) == len(shape) and all(
             expected_size is None or expected_size == size
@@ -99,30 +115,16 @@ class ArrayReader:
         )
         if not is_match:
             expected = ", ".join("any" if n is None else str(n) for n in shape)
-            message = f"{ref.text!r} has shape {header.shape}, not ({expected})"
-            self.document.add("RIG019", location, message)
-            return False
+            return f"has shape {header.shape}, not ({expected})"
         if role in _INTEGER_ROLES and header.kind not in "iu":
-            message = f"{ref.text!r} contains floats, not whole numbers"
-            self.document.add("RIG019", location, message)
-            return False
+            return "contains floats, not whole numbers"
         if role in {"faces", "strands"} and not header.shape[0]:
-            kind = role.removesuffix("s")
-            self.document.add("RIG019", location, f"{ref.text!r} has no {kind}")
-            return False
+            return f"has no {role.removesuffix('s')}"
         if role == "strands" and header.shape[1] < 2:
-            message = (
-                f"{ref.text!r} has strands of {header.shape[1]} points, fewer than 2"
-            )
-            self.document.add("RIG019", location, message)
-            return False
+            return f"has strands of {header.shape[1]} points, fewer than 2"
         if role == "faces" and header.shape[1] < 3:
-            message = (
-                f"{ref.text!r} has faces of {header.shape[1]} corners, fewer than 3"
-            )
-            self.document.add("RIG019", location, message)
-            return False
-        return True
+            return f"has faces of {header.shape[1]} corners, fewer than 3"
+        return None
 
 
 def _value_fault(role: str, values: npt.NDArray[Any], count: int | None) -> str | None:
@@ -204,19 +206,13 @@ class AttachmentReader:
             joints = (entry.joint,)
         if entry.mesh is not None:
             self.check_mesh((*location, "mesh"), entry.mesh)
-        pins = None
-        if entry.pins is not None:
-            count = self.point_counts.get(entry.mesh or "")
-            pins_location = (*location, "pins")
-            pins = self.arrays.read_array(
-                pins_location, entry.pins, "pins", (None,), count
-            )
-        points = None
-        if entry.points is not None:
-            pins_location, shape = (*location, "points"), (None, None, 3)
-            points = self.arrays.read_array(
-                pins_location, entry.points, "strands", shape
-            )
+        count = self.point_counts.get(entry.mesh or "")
+        pins = self.arrays.read_optional_array(
+            location, entry.pins, "pins", (None,), count
+        )
+        points = self.arrays.read_optional_array(
+            location, entry.points, "strands", (None, None, 3)
+        )
         return Attachment(
             entry.name, entry.kind, joints, entry.mesh or "", pins, points
         )

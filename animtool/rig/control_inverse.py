@@ -189,10 +189,7 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
     for control in controls:
         affected_names = {control.name}
         for drive in control.drives:
-            affected_names.add(drive.target)
-            affected_names.update(
-                [] if drive.expression is None else drive.expression.names
-            )
+            affected_names |= {drive.target, *drive.controls_read(control.name)}
         for name in affected_names:
             links.setdefault(name.removeprefix("control/"), set()).update(
                 affected_name.removeprefix("control/")
@@ -450,7 +447,7 @@ def _all_targets_by_control(
     }
     for control in controls:
         for drive in control.drives:
-            for name in [] if drive.expression is None else drive.expression.names:
+            for name in drive.controls_read(control.name):
                 targets_by_control.setdefault(name, set()).add(drive.target)
     has_grown = True
     while has_grown:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import cycle_text
 from animtool.core.record import dataclass
+from animtool.rig.dependencies import dependency_order
 from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
 
@@ -41,6 +40,10 @@ class Drive:
         """Whether the target is an angle."""
         return self.target.startswith("joint/") and not self.is_length
 
+    def controls_read(self, control: str) -> tuple[str, ...]:
+        """Return the names of the controls that this drive of a control reads."""
+        return (control,) if self.expression is None else self.expression.names
+
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
         """Return the contribution, given the values of all controls."""
         if self.expression is not None:
@@ -60,18 +63,6 @@ class Control:
     driven: Driver | None = None  # driver of the control's value, instead of keys
 
 
-class ControlCycleError(ValueError):
-    """Controls drive each other in a cycle.
-
-    Attributes:
-        cycle: Names of the controls; the first one again at the end.
-    """
-
-    def __init__(self, cycle: list[str]) -> None:
-        self.cycle = cycle
-        super().__init__(cycle_text(cycle))
-
-
 def evaluation_order(controls: Sequence[Control]) -> list[str]:
     """Return the control names in dependency order.
 
@@ -85,16 +76,8 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "control" and name in dependencies:
-                dependencies[name] |= dict.fromkeys(_controls_read(control.name, drive))
-    try:
-        return list(TopologicalSorter(dependencies).static_order())
-    except CycleError as error:
-        raise ControlCycleError(list(error.args[1])) from error
-
-
-def _controls_read(control: str, drive: Drive) -> tuple[str, ...]:
-    """Return the controls that a drive reads."""
-    return (control,) if drive.expression is None else drive.expression.names
+                dependencies[name] |= dict.fromkeys(drive.controls_read(control.name))
+    return dependency_order(dependencies)
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,10 +6,10 @@ from collections.abc import Iterator, Mapping
 
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
+from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.driver_plan import (
-    DriverCycleError,
-    controls_read_by,
     coordinate_fault,
+    driver_cycle_text,
     evaluation_order_of_drivers,
 )
 from animtool.rig.drivers import Driver, split_coordinate
@@ -101,7 +101,7 @@ class DriverCheck:
     def check(self) -> None:
         """Record unknown inputs, conflicting motion and cycles of drivers."""
         has_faults = False
-        for target, driver in _drivers_by_target(self.rig):
+        for target, driver in self.rig.drivers.items():
             location = self._target_location(target)
             for name in driver.names:
                 has_faults = self._record_unreadable(location, name) or has_faults
@@ -109,10 +109,9 @@ class DriverCheck:
             return
         try:
             order = evaluation_order_of_drivers(self.rig)
-        except DriverCycleError as error:
-            driven_targets = {target for target, _ in _drivers_by_target(self.rig)}
+        except DependencyCycleError as error:
             # Cycles of drives alone are reported as RIG014.
-            driven_in_cycle = [name for name in error.cycle if name in driven_targets]
+            driven_in_cycle = [name for name in error.cycle if name in self.rig.drivers]
             local_targets = [
                 name
                 for name in driven_in_cycle
@@ -122,7 +121,7 @@ class DriverCheck:
                 self._add_fault(
                     "RIG032",
                     self._target_location((local_targets or driven_in_cycle)[0]),
-                    str(error),
+                    driver_cycle_text(error),
                 )
             return
         for target, message, hint in _motion_conflicts(self.rig, order):
@@ -162,24 +161,11 @@ class DriverCheck:
         return None
 
 
-def _drivers_by_target(rig: Rig) -> Iterator[tuple[str, Driver]]:
-    """Yield the driven targets of a rig, each with its driver."""
-    for kind, parts in (
-        ("joint", rig.joints),
-        ("shape", rig.shapes),
-        ("control", rig.controls),
-    ):
-        for part in parts:
-            if part.driven is not None:
-                yield f"{kind}/{part.name}", part.driven
-
-
 def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
     """Yield the driven targets that have another source of motion, message and hint.
 
     ``order``: all driven targets.
     """
-    driven_targets = {target for target, _ in _drivers_by_target(rig)}
     for joint in rig.joints:
         if joint.driven is not None and joint.mimic is not None:
             message = f"{joint.name!r} has both a driver and a mimic"
@@ -192,13 +178,13 @@ def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, st
                 name = split_part(target.removeprefix("joint/"), DRIVEN_PARTS)[0]
                 target = f"joint/{name}"
                 drivers = sorted(
-                    driven_controls.intersection(controls_read_by(control, drive))
+                    driven_controls.intersection(drive.controls_read(control.name))
                 )
                 if drivers:
                     message = f"control {drivers[0]!r} is driven, but drives {name!r}"
                     hint = "give the joint a driver; it may read the control"
                     yield f"control/{drivers[0]}", message, hint
                     continue
-            if target in driven_targets:
+            if target in rig.drivers:
                 message = f"control {control.name!r} drives what a driver sets"
                 yield target, message, "let the driver read the control"

@@ -1,22 +1,15 @@
-"""Evaluation order and dependencies of a rig's drivers.
-
-Drivers read coordinates of joints: the angle of a pin; the slide of a prismatic joint;
-and for a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
-limits, the twist, the angle of the swing, and the components of the swing's rotation
-vector.
-"""
+"""Evaluation order and dependencies of a rig's drivers."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from graphlib import CycleError, TopologicalSorter
 
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, cycle_text
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
-from animtool.rig.controls import Control, Drive
+from animtool.rig.dependencies import DependencyCycleError, dependency_order
 from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
@@ -32,23 +25,8 @@ from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
 # A twist axis this close to a main axis removes that swing component [1].
 AXIS_TOLERANCE = 1e-9
-# Attribute that caches a rig's plan.
-_CACHE_ATTRIBUTE = "_driver_plan"
 # The driver of a part of a rig.
 DrivenSource = Driver | Mimic
-
-
-class DriverCycleError(ValueError):
-    """Drivers depend on each other in a cycle.
-
-    Attributes:
-        cycle: Targets such as ``joint/elbow``; the first one again at the end.
-    """
-
-    def __init__(self, cycle: list[str]) -> None:
-        self.cycle = cycle
-        text = cycle_text([name.partition("/")[2] for name in cycle])
-        super().__init__(f"what is driven depends on itself: {text}")
 
 
 def readable_parts(joint: Joint) -> list[str]:
@@ -78,10 +56,8 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         control_names = [control.name for control in rig.controls]
         if name in control_names:
             return None
-        message, hint = (
-            f"unknown control {name!r}",
-            _suggestion_hint(name, control_names),
-        )
+        message = f"unknown control {name!r}"
+        hint = _suggestion_hint(name, control_names)
         if name in rig.names:
             parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"
@@ -139,25 +115,12 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
             target = f"control/{name}" if kind == "control" else target
             if kind != "shape":
                 input_targets = dict.fromkeys(
-                    f"control/{n}" for n in controls_read_by(control, drive)
+                    f"control/{n}" for n in drive.controls_read(control.name)
                 )
                 dependencies.setdefault(target, {}).update(input_targets)
-    try:
-        order = list(TopologicalSorter(dependencies).static_order())
-    except CycleError as error:
-        # The sorter names each target before those that need it; reverse that.
-        raise DriverCycleError(list(reversed(error.args[1]))) from error
-    driven_parts = {
-        *(f"joint/{joint.name}" for joint in rig.joints if joint.driven is not None),
-        *(
-            f"control/{rig_control.name}"
-            for rig_control in rig.controls
-            if rig_control.driven is not None
-        ),
-    }
-    mimics = {
-        f"joint/{rig_control.name}": rig_control.mimic for rig_control in rig.joints
-    }
+    order = dependency_order(dependencies)
+    driven_parts = {name for name in rig.drivers if not name.startswith("shape/")}
+    mimics = {f"joint/{joint.name}": joint.mimic for joint in rig.joints}
     for target in order:
         inputs_of_target = set(dependencies.get(target, ()))
         if target.startswith("joint/"):
@@ -172,11 +135,17 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
         if drive.target.startswith("shape/")
         and any(
             f"control/{name}" in driven_parts
-            for name in controls_read_by(control, drive)
+            for name in drive.controls_read(control.name)
         )
     }
     driven_shapes = [f"shape/{s.name}" for s in rig.shapes if s.name in shapes]
     return [*(target for target in order if target in driven_parts), *driven_shapes]
+
+
+def driver_cycle_text(error: DependencyCycleError) -> str:
+    """Return the message for driven targets that depend on each other in a cycle."""
+    names = cycle_text([target.partition("/")[2] for target in error.cycle])
+    return f"what is driven depends on itself: {names}"
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:
@@ -185,11 +154,6 @@ def _driver_inputs(driver: Driver | None) -> dict[str, None]:
         return {}
     joints = ((split_coordinate(name)[0], name) for name in driver.names)
     return {f"joint/{j}" if j else f"control/{name}": None for j, name in joints}
-
-
-def controls_read_by(control: Control, drive: Drive) -> tuple[str, ...]:
-    """Return the controls that a control's drives read."""
-    return (control.name,) if drive.expression is None else drive.expression.names
 
 
 @dataclass(frozen=True, slots=True)
@@ -211,14 +175,9 @@ class DriverPlan:
     @staticmethod
     def of(rig: Rig) -> DriverPlan:
         """Return the plan of a rig."""
-        drivers = [
-            *(joint.driven for joint in rig.joints),
-            *(shape.driven for shape in rig.shapes),
-            *(control.driven for control in rig.controls),
-        ]
         faults = [
             fault
-            for driver in filter(None, drivers)
+            for driver in rig.drivers.values()
             for name in driver.names
             if (fault := coordinate_fault(rig, name)) is not None
         ]
@@ -226,8 +185,8 @@ class DriverPlan:
             raise OptionError(faults)
         try:
             order = evaluation_order_of_drivers(rig)
-        except DriverCycleError as error:
-            raise OptionError(Fault("RIG032", str(error))) from error
+        except DependencyCycleError as error:
+            raise OptionError(Fault("RIG032", driver_cycle_text(error))) from error
         names: dict[str, list[str]] = {"joint": [], "control": [], "shape": []}
         for target in order:
             kind, _, name = target.partition("/")
@@ -246,7 +205,7 @@ class DriverPlan:
             tuple(combined),
             tuple(target for target in order if not target.startswith("shape/")),
             _joints_read(rig, order),
-            _control_driven(rig, order),
+            _targets_of_keyed_controls(rig, order),
         )
 
     def driver_of(self, joint: int) -> DrivenSource:
@@ -303,7 +262,7 @@ class DriverPlan:
                 for control in self.rig.controls
                 for drive in control.drives
                 if drive.target == f"control/{name}" and name in self.controls
-                for control_name in controls_read_by(control, drive)
+                for control_name in drive.controls_read(control.name)
             ]
         return {name for name in visited if name not in self.controls}
 
@@ -322,41 +281,24 @@ class DriverPlan:
 
 def plan_of(rig: Rig) -> DriverPlan:
     """Return the cached plan of a rig; see `DriverPlan.of`."""
-    cache = rig.__dict__
-    if _CACHE_ATTRIBUTE not in cache:
-        cache[_CACHE_ATTRIBUTE] = DriverPlan.of(rig)
-    plan = cache[_CACHE_ATTRIBUTE]
-    assert isinstance(plan, DriverPlan)
+    plan = rig.__dict__.get("_driver_plan")
+    if not isinstance(plan, DriverPlan):
+        plan = rig.__dict__["_driver_plan"] = DriverPlan.of(rig)
     return plan
 
 
-def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
+def _targets_of_keyed_controls(rig: Rig, order: Sequence[str]) -> frozenset[str]:
     """Return the driven targets that depend on keyed controls.
 
     Joint coordinates that these drivers read count as known.
     """
-    drivers = {f"joint/{joint.name}": joint.driven for joint in rig.joints}
-    drivers |= {f"shape/{shape.name}": shape.driven for shape in rig.shapes}
-    drivers |= {f"control/{control.name}": control.driven for control in rig.controls}
     driven_controls = {
         t.removeprefix("control/") for t in order if t.startswith("control/")
     }
     keyed_controls = {control.name for control in rig.controls} - driven_controls
     dependent_targets: set[str] = set()
     for target in order:
-        driver = drivers[target]
-        names = () if driver is None else driver.names
-        names = (
-            *names,
-            *(
-                name
-                for control in rig.controls
-                for drive in control.drives
-                if driver is None and drive.target == target
-                for name in controls_read_by(control, drive)
-            ),
-        )
-        if keyed_controls.intersection(names):
+        if keyed_controls.intersection(_names_read(rig, target)):
             dependent_targets.add(target)
             if target.startswith("control/"):
                 keyed_controls.add(target.removeprefix("control/"))
@@ -365,37 +307,14 @@ def _control_driven(rig: Rig, order: Sequence[str]) -> frozenset[str]:
 
 def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the joints that each driven joint reads."""
-    controls = {control.name: control for control in rig.controls}
     joints_by_target: dict[str, dict[str, None]] = {}
     for target in order:
-        kind, _, name = target.partition("/")
-        if kind == "shape":
-            continue
-        driver: DrivenSource | None
-        if kind == "joint":
-            joint = rig.joints[rig.index(name)]
-            driver = joint.driven or joint.mimic
-        else:
-            driver = controls[name].driven
-        names: list[str] = []
-        if isinstance(driver, Mimic):
-            names = [f"{driver.joint}.{ANGLE}"]
-        elif driver is not None:
-            names = [*driver.names]
-        else:
-            names = [
-                input_name
-                for control in rig.controls
-                for drive in control.drives
-                if drive.target == target
-                for input_name in controls_read_by(control, drive)
-            ]
         joints = joints_by_target.setdefault(target, {})
-        for input_name in names:
-            if joint_name := _joint_name_of(input_name):
-                joints[joint_name] = None
+        for name in _names_read(rig, target):
+            if joint := split_coordinate(name)[0]:
+                joints[joint] = None
             else:
-                joints |= joints_by_target.get(f"control/{input_name}", {})
+                joints |= joints_by_target.get(f"control/{name}", {})
     return {
         target.removeprefix("joint/"): tuple(joints)
         for target, joints in joints_by_target.items()
@@ -403,6 +322,17 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
     }
 
 
-def _joint_name_of(name: str) -> str:
-    """Return the joint name in a coordinate's name; empty for a control."""
-    return split_coordinate(name)[0]
+def _names_read(rig: Rig, target: str) -> list[str]:
+    """Return the coordinates and controls that determine a driven target."""
+    kind, _, name = target.partition("/")
+    if driver := rig.drivers.get(target):
+        return [*driver.names]
+    if kind == "joint" and (mimic := rig.joints[rig.index(name)].mimic) is not None:
+        return [f"{mimic.joint}.{ANGLE}"]
+    return [
+        control_name
+        for control in rig.controls
+        for drive in control.drives
+        if drive.target == target
+        for control_name in drive.controls_read(control.name)
+    ]

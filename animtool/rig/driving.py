@@ -1,10 +1,4 @@
-"""Evaluation of a rig's drivers.
-
-Drivers read coordinates of joints: the angle of a pin; the slide of a prismatic joint;
-and for a ball, whose motion is ``q = swing · twist`` about the ``twist_axis`` of its
-limits, the twist, the angle of the swing, and the components of the swing's rotation
-vector.
-"""
+"""Evaluation of a rig's drivers."""
 
 from __future__ import annotations
 
@@ -66,52 +60,45 @@ def evaluate_drivers(
     rig = plan.rig
     values = dict(controls)
     result = DriverValues({}, {}, {}, {})
-    by_control = {control.name: control for control in rig.controls}
-    for target in plan.order:
+    defaults = {control.name: control.default for control in rig.controls}
+    for target in (*plan.order, *(f"shape/{name}" for name in plan.shapes)):
         if target in skipped_targets:
             continue
         kind, _, name = target.partition("/")
-        if kind == "control":
-            spec = by_control[name]
-            if spec.driven is not None:
-                value = spec.driven.evaluate(
-                    _NamedValues(plan, read_coordinate, values, result)
-                )
-            else:
-                value = np.array([spec.default]) + _control_contribution(
-                    rig, target, values
-                )
-            values[name] = result.controls[name] = value
-            continue
-        j = rig.index(name)
-        driven = plan.driver_of(j)
         inputs = _NamedValues(plan, read_coordinate, values, result)
-        if isinstance(driven, Mimic):
-            leader = rig.joints[rig.index(driven.joint)]
-            part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
-            value = driven.gain * inputs[f"{leader.name}.{part}"] + driven.offset
-        else:
-            value = driven.evaluate(inputs)
-        limits = rig.joints[j].limits
-        clamped_value = (
-            limits.clamped(value) if isinstance(limits, RangeLimit) else value
-        )
-        result.joints[j] = np.where(np.isfinite(value), clamped_value, value)
-        result.excess[j] = (
-            value - result.joints[j] if np.isfinite(value).all() else value
-        )
-    by_shape = {shape.name: shape for shape in rig.shapes}
-    for name in plan.shapes:
-        if f"shape/{name}" in skipped_targets:
+        if kind == "joint":
+            _evaluate_joint_driver(plan, rig.index(name), inputs, result)
             continue
-        driver = by_shape[name].driven
+        driver = rig.drivers.get(target)
         if driver is not None:
-            result.shapes[name] = driver.evaluate(
-                _NamedValues(plan, read_coordinate, values, result)
-            )
+            value = driver.evaluate(inputs)
         else:
-            result.shapes[name] = _control_contribution(rig, f"shape/{name}", values)
+            value = _control_contribution(rig, target, values)
+        if kind == "shape":
+            result.shapes[name] = value
+            continue
+        if driver is None:
+            value = np.array([defaults[name]]) + value
+        values[name] = result.controls[name] = value
     return result
+
+
+def _evaluate_joint_driver(
+    plan: DriverPlan, j: int, inputs: Mapping[str, FloatArray], result: DriverValues
+) -> None:
+    """Add the value of a joint's driver or mimic to the result, within its limits."""
+    joints = plan.rig.joints
+    driver = plan.driver_of(j)
+    if isinstance(driver, Mimic):
+        leader = joints[plan.rig.index(driver.joint)]
+        part = SLIDE if leader.type is JointType.PRISMATIC else ANGLE
+        value = driver.gain * inputs[f"{leader.name}.{part}"] + driver.offset
+    else:
+        value = driver.evaluate(inputs)
+    limits = joints[j].limits
+    clamped_value = limits.clamped(value) if isinstance(limits, RangeLimit) else value
+    result.joints[j] = np.where(np.isfinite(value), clamped_value, value)
+    result.excess[j] = value - result.joints[j] if np.isfinite(value).all() else value
 
 
 class _NamedValues(dict[str, FloatArray]):
@@ -178,9 +165,11 @@ def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArr
 def driven_coordinates(
     plan: DriverPlan,
     coordinates: FloatArray,
-    controls: Mapping[str, FloatArray] | None = None,
 ) -> FloatArray:
-    """Return coordinates ``(B, Q)`` with driven joints set by their drivers."""
+    """Return coordinates ``(B, Q)`` with driven joints set by their drivers.
+
+    Controls have their default values.
+    """
     rig, slices = plan.rig, coordinate_slices(plan.rig)
     driven_result = coordinates.copy()
 
@@ -193,9 +182,7 @@ def driven_coordinates(
             return ball_part_values(rig.joints[j], part, columns)
         return columns[:, 0]
 
-    values = controls or {
-        control.name: np.array([control.default]) for control in rig.controls
-    }
+    values = {control.name: np.array([control.default]) for control in rig.controls}
     for j, value in evaluate_drivers(plan, read, values).joints.items():
         driven_result[:, slices[j].start] = value
     return driven_result

@@ -6,7 +6,6 @@ import math
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError
@@ -23,6 +22,7 @@ from animtool.rig.joint_entries import (
     FileJoints,
     FileUnits,
     read_joints,
+    scale_vector,
     unit_quaternion,
 )
 from animtool.rig.joint_schema import PoseModel
@@ -30,13 +30,10 @@ from animtool.rig.part_entries import PartReader
 from animtool.rig.parts import Shape
 from animtool.rig.schema import RigModel
 from animtool.rig.sides import ORIGIN, PoseArrays, mirror_pose, world_transform_below
-from animtool.rig.skeleton import Joint, Mimic, Pose, Rig
+from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
 from animtool.rig.suspicious_parts import warn_of_parts
 from animtool.rig.suspicious_shape import warn_of_shape
-
-if TYPE_CHECKING:
-    from animtool.rig.drivers import Driver
 
 
 def read_bind(
@@ -76,8 +73,7 @@ def _read_pose(
     """Return a bind pose; values that the file omits are taken from the rest pose."""
     translation, rotation = rest.translation, rest.rotation
     if model.translate is not None:
-        x, y, z = (value * units.length for value in model.translate)
-        translation = (x, y, z)
+        translation = scale_vector(model.translate, units.length)
     if model.rotate is not None:
         rotation = unit_quaternion(document, ("bind", name, "rotate"), model.rotate)
     stretch = None if model.stretch is None else tuple(model.stretch)
@@ -160,7 +156,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         )
         chains = parts.read_chains(inherited.chains)
         colliders = parts.read_colliders(inherited.colliders)
-        masses = parts.masses(inherited.masses)
+        masses = parts.read_masses(inherited.masses)
         attachments = parts.read_attachments(meshes, inherited.attach)
     warn_of_angles(document, model.joints, model.units.angle)
     warn_of_w_last(document, model.joints)
@@ -283,36 +279,28 @@ def _overlay_joints(
     mirrors = {
         names.get(e.name, e.name): names.get(e.mirror or "", "") for e in model.joints
     }
-    joints = tuple(
-        replace(
+    joints = []
+    for joint in base.joints:
+        entry_joint = sidecar_joints.get(joint.name)
+        if entry_joint is None:
+            joints.append(joint)
+            continue
+        driver, mimic = entry_joint.driven, entry_joint.mimic
+        if mimic is not None:
+            mimic = replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+        overlaid_joint = replace(
             joint,
-            type=sidecar_joints[joint.name].type,
-            axis=sidecar_joints[joint.name].axis,
-            limits=sidecar_joints[joint.name].limits,
-            mimic=_rename_mimic(sidecar_joints[joint.name].mimic, names),
+            type=entry_joint.type,
+            axis=entry_joint.axis,
+            limits=entry_joint.limits,
+            mimic=mimic,
             mirror=mirrors[joint.name],
-            driven=_rename_driver_joints(sidecar_joints[joint.name].driven, names)
-            or joint.driven,
+            driven=joint.driven
+            if driver is None
+            else driver.with_renamed_joints(names),
         )
-        if joint.name in sidecar_joints
-        else joint
-        for joint in base.joints
-    )
+        joints.append(overlaid_joint)
     untyped = frozenset(names.get(name, name) for name in sidecar.untyped_joints)
-    return FileJoints(joints, untyped_joints=untyped, has_unnamed=sidecar.has_unnamed)
-
-
-def _rename_driver_joints(
-    driver: Driver | None, names: dict[str, str]
-) -> Driver | None:
-    """Return a driver with its joints renamed."""
-    return None if driver is None else driver.with_renamed_joints(names)
-
-
-def _rename_mimic(mimic: Mimic | None, names: dict[str, str]) -> Mimic | None:
-    """Return a mimic with its leader renamed."""
-    return (
-        None
-        if mimic is None
-        else replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+    return FileJoints(
+        tuple(joints), untyped_joints=untyped, has_unnamed=sidecar.has_unnamed
     )

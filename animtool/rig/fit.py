@@ -109,10 +109,8 @@ def measure_fit(
     joints_with_parents = matched_joints[
         (rig.parents[matched_joints] >= 0) & (take.parents[source[matched_joints]] >= 0)
     ]
-    rig_bones, translations_of_both = (
-        rig.rest_translations[joints_with_parents],
-        take.rest_translations[source[joints_with_parents]],
-    )
+    rig_bones = rig.rest_translations[joints_with_parents]
+    translations_of_both = take.rest_translations[source[joints_with_parents]]
     sizes = np.array(
         [
             np.linalg.norm(bone_vectors, axis=1)
@@ -238,46 +236,27 @@ def check_fit(
     fit = measure_fit(take, rig, source, compare_poses=take.has_rest)
     if fit.score >= PERFECT_FIT:
         return fit, []
-    names = [rig.names[j] for j in fit.differing_joints]
-    if fit.score >= MIN_FIT or forced:
+    is_accepted = fit.score >= MIN_FIT or forced
+    if is_accepted:
         message = f"the take differs from the rig: score {fit.score:.2f}; "
-        message += _score_text(fit)
-        return fit, [
-            _joints_fault("RIG041", message, names, location, None, Severity.WARNING)
-        ]
-    message = (
-        f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
-        "needed; "
-    )
-    message += _score_text(fit)
-    faults = [
-        _joints_fault(
-            "RIG040",
-            message,
-            names,
-            location,
-            _worst_component_hint(fit),
-            Severity.ERROR,
+        code, hint, severity = "RIG041", None, Severity.WARNING
+    else:
+        message = (
+            f"the take does not match the rig: score {fit.score:.2f}, but {MIN_FIT} is "
+            "needed; "
         )
-    ]
-    if fit.components["joints"] < MIN_FIT:
-        faults += unmatched or []
-    raise FormatError(faults)
-
-
-def _joints_fault(
-    code: str,
-    message: str,
-    names: list[str],
-    location: str,
-    hint: str | None,
-    severity: Severity,
-) -> Fault:
-    """Return a fault that lists joints."""
-    if not names:
-        return Fault(code, message, location, (), hint, severity)
-    message += "; joints with different rest poses: "
-    return names_fault(code, message, names, location, hint, severity)
+        code, hint, severity = "RIG040", _worst_component_hint(fit), Severity.ERROR
+    message += _score_text(fit)
+    names = [rig.names[j] for j in fit.differing_joints]
+    if names:
+        message += "; joints with different rest poses: "
+        fault = names_fault(code, message, names, location, hint, severity)
+    else:
+        fault = Fault(code, message, location, (), hint, severity)
+    if is_accepted:
+        return fit, [fault]
+    lacks_joints = fit.components["joints"] < MIN_FIT
+    raise FormatError([fault, *((unmatched or []) if lacks_joints else [])])
 
 
 def _score_text(fit: RigFit) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import conjugate, multiply
-from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import Rig
 
 HEAD, LEFT_EYE, RIGHT_EYE = "head", "left eye", "right eye"
@@ -55,29 +55,21 @@ def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:
         rotations = multiply(
             multiply(_Z_UP_ROTATION, rotations), conjugate(_Z_UP_ROTATION)
         )
-    rest_transforms = forward_kinematics(
-        rig, rig.rest_translations[None], rig.rest_rotations[None]
-    )
     parent = rig.joints[joint].parent
-    rest_rotation = rig.rest_rotations[joint]
-    if parent < 0:
-        return multiply(rotations, rest_rotation)
-    parent_rotation = rest_transforms.rotations[0, parent]
-    return multiply(
-        multiply(conjugate(parent_rotation), multiply(rotations, parent_rotation)),
-        rest_rotation,
-    )
+    if parent >= 0:
+        parent_rotation = rest_world(rig).rotations[0, parent]
+        rotations = multiply(
+            conjugate(parent_rotation), multiply(rotations, parent_rotation)
+        )
+    return multiply(rotations, rig.rest_rotations[joint])
 
 
 def face_rotations(rig: Rig, joint: int, local: FloatArray) -> FloatArray:
     """Convert a joint's local rotations to face rotations ``(F, 4)``."""
-    rest_transforms = forward_kinematics(
-        rig, rig.rest_translations[None], rig.rest_rotations[None]
-    )
     parent = rig.joints[joint].parent
     rotation_from_rest = multiply(local, conjugate(rig.rest_rotations[joint]))
     if parent >= 0:
-        parent_rotation = rest_transforms.rotations[0, parent]
+        parent_rotation = rest_world(rig).rotations[0, parent]
         rotation_from_rest = multiply(
             multiply(parent_rotation, rotation_from_rest), conjugate(parent_rotation)
         )

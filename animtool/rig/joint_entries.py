@@ -52,13 +52,12 @@ class FileJoints:
     """The joints of a rig file, and the names that its faults leave unknown."""
 
     joints: tuple[Joint, ...]  # parents before children
-    # names of joints whose parent is unknown
+    # Names of joints whose parent is unknown.
     orphaned_joints: frozenset[str] = frozenset()
     # Names of joints created by another joint's ``mirror``.
     mirrored_joints: frozenset[str] = frozenset()
-    untyped_joints: frozenset[str] = (
-        frozenset()
-    )  # names of joints whose type is unknown
+    # Names of joints whose type is unknown.
+    untyped_joints: frozenset[str] = frozenset()
     has_unnamed: bool = False  # whether there are more joints, with unknown names
 
 
@@ -106,10 +105,8 @@ def read_joints(
         entry = entries[name]
         parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
         if entry.is_mirrored:
-            source, parent_world = (
-                tree.indices[entry.source],
-                tree.world_at_rest(parent),
-            )
+            source = tree.indices[entry.source]
+            parent_world = tree.world_at_rest(parent)
             joint = mirror_joint(
                 tree.joints[source], tree.world_at_rest(source), parent, parent_world
             )
@@ -160,16 +157,15 @@ def _joint_entries(
         if model.mirror == model.name:
             message = f"{model.name!r} mirrors itself"
             hint = "mirror names the joint on the other side"
-            document.add("RIG010", ("joints", i, "mirror"), message, hint)
-            continue
-        if model.mirror in entries:
+        elif model.mirror in entries:
             message = f"mirror {model.mirror!r} is already a joint"
             hint = "mirror creates that joint; remove the other"
-            document.add("RIG010", ("joints", i, "mirror"), message, hint)
+        else:
+            parent = model.parent
+            parent = mirrors.get(parent, parent) if parent is not None else None
+            entries[model.mirror] = _JointEntry(i, model.name, parent, is_mirrored=True)
             continue
-        parent = model.parent
-        parent = mirrors.get(parent, parent) if parent is not None else None
-        entries[model.mirror] = _JointEntry(i, model.name, parent, is_mirrored=True)
+        document.add("RIG010", ("joints", i, "mirror"), message, hint)
     for entry in list(entries.values()):
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
@@ -208,15 +204,9 @@ def _in_dependency_order(
         while pending_names:
             name = next(reversed(pending_names))
             entry = entries[name]
-            required_parents = [entry.parent] if entry.parent is not None else []
-            required_parents += [entry.source] if entry.is_mirrored else []
+            required_names = [entry.parent, entry.source if entry.is_mirrored else None]
             missing_parent = next(
-                (
-                    required_name
-                    for required_name in required_parents
-                    if required_name not in yielded_names
-                ),
-                None,
+                (n for n in required_names if n and n not in yielded_names), None
             )
             if name in yielded_names or missing_parent is None:
                 del pending_names[name]
@@ -268,14 +258,13 @@ def _read_joint(
     """Build the joint of an entry, and record faults of its numbers."""
     location: Location = ("joints", i)
     rotation = unit_quaternion(document, (*location, "rotate"), model.rotate)
-    x, y, z = (value * units.length for value in model.translate)
-    tips = tuple(_scale_vector(tip, units.length) for tip in model.tips)
+    tips = tuple(scale_vector(tip, units.length) for tip in model.tips)
     _check_repeated_channels(document, (*location, "channels"), model.channels or [])
     joint = Joint(
         model.name,
         parent,
         JointType(model.type),
-        (x, y, z),
+        scale_vector(model.translate, units.length),
         rotation,
         channels=None if model.channels is None else tuple(model.channels),
         tips=tips,
@@ -303,7 +292,7 @@ def _check_repeated_channels(
             document.add("RIG028", (*location, k), message, "write each once")
 
 
-def _scale_vector(values: list[float], unit: float) -> Vector:
+def scale_vector(values: Sequence[float], unit: float) -> Vector:
     """Convert three numbers to metres by the file's length unit."""
     x, y, z = (value * unit for value in values)
     return (x, y, z)
@@ -413,10 +402,8 @@ def _with_mimics(
         target = mimic.joint
         if entry.is_mirrored:
             target = joints[leader].mirror or target
-        unit, leader_unit = (
-            units.unit_of(JointType(model.type)),
-            units.unit_of(joints[leader].type),
-        )
+        unit = units.unit_of(JointType(model.type))
+        leader_unit = units.unit_of(joints[leader].type)
         mimic_of_joint = Mimic(
             target, mimic.gain * unit / leader_unit, mimic.offset * unit
         )

@@ -44,6 +44,16 @@ def coordinate_slices(rig: Rig) -> list[slice]:
     ]
 
 
+def rest_coordinates(rig: Rig, frames: int) -> FloatArray:
+    """Return the joint coordinates ``(F, Q)`` of the rest pose."""
+    slices = coordinate_slices(rig)
+    coordinates = np.zeros((frames, slices[-1].stop if slices else 0))
+    for joint, columns in zip(rig.joints, slices, strict=True):
+        if joint.type in {JointType.BALL, JointType.FREE}:
+            coordinates[:, columns.stop - 1] = 1.0
+    return coordinates
+
+
 def local_from_coordinates(rig: Rig, coordinates: ArrayLike) -> LocalTransforms:
     """Return the local transforms of joint coordinates ``(F, Q)``.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from animtool.documents.document import Document, Location
-from animtool.rig.joint_entries import unit_quaternion
+from animtool.rig.joint_entries import scale_vector, unit_quaternion
 from animtool.rig.parts import Mass
 from animtool.rig.schema import MassModel
 
@@ -50,8 +50,8 @@ def read_masses(
                 message = f"no body has such an inertia: {problem}"
                 document.add("RIG047", (*location, "inertia"), message)
         axes = unit_quaternion(document, (*location, "axes"), entry.axes)
-        x, y, z = (value * length for value in entry.centre)
-        masses.append(Mass(entry.joint, entry.mass, (x, y, z), inertia, axes))
+        centre = scale_vector(entry.centre, length)
+        masses.append(Mass(entry.joint, entry.mass, centre, inertia, axes))
     return tuple(masses)
 
 

@@ -7,16 +7,13 @@ import re
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import field
 
+from animtool.core.errors import cycle_text
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
-from animtool.rig.controls import (
-    Control,
-    ControlCycleError,
-    Drive,
-    evaluation_order,
-)
+from animtool.rig.controls import Control, Drive, evaluation_order
+from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.driver_entries import (
     check_no_interpolation,
     read_driver,
@@ -24,12 +21,11 @@ from animtool.rig.driver_entries import (
 )
 from animtool.rig.drivers import Driver
 from animtool.rig.expressions import FUNCTIONS, Expression, parse_expression
-from animtool.rig.joint_entries import FileJoints, FileUnits, unit_vector
+from animtool.rig.joint_entries import FileJoints, FileUnits, scale_vector, unit_vector
 from animtool.rig.joint_schema import DrivenModel, MeshModel, SkinModel
 from animtool.rig.joints import DRIVEN_PARTS, part_hint, split_part
 from animtool.rig.mass_entries import read_masses
 from animtool.rig.parts import (
-    ArraySource,
     Attachment,
     Capsule,
     Collider,
@@ -42,7 +38,7 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.rig.schema import ControlModel, DriveModel, RigModel
-from animtool.rig.shapes import ShapeCycleError, combination_order
+from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
 
 _LIST_KEYS = {
@@ -81,7 +77,7 @@ class PartReader:
         )
 
     def read_shapes(
-        self, meshes: Iterable[str], inherited: Iterable[str] = ()
+        self, meshes: Iterable[str], inherited: Iterable[str]
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
         self._check_distinct("shapes", "shape")
@@ -95,11 +91,10 @@ class PartReader:
             if shape.mesh is not None:
                 self._check_known((*location, "mesh"), shape.mesh, meshes, "mesh")
             count = self.point_counts.get(shape.mesh or "")
-            vertices = None
-            if shape.vertices is not None:
-                vertices = self.arrays.read_array(
-                    (*location, "vertices"), shape.vertices, "vertices", (None,), count
-                )
+            vertices = self.arrays.read_optional_array(
+                location, shape.vertices, "vertices", (None,), count
+            )
+            if vertices is not None:
                 count = self.arrays.row_count(vertices)
             row_count = (count, 3)
             for k, name in enumerate(shape.combine):
@@ -120,22 +115,22 @@ class PartReader:
                     self.document.add(
                         "RIG024", (*inbetween_location, "at"), message, hint
                     )
-                ref = self.arrays.read_array(
-                    (*inbetween_location, "deltas"), step.deltas, "deltas", row_count
+                deltas = self.arrays.read_array(
+                    inbetween_location, step.deltas, "deltas", row_count
                 )
-                normals = self._read_optional_array(
-                    (*inbetween_location, "normals"), step.normals, "normals", row_count
+                normals = self.arrays.read_optional_array(
+                    inbetween_location, step.normals, "normals", row_count
                 )
-                inbetweens.append(Inbetween(step.at, ref, normals))
+                inbetweens.append(Inbetween(step.at, deltas, normals))
             shapes.append(
                 Shape(
                     shape.name,
                     shape.mesh or "",
-                    self._read_optional_array(
-                        (*location, "deltas"), shape.deltas, "deltas", row_count
+                    self.arrays.read_optional_array(
+                        location, shape.deltas, "deltas", row_count
                     ),
-                    self._read_optional_array(
-                        (*location, "normals"), shape.normals, "normals", row_count
+                    self.arrays.read_optional_array(
+                        location, shape.normals, "normals", row_count
                     ),
                     tuple(inbetweens),
                     tuple(shape.combine),
@@ -145,14 +140,14 @@ class PartReader:
             )
         try:
             combination_order(shapes)
-        except ShapeCycleError as error:
+        except DependencyCycleError as error:
             index = [shape.name for shape in shapes].index(error.cycle[0])
             message = f"shapes combine each other in a cycle: {error}"
             self.document.add("RIG026", ("shapes", index, "combine"), message)
         return tuple(shapes)
 
     def read_controls(
-        self, shapes: Iterable[str], inherited: Sequence[Control] = ()
+        self, shapes: Iterable[str], inherited: Sequence[Control]
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
         self._check_distinct("controls", "control")
@@ -177,9 +172,10 @@ class PartReader:
         )
         try:
             evaluation_order(controls)
-        except ControlCycleError as error:
-            first_in_file = next(name for name in error.cycle if name in entry_of_name)
-            message = f"controls drive each other in a cycle: {error}"
+        except DependencyCycleError as error:
+            cycle = error.cycle[::-1]
+            first_in_file = next(name for name in cycle if name in entry_of_name)
+            message = f"controls drive each other in a cycle: {cycle_text(cycle)}"
             self.document.add(
                 "RIG014", ("controls", entry_of_name[first_in_file]), message
             )
@@ -200,7 +196,7 @@ class PartReader:
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
-    def read_chains(self, inherited: Sequence[IkChain] = ()) -> tuple[IkChain, ...]:
+    def read_chains(self, inherited: Sequence[IkChain]) -> tuple[IkChain, ...]:
         """Return the chains, each tip below its root."""
         self._check_distinct("ik", "chain")
         listed_names = {chain.name for chain in self.model.ik}
@@ -235,7 +231,7 @@ class PartReader:
         return tuple(chains)
 
     def read_attachments(
-        self, meshes: Iterable[Mesh], inherited: Iterable[Attachment] = ()
+        self, meshes: Iterable[Mesh], inherited: Iterable[Attachment]
     ) -> tuple[Attachment, ...]:
         """Return the attachments; check their arrays."""
         self._check_distinct("attach", "attachment")
@@ -267,9 +263,7 @@ class PartReader:
             return self.point_counts[mesh.name]
         return self.arrays.row_count(mesh.points)
 
-    def read_colliders(
-        self, inherited: Sequence[Collider] = ()
-    ) -> tuple[Collider, ...]:
+    def read_colliders(self, inherited: Sequence[Collider]) -> tuple[Collider, ...]:
         """Return the colliders."""
         listed_joints = {entry.joint for entry in self.model.colliders}
         colliders = [
@@ -282,46 +276,42 @@ class PartReader:
                 self.document, (*location, "capsule", "axis"), entry.capsule.axis
             )
             length = self.units.length
-            x, y, z = (value * length for value in entry.capsule.offset)
             capsule = Capsule(
                 entry.capsule.radius * length,
                 entry.capsule.length * length,
                 axis,
-                (x, y, z),
+                scale_vector(entry.capsule.offset, length),
             )
             colliders.append(Collider(entry.joint, capsule))
         return tuple(colliders)
 
-    def masses(self, inherited: Sequence[Mass] = ()) -> tuple[Mass, ...]:
+    def read_masses(self, inherited: Sequence[Mass]) -> tuple[Mass, ...]:
         """Return the masses."""
-
-        def is_known_joint(location: Location, name: str) -> bool:
-            """Return whether a joint exists; record a fault otherwise."""
-            return self._check_known(location, name, self.joints, "joint")
-
-        entries, length = self.model.masses, self.units.length
-        return read_masses(self.document, entries, inherited, length, is_known_joint)
+        return read_masses(
+            self.document,
+            self.model.masses,
+            inherited,
+            self.units.length,
+            lambda at, name: self._check_known(at, name, self.joints, "joint"),
+        )
 
     def _read_mesh(self, location: Location, mesh: MeshModel) -> Mesh:
         """Return a mesh; check its arrays."""
-        points = self.arrays.read_array(
-            (*location, "points"), mesh.points, "points", (None, 3)
-        )
+        points = self.arrays.read_array(location, mesh.points, "points", (None, 3))
         point_count = self.point_counts.get(mesh.name)
-        point_count = (
-            self.arrays.row_count(points) if point_count is None else point_count
-        )
+        if point_count is None:
+            point_count = self.arrays.row_count(points)
         if point_count is not None:
             self.point_counts[mesh.name] = point_count
         faces = self.arrays.read_array(
-            (*location, "faces"), mesh.faces, "faces", (None, None), point_count
+            location, mesh.faces, "faces", (None, None), point_count
         )
         return Mesh(
             mesh.name,
             points,
             faces,
-            self._read_optional_array(
-                (*location, "normals"), mesh.normals, "normals", (point_count, 3)
+            self.arrays.read_optional_array(
+                location, mesh.normals, "normals", (point_count, 3)
             ),
             None if mesh.geom_bind is None else tuple(mesh.geom_bind),
             None
@@ -340,26 +330,14 @@ class PartReader:
         if not self.document.is_placeholder((*location, "joints")):
             joints = len(skin.joints)
         indices = self.arrays.read_array(
-            (*location, "indices"), skin.indices, "indices", (vertices, None), joints
+            location, skin.indices, "indices", (vertices, None), joints
         )
         shape = self.arrays.array_shape(indices) or ()
         influences = shape[1] if len(shape) == 2 else None
         weights = self.arrays.read_array(
-            (*location, "weights"), skin.weights, "weights", (vertices, influences)
+            location, skin.weights, "weights", (vertices, influences)
         )
         return Skin(skin.method, tuple(skin.joints), indices, weights)
-
-    def _read_optional_array(
-        self,
-        location: Location,
-        text: str | None,
-        key: str,
-        shape: tuple[int | None, ...],
-    ) -> ArraySource | None:
-        """Return a reference to an array; None if the entry has none."""
-        return (
-            None if text is None else self.arrays.read_array(location, text, key, shape)
-        )
 
     def _read_control(
         self, location: Location, model: ControlModel, shapes: Collection[str]

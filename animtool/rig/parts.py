@@ -114,9 +114,8 @@ class Inbetween:
 
     at: float  # weight of the shape at which the deltas apply
     deltas: ArraySource  # offsets, of the same array shape as the blend shape's deltas
-    normals: ArraySource | None = (
-        None  # likewise for the normals; None leaves them unchanged
-    )
+    # Likewise for the normals; None leaves them unchanged.
+    normals: ArraySource | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -21,7 +21,7 @@ from animtool.rig.parts import (
     Mass,
     Mesh,
 )
-from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.placement import Placement, placement_matrices
 from animtool.rig.skeleton import Joint, JointType, Pose, Rig
 
 
@@ -115,15 +115,13 @@ def _scale_joint(joint: Joint, rig: Rig, size: float) -> Joint:
 
 def _scale_driver(driver: Driver | None, size: float) -> Driver | None:
     """Return a driver with its length unit scaled."""
-    if driver is None or size == 1.0:
-        return driver
+    if driver is None:
+        return None
     return replace(driver, length_unit=driver.length_unit * size)
 
 
 def _scale_control(control: Control, size: float) -> Control:
     """Return a control with its drives of lengths scaled."""
-    if size == 1.0:
-        return control
     drives = tuple(
         replace(drive, unit=drive.unit * size) if drive.is_length else drive
         for drive in control.drives
@@ -155,7 +153,7 @@ def _rotate_chain(chain: IkChain, placement: Placement, roots: Set[str]) -> IkCh
 def _transform_mesh(mesh: Mesh, placement: Placement, unit: float) -> Mesh:
     """Return a mesh with its bind transform placed."""
     bind = np.eye(4) if mesh.geom_bind is None else np.reshape(mesh.geom_bind, (4, 4))
-    matrix = placement_matrix(placement, unit)
+    matrix = placement_matrices(placement, unit)[0]
     return replace(mesh, geom_bind=tuple((matrix @ bind).ravel().tolist()))
 
 
@@ -175,8 +173,6 @@ def _transform_strands(
 
 def _scale_mass(mass: Mass, size: float) -> Mass:
     """Return mass properties with lengths scaled; the mass is kept."""
-    if size == 1.0:
-        return mass
     x, y, z = (value * size for value in mass.centre)
     inertia = mass.inertia
     if inertia is not None:
@@ -187,8 +183,6 @@ def _scale_mass(mass: Mass, size: float) -> Mass:
 
 def _scale_collider(collider: Collider, size: float) -> Collider:
     """Return a collider with its lengths scaled."""
-    if size == 1.0:
-        return collider
     capsule = collider.capsule
     x, y, z = capsule.offset
     scaled_capsule = replace(

@@ -162,14 +162,13 @@ def _rotation_between(start: FloatArray, end: FloatArray) -> FloatArray:
     return so3.shortest_rotation(start, end)
 
 
-def placement_matrix(placement: Placement, unit: float = 1.0) -> FloatArray:
-    """Return the placement of the first frame for column vectors ``(4, 4)``.
+def placement_matrices(placement: Placement, unit: float = 1.0) -> FloatArray:
+    """Return the matrices of a placement for column vectors ``(F, 4, 4)``.
 
     unit: unit of the vectors [m].
     """
-    matrix = np.eye(4)
-    matrix[:3, :3] = so3.to_matrix(placement.rotations[0])
-    if placement.size != 1.0:
-        matrix[:3, :3] *= placement.size
-    matrix[:3, 3] = placement.translations[0] / unit
-    return matrix
+    matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
+    linear = so3.to_matrix(placement.rotations)
+    matrices[:, :3, :3] = linear * placement.sizes[:, None, None]
+    matrices[:, :3, 3] = placement.translations / unit
+    return matrices

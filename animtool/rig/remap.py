@@ -81,7 +81,6 @@ class ShapeLinks:
 
     links: tuple[ShapeLink, ...]
     lost: tuple[str, ...]  # unlinked source shapes
-    unlinked_targets: tuple[str, ...]  # unlinked target shapes
 
     def apply(self, weights: FloatArray, count: int) -> FloatArray:
         """Convert source weights to target weights ``(F, count)``."""
@@ -135,51 +134,46 @@ def link_shapes(
             indices = {}
             for side, index in (("source", source_index), ("target", target_index)):
                 name = getattr(entry, side)
-                shape_index = index.get(name, index.get(arkit_name(name) or name))
+                shape_index = _find_shape(name, index)
                 if shape_index is None:
                     message = f"the {side} has no shape {name!r}"
                     names = source if side == "source" else target
-                    document.add(
-                        "FAC001", ("shapes", i, side), message, nearest(name, names)
-                    )
+                    hint = nearest(name, names)
+                    document.add("FAC001", ("shapes", i, side), message, hint)
                 else:
                     indices[side] = shape_index
             if len(indices) == 2:
-                clamp_low, clamp_high = entry.clamp or (-np.inf, np.inf)
+                low, high = entry.clamp or (-np.inf, np.inf)
                 links.append(
                     ShapeLink(
-                        *(
-                            indices["source"],
-                            indices["target"],
-                            entry.gain,
-                            entry.offset,
-                        ),
-                        low=clamp_low,
-                        high=clamp_high,
+                        **indices,
+                        gain=entry.gain,
+                        offset=entry.offset,
+                        low=low,
+                        high=high,
                     )
                 )
         document.check()
+    linked_sources = {link.source for link in links}
+    linked_targets = {link.target for link in links}
     if model is None or model.others == "auto":
-        linked_sources = {link.source for link in links}
-        linked_targets = {link.target for link in links}
         for i, name in enumerate(source):
-            shape_index = target_index.get(
-                name, target_index.get(arkit_name(name) or name)
-            )
+            shape_index = _find_shape(name, target_index)
             if (
                 shape_index is not None
                 and i not in linked_sources
                 and shape_index not in linked_targets
             ):
                 links.append(ShapeLink(i, shape_index))
+                linked_sources.add(i)
                 linked_targets.add(shape_index)
-    linked_sources_after = {link.source for link in links}
-    linked_targets_after = {link.target for link in links}
-    return ShapeLinks(
-        tuple(links),
-        tuple(name for i, name in enumerate(source) if i not in linked_sources_after),
-        tuple(name for i, name in enumerate(target) if i not in linked_targets_after),
-    )
+    lost = (name for i, name in enumerate(source) if i not in linked_sources)
+    return ShapeLinks(tuple(links), tuple(lost))
+
+
+def _find_shape(name: str, index: Mapping[str, int]) -> int | None:
+    """Return the index of a shape by its name, or its ARKit name; None if unknown."""
+    return index.get(name, index.get(arkit_name(name) or name))
 
 
 def _shapes_by_name(names: Sequence[str]) -> Mapping[str, int]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from graphlib import CycleError, TopologicalSorter
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import cycle_text
+from animtool.rig.dependencies import dependency_order
 from animtool.rig.parts import Shape
 
 _SIDED_NAMES = """
@@ -55,19 +54,6 @@ def arkit_name(name: str) -> str | None:
     return _ARKIT_BY_NORMALIZED.get(_normalize_name(name))
 
 
-class ShapeCycleError(ValueError):
-    """Shapes combine each other in a cycle.
-
-    Attributes:
-        cycle: Names of the shapes, each combining the next; the first one again at the
-            end.
-    """
-
-    def __init__(self, cycle: list[str]) -> None:
-        self.cycle = cycle
-        super().__init__(cycle_text(cycle))
-
-
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     """Return shapes in dependency order.
 
@@ -80,12 +66,7 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
         shape.name: [name for name in shape.combine if name in by_name]
         for shape in shapes
     }
-    try:
-        order = list(TopologicalSorter(dependencies).static_order())
-    except CycleError as error:
-        # The sorter names each shape before those that need it; reverse that.
-        raise ShapeCycleError(list(reversed(error.args[1]))) from error
-    return [by_name[name] for name in order]
+    return [by_name[name] for name in dependency_order(dependencies)]
 
 
 def add_combinations(

@@ -221,23 +221,17 @@ def world_transform_below(parent_world: PoseArrays, pose: Pose) -> PoseArrays:
 def mirror_pose(pose: Pose, world: PoseArrays, parent_world: PoseArrays) -> Pose:
     """Return the local pose of the partner joint, a reflection in world space."""
     local = reflect_vector(np.array(pose.translation)) + 0.0
-    facing_local = reflect_rotation(np.array(pose.rotation)) + 0.0
-    position, rotation = reflect_vector(world[0]), reflect_rotation(world[1])
+    local_rotation = reflect_rotation(np.array(pose.rotation)) + 0.0
     inverse_parent = so3.conjugate(parent_world[1])
-    offset, mirrored_rotation = (
-        position - parent_world[0],
-        so3.multiply(inverse_parent, rotation),
-    )
+    offset = so3.rotate(inverse_parent, reflect_vector(world[0]) - parent_world[0])
+    rotation = so3.multiply(inverse_parent, reflect_rotation(world[1]))
     if (
-        np.abs(so3.rotate(inverse_parent, offset) - local).max() > POSITION_TOLERANCE
-        or so3.angle_between(mirrored_rotation, facing_local) > POSITION_TOLERANCE
+        np.abs(offset - local).max() > POSITION_TOLERANCE
+        or so3.angle_between(rotation, local_rotation) > POSITION_TOLERANCE
     ):
         # The parents are not mirror images of each other.
-        local, facing_local = (
-            so3.rotate(inverse_parent, offset) + 0.0,
-            mirrored_rotation + 0.0,
-        )
-    a, b, c, d = facing_local.tolist()
+        local, local_rotation = offset + 0.0, rotation + 0.0
+    a, b, c, d = local_rotation.tolist()
     return Pose(_float_tuple(local), (a, b, c, d))
 
 

@@ -257,8 +257,8 @@ class Rig:
         """Return an `animtool.ik.Session` that solves goals one pose per call.
 
         Args:
-            goals: Names of joints, or `animtool.ik.Goal` for more than position and
-                rotation.
+            goals: Names of chains or joints, or `animtool.ik.Goal` for more than
+                position and rotation.
             options: Arguments of `animtool.ik.Session`.
 
         Raises:
@@ -280,13 +280,24 @@ class Rig:
         return ancestors
 
     @cached_property
+    def drivers(self) -> dict[str, Driver]:
+        """Drivers by target: ``joint/NAME``, ``shape/NAME`` or ``control/NAME``."""
+        parts: dict[str, Sequence[Joint | Shape | Control]] = {
+            "joint": self.joints,
+            "shape": self.shapes,
+            "control": self.controls,
+        }
+        return {
+            f"{kind}/{part.name}": part.driven
+            for kind, parts_of_kind in parts.items()
+            for part in parts_of_kind
+            if part.driven is not None
+        }
+
+    @property
     def is_driven(self) -> bool:
         """Whether a joint, shape or control has a driver."""
-        return (
-            any(joint.driven is not None for joint in self.joints)
-            or any(shape.driven is not None for shape in self.shapes)
-            or any(control.driven is not None for control in self.controls)
-        )
+        return bool(self.drivers)
 
     @property
     def names(self) -> list[str]:
@@ -359,8 +370,8 @@ class Rig:
             if total_length > MAX_PATH_CHARACTERS:
                 message = (
                     f"the paths of the {len(self.joints)} joints of {self.name!r} "
+                    f"have more than {MAX_PATH_CHARACTERS:g} characters in total"
                 )
-                message += f"have more than {MAX_PATH_CHARACTERS:g} characters in total"
                 hint = (
                     "shorten the chains: each path contains all names above its joint"
                 )

@@ -33,9 +33,8 @@ class SurfaceInbetween:
 
     at: float  # weight of the shape at which the deltas apply
     deltas: FloatArray  # vertex offsets of the shape ``(N, 3)`` [m]
-    normals: FloatArray | None = (
-        None  # likewise for normals; None leaves them unchanged
-    )
+    # Likewise for the normals; None leaves them unchanged.
+    normals: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -254,42 +254,35 @@ def warn_of_stretch_percent(
 
 
 def warn_of_drives(document: Document, rig: Rig) -> None:
-    """Warn of drives that give radians in a rig in degrees, or the reverse (RIG112)."""
-    in_degrees = rig.radians_per_unit != 1.0
+    """Warn of drives and drivers that give radians in a rig in degrees (RIG112).
+
+    The same for degrees in a rig in radians.
+    """
+    declared_unit = "deg" if rig.radians_per_unit != 1.0 else "rad"
+    intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
     default_values = {
         control.name: np.array([control.default]) for control in rig.controls
     }
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
-            target = drive.target
-            largest = (
-                _max_drive_value(control, drive, default_values)
-                if drive.is_angle
-                else 0.0
-            )
-            check = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
-            if not check:
+            if not drive.is_angle:
                 continue
-            declared_unit = "deg" if in_degrees else "rad"
-            intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
+            largest = _max_drive_value(control, drive, default_values)
+            if not _is_in_other_unit(rig, largest, drive.target):
+                continue
             message = (
                 f"{control.name!r} drives {drive.target!r} by {largest:.4g}, which "
                 f"looks like {ANGLE_NAMES[intended_unit]}, "
                 f"but units.angle is {declared_unit}"
             )
-            hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
-            hint += f"{largest * factor:.4g}; "
-            hint += f"multiply the expression by {factor:.6g}"
+            hint = (
+                f"for {ANGLE_NAMES[declared_unit]} the result is "
+                f"{largest * factor:.4g}; multiply the expression by {factor:.6g}"
+            )
             names = [entry.get("name") for entry in document.value["controls"]]
-            location = ("controls", names.index(control.name), "drives", k)
-            document.warn("RIG112", location, message, hint)
+            row = names.index(control.name)
+            document.warn("RIG112", ("controls", row, "drives", k), message, hint)
             return
-    _warn_of_drivers(document, rig)
-
-
-def _warn_of_drivers(document: Document, rig: Rig) -> None:
-    """Warn of an angle whose driver gives the other unit (RIG112)."""
-    in_degrees = rig.radians_per_unit != 1.0
     entries = {
         entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
     }
@@ -297,20 +290,26 @@ def _warn_of_drivers(document: Document, rig: Rig) -> None:
         if joint.driven is None or joint.type is not JointType.PIN:
             continue
         largest = _max_driver_value(rig, joint.driven)
-        target = f"joint/{joint.name}.angle"
-        is_other = _is_radians(largest) if in_degrees else _is_degrees(largest, target)
+        is_other = _is_in_other_unit(rig, largest, f"joint/{joint.name}.angle")
         if not is_other or joint.name not in entries:
             continue
-        declared_unit = "deg" if in_degrees else "rad"
-        intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
         message = (
             f"{joint.name!r} is driven to {largest:.4g}, which looks like "
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        location = ("joints", entries[joint.name], "driven")
-        document.warn("RIG112", location, message, hint)
+        row = entries[joint.name]
+        document.warn("RIG112", ("joints", row, "driven"), message, hint)
         return
+
+
+def _is_in_other_unit(rig: Rig, value: float, target: str) -> bool:
+    """Return whether a target's value looks like degrees in a rig in radians.
+
+    In a rig in degrees, return whether it looks like radians.
+    """
+    in_degrees = rig.radians_per_unit != 1.0
+    return _is_radians(value) if in_degrees else _is_degrees(value, target)
 
 
 def _max_driver_value(rig: Rig, driver: Driver) -> float:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.units import unit_name
 from animtool.rig.controls import Control, Drive
 from animtool.rig.drivers import SLIDE, Driver, split_coordinate
+from animtool.rig.expressions import Expression
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import (
     ArraySource,
@@ -49,8 +50,9 @@ def rig_text(rig: Rig) -> str:
         "joints:" if rig.joints else "joints: []",
     ]
     written_names: set[str] = set()
-    joints = rig.joints if _mirrors_drivers(rig) else _without_mirrors(rig.joints)
-    for joint in joints:
+    mirrors_drivers = _mirrors_drivers(rig)
+    for rig_joint in rig.joints:
+        joint = rig_joint if mirrors_drivers else replace(rig_joint, mirror="")
         if joint.mirror not in written_names:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             text_lines.append(f"- {units.joint_entry(joint, parent, rig)}")
@@ -106,11 +108,9 @@ class _FileNumbers:
         self, range_pair: tuple[float, float] | None, unit: float
     ) -> str | None:
         """Return a range as text in a unit; None without a range."""
-        return (
-            None
-            if range_pair is None
-            else flow_list([scaled_decimal(value, unit) for value in range_pair])
-        )
+        if range_pair is None:
+            return None
+        return flow_list([scaled_decimal(value, unit) for value in range_pair])
 
     def joint_entry(self, joint: Joint, parent: str | None, rig: Rig) -> str:
         """Return the entry of a joint."""
@@ -137,22 +137,17 @@ class _FileNumbers:
 
     def collider_entry(self, collider: Collider) -> str:
         """Return the entry of a collider."""
-        capsule = [
-            ("radius", self.length_text(collider.capsule.radius)),
-            ("length", self.length_text(collider.capsule.length)),
-            ("axis", _number_list(collider.capsule.axis)),
-            (
-                "offset",
-                self.vector_text(collider.capsule.offset)
-                if any(collider.capsule.offset)
-                else None,
-            ),
-        ]
-        return _flow_mapping(
+        capsule, offset = collider.capsule, collider.capsule.offset
+        form = _flow_mapping(
             [
-                ("joint", yaml_scalar(collider.joint)),
-                ("capsule", _flow_mapping(capsule)),
+                ("radius", self.length_text(capsule.radius)),
+                ("length", self.length_text(capsule.length)),
+                ("axis", _number_list(capsule.axis)),
+                ("offset", self.vector_text(offset) if any(offset) else None),
             ]
+        )
+        return _flow_mapping(
+            [("joint", yaml_scalar(collider.joint)), ("capsule", form)]
         )
 
     def mass_entry(self, mass: Mass) -> str:
@@ -254,20 +249,13 @@ class _FileNumbers:
         factor = drive.unit / unit
         factor = 1.0 if math.isclose(factor, 1.0, rel_tol=1e-12) else factor
         curve = flow_list([str(_number_list((x, y * factor))) for x, y in drive.curve])
-        expression, expression_text = drive.expression, None
-        if expression is not None:
-            expression_text = (
-                expression.text if factor == 1.0 else expression.scaled_text({}, factor)
-            )
+        expression_text = None
+        if drive.expression is not None:
+            expression_text = _expression_text(drive.expression, {}, factor)
         return _flow_mapping(
             [
                 (kind, yaml_scalar(name)),
-                (
-                    "expr",
-                    None
-                    if expression_text is None
-                    else _quoted_scalar(expression_text),
-                ),
+                ("expr", expression_text),
                 ("curve", curve if drive.curve else None),
                 ("interp", "smooth" if drive.smooth else None),
             ]
@@ -286,23 +274,14 @@ class _FileNumbers:
             for name in driver.names
         }
         if driver.expression is not None:
-            is_unscaled = factor == 1.0 and all(
-                ratio == 1.0 for ratio in ratios.values()
-            )
-            expr = driver.expression
-            expression_text = (
-                expr.text if is_unscaled else expr.scaled_text(ratios, factor)
-            )
-            return _flow_mapping([("expr", _quoted_scalar(expression_text))])
+            text = _expression_text(driver.expression, ratios, factor)
+            return _flow_mapping([("expr", text)])
         ratio = ratios[driver.curve_input]
-        scaled_points = [(x / ratio, y * factor) for x, y in driver.curve]
+        points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             [
                 ("by", yaml_scalar(driver.curve_input)),
-                (
-                    "curve",
-                    flow_list([str(_number_list(point)) for point in scaled_points]),
-                ),
+                ("curve", flow_list([str(_number_list(point)) for point in points])),
                 ("interp", "smooth" if driver.smooth else None),
             ]
         )
@@ -327,19 +306,11 @@ def _mirrors_drivers(rig: Rig) -> bool:
         if partner is None or joint.mirror in written_names:
             continue
         written_names.add(joint.name)
-        if (joint.driven is None) != (partner.driven is None):
-            return False
-        if (
-            joint.driven is not None
-            and joint.driven.mirrored(partners) != partner.driven
-        ):
+        driver = joint.driven
+        mirrored_driver = None if driver is None else driver.mirrored(partners)
+        if mirrored_driver != partner.driven:
             return False
     return True
-
-
-def _without_mirrors(joints: Sequence[Joint]) -> list[Joint]:
-    """Return the joints with `mirror` cleared, so that all are written out."""
-    return [replace(joint, mirror="") for joint in joints]
 
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
@@ -439,9 +410,17 @@ def _array_path(source: ArraySource | None) -> str | None:
     return None if source is None else yaml_scalar(source.text)
 
 
-def _quoted_scalar(value: str) -> str:
-    """Quote a text as a YAML scalar with double quotes and escapes."""
-    escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
+def _expression_text(
+    expression: Expression, factors: Mapping[str, float], factor: float
+) -> str:
+    """Return an expression as a YAML scalar in quotes.
+
+    Its names and its result are multiplied by factors; factors of 1 keep its spelling.
+    """
+    text = expression.text
+    if factor != 1.0 or any(name_factor != 1.0 for name_factor in factors.values()):
+        text = expression.scaled_text(factors, factor)
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped}"'
 
 
@@ -458,9 +437,7 @@ def _name_list(names: Sequence[str]) -> str:
 
 def _number_list(values: Sequence[float] | None) -> str | None:
     """Return numbers as a YAML list in brackets; None for None."""
-    return (
-        None if values is None else flow_list([decimal_text(value) for value in values])
-    )
+    return None if values is None else flow_list(list(map(decimal_text, values)))
 
 
 def _quaternion_text(rotation: tuple[float, float, float, float]) -> str:

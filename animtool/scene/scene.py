@@ -402,10 +402,7 @@ class Scene:
             (source,) = self.sources
             stream = self._open_source(source, progress)
             if progress is not None and stream.count:
-                blocks = with_progress(
-                    stream.blocks, stream.count, progress, lambda block: block.frames
-                )
-                stream.blocks = blocks
+                stream.blocks = with_progress(stream.blocks, stream.count, progress)
             return stream
         from animtool.scene.sources.joining import JoinedSource, join_sources
 

@@ -114,18 +114,15 @@ def _initial_step(run: IntegrationRun) -> float:
 
     rate = equations.rate(run.time, y)
     state_norm, rate_norm = norm(y), norm(rate)
-    small_step = (
-        0.01 * state_norm / rate_norm
-        if state_norm > 1e-5 and rate_norm > 1e-5
-        else 1e-6
-    )
+    small_step = 1e-6
+    if state_norm > 1e-5 and rate_norm > 1e-5:
+        small_step = 0.01 * state_norm / rate_norm
     next_rate = equations.rate(run.time + small_step, y + small_step * rate)
     largest_rate = max(rate_norm, norm(next_rate - rate) / small_step)
     power = 1 / run.integrator.error_order
-    estimate = (
-        max(1e-6, small_step * 1e-3)
-        if largest_rate <= 1e-15
-        else (0.01 / largest_rate) ** power
-    )
+    if largest_rate <= 1e-15:
+        estimate = max(1e-6, small_step * 1e-3)
+    else:
+        estimate = (0.01 / largest_rate) ** power
     step = min(100 * small_step, estimate)
     return step if math.isfinite(step) and step > 0 else small_step

@@ -47,9 +47,8 @@ def step_warnings(
     limit = allowed_step(integrator, modes)
     if limit is None or max_step <= limit:
         return []
-    message = (
-        f"{integrator.name} is not stable with steps of {plain_number(max_step)} s"
-    )
+    message = f"{integrator.name} is not stable with steps of {plain_number(max_step)} "
+    message += "s"
     return [warning("SIM101", message, _stable_step_advice(limit))]
 
 
@@ -212,9 +211,6 @@ def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]
 def _non_finite_rows(row_name: str, values: FloatArray) -> list[str]:
     """Return a message for each row that is not finite at the start."""
     is_finite = np.isfinite(np.atleast_1d(values))
-    nonfinite_rows = np.flatnonzero(
-        ~is_finite.all(axis=tuple(range(1, is_finite.ndim)))
-    )
-    return [
-        f"{row_name} {i} is not finite at the start" for i in nonfinite_rows.tolist()
-    ]
+    is_finite_row = np.asarray(is_finite.all(axis=tuple(range(1, is_finite.ndim))))
+    rows = np.flatnonzero(~is_finite_row).tolist()
+    return [f"{row_name} {i} is not finite at the start" for i in rows]

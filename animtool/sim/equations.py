@@ -67,11 +67,9 @@ class Equations:
         assert self.second_order is not None
         self.evaluations += 1
         accelerations = self.second_order.acceleration(t, x, v)
-        return (
-            accelerations
-            if self._fixed is None
-            else np.where(self._fixed, 0.0, accelerations)
-        )
+        if self._fixed is None:
+            return accelerations
+        return np.where(self._fixed, 0.0, accelerations)
 
     def jacobian(self, t: float, y: FloatArray) -> Matrix | None:
         """Return the Jacobian of a first-order rate; None if unknown."""

@@ -93,10 +93,8 @@ def _start_solver(run: IntegrationRun) -> _Solver:
     if jacobian is not None:
         settings["jac"] = jacobian
     solver_class: Any = load_object(run.integrator.solver)
-    memory = _Solver(
-        solver_class(rate, run.time, run.state.ravel(), run.end, **settings)
-    )
-    run.memory = memory
+    solver = solver_class(rate, run.time, run.state.ravel(), run.end, **settings)
+    run.memory = memory = _Solver(solver)
     return memory
 
 
@@ -119,11 +117,10 @@ def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix]
         jacobian_pair = equations.jacobians(run.time, *run.state)
         sample = None if jacobian_pair is None else jacobian_pair[0]
         jacobian = acceleration_jacobian
-    is_supported = (
-        isinstance(sample, np.ndarray)
-        or run.integrator.solver not in DENSE_JACOBIAN_SOLVERS
-    )
-    return jacobian if sample is not None and is_supported else None
+    needs_dense = run.integrator.solver in DENSE_JACOBIAN_SOLVERS
+    if sample is None or (needs_dense and not isinstance(sample, np.ndarray)):
+        return None
+    return jacobian
 
 
 def _block_jacobian(by_x: Matrix, by_v: Matrix) -> Matrix:

@@ -77,10 +77,8 @@ def _stable_step(
     run: IntegrationRun, samples: Sequence[tuple[float, FloatArray]]
 ) -> float | None:
     """Return the largest step that is stable at all sampled states [s]."""
-    modes = (modes_at(run.equations, t, state) for t, state in samples)
-    steps = [
-        allowed_step(run.integrator, rates) for rates in modes if rates is not None
-    ]
+    modes = [modes_at(run.equations, t, state) for t, state in samples]
+    steps = [allowed_step(run.integrator, one) for one in modes if one is not None]
     return min((step for step in steps if step is not None), default=None)
 
 
@@ -133,19 +131,14 @@ def integrate(
         run = _start_run(equations, integrator, options, sample_times, start)
         states, status = _sample_states(run, sample_times)
         end_indices = sorted({0, len(states) - 1})
-        stats = stats_of(
-            run, status, [(float(sample_times[i]), states[i]) for i in end_indices]
-        )
+        ends = [(float(sample_times[i]), states[i]) for i in end_indices]
+        stats = stats_of(run, status, ends)
         energies = _sample_energies(system, sample_times, states)
     if status is not Status.OK:
         notices.append(stop_warning(integrator, options, stats))
     elif options.estimate:
-        refined = integrate(
-            system,
-            sample_times,
-            finer_options(options),
-            replace(start, memory=None, trial=None),
-        )
+        fresh_start = replace(start, memory=None, trial=None)
+        refined = integrate(system, sample_times, finer_options(options), fresh_start)
         stats = replace(stats, error=_refinement_error(refined, states))
     return Trajectory(
         sample_times[: len(states)],
@@ -198,10 +191,8 @@ def _sample_energies(
     system: FirstOrder | SecondOrder, times: FloatArray, states: list[FloatArray]
 ) -> FloatArray | None:
     """Return total energies at the times reached; None if any energy is undefined."""
-    energies = [
-        system.energy(t, state)
-        for t, state in zip(times.tolist(), states, strict=False)
-    ]
+    samples = zip(times.tolist(), states, strict=False)
+    energies = [system.energy(t, state) for t, state in samples]
     totals = [energy.total for energy in energies if energy is not None]
     return np.array(totals) if len(totals) == len(energies) else None
 

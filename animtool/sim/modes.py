@@ -25,9 +25,9 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
     >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
     0.02
     """
-    oscillating_modes = modes[modes[:, 0] > 0]
+    oscillating_modes = modes[modes[:, 0] > 0].tolist()
     steps = [
-        integrator.largest_step(float(omega), max(0.0, float(damping)))
+        integrator.largest_step(omega, max(0.0, damping))
         for omega, damping in oscillating_modes
     ]
     limits = [step for step in steps if step is not None]
@@ -58,12 +58,10 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     eigenvalues = np.linalg.eigvals(jacobian)
     magnitudes = np.abs(eigenvalues)
     # Finite differences have rounding errors relative to the largest value.
-    is_relevant = (magnitudes > 1e-6 * magnitudes.max(initial=0.0)) & (
-        eigenvalues.real <= 1e-6 * magnitudes
-    )
-    damping = np.maximum(
-        -eigenvalues.real / np.where(magnitudes > 0, magnitudes, 1.0), 0.0
-    )
+    is_relevant = magnitudes > 1e-6 * magnitudes.max(initial=0.0)
+    is_relevant &= eigenvalues.real <= 1e-6 * magnitudes
+    damping = -eigenvalues.real / np.where(magnitudes > 0, magnitudes, 1.0)
+    damping = np.maximum(damping, 0.0)
     damping = np.where(damping < 1e-6, 0.0, damping)
     modes: FloatArray = np.stack([magnitudes, damping], axis=1)[is_relevant]
     return modes

@@ -118,10 +118,8 @@ def _find_root(
         if not np.isfinite(residuals).all():
             return None
         magnitude = max(float(np.abs(point).max(initial=0.0)), min_size)
-        if (
-            float(np.abs(correction).max(initial=0.0))
-            <= CONVERGED_CORRECTION * magnitude + 1e-300
-        ):
+        tolerance = CONVERGED_CORRECTION * magnitude + 1e-300
+        if float(np.abs(correction).max(initial=0.0)) <= tolerance:
             return point
     return None
 
@@ -135,10 +133,8 @@ def _line_search(
     for halving in range(MAX_HALVINGS):
         new_point = point + correction * 0.5**halving
         new_residuals = residual(new_point)
-        if (
-            float(np.linalg.norm(new_residuals)) <= 2 * residual_norm
-            or residual_norm == 0
-        ):
+        new_norm = float(np.linalg.norm(new_residuals))
+        if new_norm <= 2 * residual_norm or residual_norm == 0:
             break
     return new_point, new_residuals
 
@@ -153,23 +149,15 @@ def _identity_minus(matrix: Matrix) -> Matrix:
 
 
 def _solve_linear(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
-    """Return the solution of a linear system; None if singular."""
-    if not isinstance(matrix, np.ndarray):
-        return _solve_sparse(matrix, rhs)
+    """Return the solution of a dense or sparse linear system; None if singular."""
+    solution: FloatArray
     try:
-        solution = np.linalg.solve(matrix, rhs).astype(np.float64, copy=False)
-    except np.linalg.LinAlgError:
-        return None
-    return solution if np.isfinite(solution).all() else None
+        if isinstance(matrix, np.ndarray):
+            solution = np.linalg.solve(matrix, rhs).astype(np.float64, copy=False)
+        else:
+            from scipy.sparse.linalg import splu
 
-
-def _solve_sparse(matrix: Matrix, rhs: FloatArray) -> FloatArray | None:
-    """Return the solution of a sparse system; None if singular."""
-    from scipy.sparse.linalg import splu
-
-    try:
-        solution: FloatArray = splu(matrix.tocsc()).solve(rhs)
-    except RuntimeError:
-        # The matrix is singular.
+            solution = splu(matrix.tocsc()).solve(rhs)
+    except (np.linalg.LinAlgError, RuntimeError):  # of dense, of sparse matrices
         return None
     return solution if np.isfinite(solution).all() else None

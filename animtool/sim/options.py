@@ -69,7 +69,8 @@ class IntegrateOptions:
 def check_options(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name; raise if they are invalid."""
     integrator = _find_named_integrator(options)
-    faults = _option_faults(options, integrator.control)
+    is_fixed = integrator.control is StepControl.FIXED
+    faults = range_faults(options) + _method_faults(options, fixed=is_fixed)
     if faults:
         raise OptionError(faults)
     return integrator
@@ -100,13 +101,6 @@ def _find_named_integrator(options: IntegrateOptions) -> Integrator:
 
         return step_doubling(find_integrator(options.base))
     return integrator
-
-
-def _option_faults(options: IntegrateOptions, control: StepControl) -> list[Fault]:
-    """Return the faults of the step size and tolerance options."""
-    return range_faults(options) + _method_faults(
-        options, fixed=control is StepControl.FIXED
-    )
 
 
 def _method_faults(options: IntegrateOptions, *, fixed: bool) -> list[Fault]:

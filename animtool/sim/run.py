@@ -69,10 +69,8 @@ class IntegrationRun:
         """Count steps up to time t; return whether to continue."""
         self.time = t
         self.steps += steps
-        self.smallest_step, self.largest_step = (
-            min(self.smallest_step, h),
-            max(self.largest_step, h),
-        )
+        self.smallest_step = min(self.smallest_step, h)
+        self.largest_step = max(self.largest_step, h)
         if self.steps - self.checked_steps >= CHECK_INTERVAL:
             return self.check()
         return self.budget_status()
@@ -131,14 +129,10 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     first_multiple, last_multiple = start / step, end / step
     first_index, last_index = round(first_multiple), round(last_multiple)
     # Rounding error of times that are multiples of the step.
-    tolerance = GRID_TOLERANCE + 4 * math.ulp(
-        max(abs(first_multiple), abs(last_multiple))
-    )
-    is_on_grid = (
-        max(abs(first_multiple - first_index), abs(last_multiple - last_index))
-        <= tolerance
-        < 0.5
-    )
+    rounding = math.ulp(max(abs(first_multiple), abs(last_multiple)))
+    tolerance = GRID_TOLERANCE + 4 * rounding
+    offset = max(abs(first_multiple - first_index), abs(last_multiple - last_index))
+    is_on_grid = offset <= tolerance < 0.5
     if is_on_grid and last_index > first_index:
         return StepGrid(start, end, last_index - first_index, step, first_index)
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
@@ -150,11 +144,10 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
     native = run.equations.system.native(run.integrator.name)
-    status = (
-        _advance_by_steps(run, grid)
-        if native is None
-        else _advance_by_blocks(run, grid, native)
-    )
+    if native is None:
+        status = _advance_by_steps(run, grid)
+    else:
+        status = _advance_by_blocks(run, grid, native)
     # Up to rounding, the last step ends at the requested time.
     run.time = target if status is Status.OK else run.time
     return status

@@ -49,10 +49,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
             eigenvalues = {complex(-damping_ratio - root)}
         else:
             root = math.sqrt((1 - damping_ratio) * (1 + damping_ratio))
-            eigenvalues = {
-                complex(-damping_ratio, root),
-                complex(-damping_ratio, -root),
-            }
+            eigenvalues = {complex(-damping_ratio, y) for y in (root, -root)}
         limits = (_first_unstable_step(coefficients, value) for value in eigenvalues)
         return min(limits) / omega
 

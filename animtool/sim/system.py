@@ -176,11 +176,9 @@ class _FunctionSystem:
     ) -> None:
         self._state = state
         self._energy = energy
-        self._frequencies = (
-            None
-            if frequencies is None
-            else np.atleast_2d(np.asarray(frequencies, np.float64))
-        )
+        self._frequencies = None
+        if frequencies is not None:
+            self._frequencies = np.atleast_2d(np.asarray(frequencies, np.float64))
 
     @property
     def state(self) -> FloatArray:
@@ -264,15 +262,9 @@ class ForceSystem(_FunctionSystem, SecondOrder):
         fixed: BoolArray | None = None,
         velocity_dependent: bool = True,
     ) -> None:
-        start_positions = np.asarray(positions, np.float64)
-        start_velocities = (
-            np.zeros_like(start_positions) if velocities is None else velocities
-        )
-        super().__init__(
-            np.stack([start_positions, np.asarray(start_velocities, np.float64)]),
-            energy,
-            frequencies,
-        )
+        x = np.asarray(positions, np.float64)
+        v = np.zeros_like(x) if velocities is None else np.asarray(velocities, float)
+        super().__init__(np.stack([x, v]), energy, frequencies)
         self._acceleration = acceleration
         self._jacobians = jacobians
         self.fixed = fixed

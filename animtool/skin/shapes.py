@@ -200,11 +200,9 @@ def _blend_columns(
         )
         points = blended_rows
     if active_sparse.any():
-        row_starts, column_indices, offsets = (
-            columns.row_starts,
-            columns.columns,
-            columns.offsets,
-        )
+        row_starts = columns.row_starts
+        column_indices = columns.columns
+        offsets = columns.offsets
         # The kernel skips inactive columns of a single frame.
         if len(weights) > 1:
             row_starts, column_indices, offsets = _active_offsets(
@@ -228,10 +226,8 @@ def _add_dense_columns(
     if inactive_count * len(weights) > MIN_COPY_FRAMES * (
         len(is_used) - inactive_count + 1
     ):
-        dense_table, dense_weights = (
-            dense_table[np.append(True, is_used)],
-            dense_weights[:, is_used],
-        )
+        dense_table = dense_table[np.append(True, is_used)]
+        dense_weights = dense_weights[:, is_used]
     factors = np.concatenate([np.ones((len(dense_weights), 1)), dense_weights], axis=1)
     np.matmul(factors, dense_table, out=out)
 

@@ -20,7 +20,7 @@ from animtool.core.array_types import (
 from animtool.core.errors import Fault, FormatError, listed
 from animtool.core.record import dataclass
 from animtool.rig.kinematics import WorldTransforms
-from animtool.skin.influences import InfluenceReport, Influences, read_influences
+from animtool.skin.influences import Influences, read_influences
 
 # A bind matrix is singular if the determinant of its linear part, relative to the cube
 # of its largest element, is smaller than this.
@@ -59,7 +59,6 @@ class PreparedSkin:
 
     method: SkinMethod  # linear blend or dual quaternions
     influences: Influences  # per vertex; joint indices refer to ``joints``
-    report: InfluenceReport  # corrections of the influences
     joints: IntArray  # skeleton joints that the mesh uses ``(U,)``
     # Inverse bind transforms of the used joints ``(U, 4, 4)``.
     joint_from_world: FloatArray
@@ -83,7 +82,7 @@ def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
     if binding.joints is not None:
         mesh_joints = np.asarray(binding.joints)
         _check_mesh_joints(mesh_joints, len(bind))
-    influences, report = read_influences(
+    influences, _ = read_influences(
         binding.indices, binding.weights, len(mesh_joints), vertices=vertices
     )
     used_joints, compact_joints = np.unique(influences.joints, return_inverse=True)
@@ -93,9 +92,7 @@ def prepare_skin(binding: Binding, vertices: int) -> PreparedSkin:
         influences.row_starts, compact_joints.astype(np.int32), influences.weights
     )
     inverse = np.linalg.inv(bind[joints]).astype(np.float64)
-    return PreparedSkin(
-        binding.method, used_influences, report, joints, inverse, geom_bind
-    )
+    return PreparedSkin(binding.method, used_influences, joints, inverse, geom_bind)
 
 
 def skin_points(

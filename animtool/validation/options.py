@@ -171,9 +171,7 @@ class ReportOptions:
         help="text, JSON, GitHub annotations, SARIF 2.1.0 or JUnit XML.",
     )
     output_file: Path | None = option(
-        None,
-        "output",
-        help="Write the report here, and its summary to stderr.",
+        None, "output", help="Write the report here, and its summary to stderr."
     )
 
 
@@ -267,11 +265,7 @@ def _parse_options(table: Any, path: str) -> ValidateOptions:
         raise OptionError(Fault("CFG003", message, path))
     levels = load_profile(profile, Path(path).parent) if profile else {}
     options = ValidateOptions(
-        lists["select"],
-        lists["ignore"],
-        severities,
-        profile=profile,
-        levels=levels,
+        lists["select"], lists["ignore"], severities, profile=profile, levels=levels
     )
     check_codes(options, path)
     return options

@@ -284,11 +284,10 @@ def validate_files(
     settings = [options.merged_over(projects[path.parent]) for path in files]
     _, failed_rules = all_rules()
     values_by_scene = values_of_batches(files)
-    values = (
-        [values_by_scene.get(path.resolve()) for path in files]
-        if values_by_scene
-        else [None] * len(files)
-    )
+    values = [
+        values_by_scene.get(path.resolve()) if values_by_scene else None
+        for path in files
+    ]
     faults_by_file = _findings_of_files(
         files, settings, values, _process_count(options.jobs, len(files))
     )
@@ -421,9 +420,8 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
             for fault in _faults_of(rule, subject)
         ]
     except Exception as error:
-        path = (
-            None if checked_file.document is None else str(checked_file.document.path)
-        )
+        document = checked_file.document
+        path = None if document is None else str(document.path)
         kind = type(error).__name__
         message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
         hint = "please report it to the author of the rule"

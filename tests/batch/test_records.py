@@ -93,8 +93,7 @@ def test_a_damaged_line_is_left_out_and_told(tmp_path: Path, line: bytes) -> Non
     assert list(reader.lines()) == [*LINES, {"n": 9}]
     number = len(LINES) + 2
     assert list(reader.damaged) == [number]
-    notice = reader.notice()
-    assert notice is not None
+    (notice,) = reader.notices()
     assert (notice.code, notice.lines) == ("BAT070", (number,))
     # What is added comes behind all of it.
     assert reader.length == path.stat().st_size

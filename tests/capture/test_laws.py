@@ -33,14 +33,12 @@ from animtool.capture.cameras.openpose import (
     _PersonTrack,
     _ray_distance,
     _solve_person,
-    _stack_tracks,
     track_people,
 )
 from animtool.capture.cameras.stale import (
     PoseChange,
     PoseShift,
     _exact_ranges,
-    _outlier_runs,
     _window_sums,
     find_disagreements,
     find_shifted_ranges,
@@ -65,7 +63,6 @@ from animtool.capture.markers.geometry import (
     MarkerDistances,
     _column_quantiles,
     marker_distances,
-    merge_distances,
 )
 from animtool.capture.markers.predict import (
     Prediction,
@@ -170,8 +167,16 @@ def test_runs_of_frames_are_closed_and_last() -> None:
     off[[3, 4, 5, 8, 9]] = True  # a gap of two in a window of four
     off[15] = True
     off[22:26] = True
-    assert _outlier_runs(off, 4) == [(3, 10), (22, 26)]
-    assert _outlier_runs(off, 2) == [(3, 6), (8, 10), (15, 16), (22, 26)]
+    none = np.zeros((30, 1))
+    spans = [
+        [
+            (shift.first, shift.end)
+            for shift in _exact_ranges(none, none, 0, off, window)
+        ]
+        for window in (4, 2)
+    ]
+    assert spans[0] == [(3, 10), (22, 26)]
+    assert spans[1] == [(3, 6), (8, 10), (15, 16), (22, 26)]
 
 
 def tallies(frames: int, bad: slice, share: float = 1.0) -> tuple[Any, Any]:
@@ -440,13 +445,12 @@ def test_people_are_followed_out_of_sight_and_mistakes_left_out() -> None:
     assert track_people(frames, cameras, 12.0, 6, None).shape[2] == 12
     one = track_people(frames, cameras, 12.0, 6, 1)
     assert_allclose(one[:, 0, :, :2], np.stack([frames[0][0][0][:, :2]] * 10))
-    track = _PersonTrack(BODY, 0)
-    track.detections = {(1, 2): 0}
-    made = _stack_tracks([track], frames, 3, 6)
-    assert np.isnan(made[0, 0, :, :2]).all()
-    assert not made[0, 0, :, 2].any()
+    frames[1][0] = []
+    made = track_people(frames, cameras, 20.0, 6, 1)
+    assert np.isnan(made[1, 0, :, :2]).all()
+    assert not made[1, 0, :, 2].any()
     assert_array_equal(made[1, 2], frames[1][2][0])
-    assert _stack_tracks([], frames, 3, 6).shape == (10, 3, 6, 3)
+    assert track_people([[[]] * 3] * 10, cameras, 20.0, 6, None).shape == (10, 3, 6, 3)
 
 
 def test_quantiles_and_distances_of_what_is_seen() -> None:
@@ -465,17 +469,11 @@ def test_quantiles_and_distances_of_what_is_seen() -> None:
     few[11:, 1] = np.nan
     assert np.isnan(marker_distances(few).mean[0, 1])
     nan = np.nan
-    rest = MarkerDistances(
-        np.array([[nan, 1.0], [1, nan]]), np.array([[nan, 0.1], [0.1, nan]])
-    )
     moving = MarkerDistances(
         np.array([[nan, 3.0], [nan, nan]]), np.array([[nan, 0.5], [7, 7]])
     )
-    both = merge_distances(rest, moving)
-    assert_array_equal(both.mean, [[nan, 3], [1, nan]])
-    assert_array_equal(both.spread, [[nan, 0.5], [0.1, nan]])
     learnt = _merge_known_distances(np.array([[nan, 1.0], [1, nan]]), moving)
-    assert_array_equal(learnt.mean, both.mean)
+    assert_array_equal(learnt.mean, [[nan, 3], [1, nan]])
     assert_array_equal(learnt.spread, [[nan, 0.5], [0.25, nan]])
 
 

@@ -35,7 +35,6 @@ from animtool.capture.cameras.stale import (
 from animtool.capture.clean import (
     CleanedSignal,
     CleanOptions,
-    _align_signs,
     _check_cutoff,
     _check_spikes,
     _roughness,
@@ -231,7 +230,7 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     assert np.abs(across[10:12, 1]).max() < 0.05
     assert_array_equal(across[~bad[:15]], signal[:15][~bad[:15]])
     turns = np.array([[0.0, 0, 0, 1], [0, 0, 0, -1]])
-    assert _align_signs(turns, turns[::-1]).tolist() == [[0, 0, 0, -1], [0, 0, 0, 1]]
+    assert so3.align_to(turns, turns[::-1]).tolist() == [[0, 0, 0, -1], [0, 0, 0, 1]]
 
 
 def test_what_was_cleaned_is_counted() -> None:

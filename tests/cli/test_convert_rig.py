@@ -123,6 +123,7 @@ def test_a_unit_changed_in_usd_is_said(hero: Path, tmp_path: Path) -> None:
 
     rig, said = edited(hero, tmp_path, shrink)
     assert "USD126" in said
+    assert "USD126" in animtool("validate", tmp_path / "e.usda").stdout
     assert "USD117" not in said
     sizes = [np.abs(r.rest_translations).max() for r in (Rig.load(hero), rig)]
     assert sizes[1] == pytest.approx(sizes[0] / 100)

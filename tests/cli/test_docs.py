@@ -59,7 +59,7 @@ def test_a_code_and_a_command_are_topics() -> None:
     ("topic", "hint"),
     [
         ("desk-lmap", "did you mean 'desk-lamp'"),
-        ("cable", "tutorials/desk-lamp"),
+        ("layers", "howto/"),
         ("qqqqqqqq", "--list"),
         ("", "--list"),
     ],

@@ -120,6 +120,25 @@ def test_targets_of_the_other_up_axis(
 
 
 @pytest.mark.parametrize(
+    ("point", "joint"),
+    [
+        ("[-0.25, 0.35, 0.1]", "hips"),
+        ("[-0.2, -0.4, 0.1]", "shoulder"),
+        ("[-4, 9, 2]", ""),
+    ],
+)
+def test_targets_relative_to_a_joint(workplace: Path, point: str, joint: str) -> None:
+    (workplace / "a.targets.yaml").write_text(
+        f"{TARGETS}range: [1, 1]\ngoals:\n- {{effector: arm_r, position: {point}}}\n"
+    )
+    done = animtool("ik", BIPED, "--targets", "a.targets.yaml", cwd=workplace)
+    (line,) = [line for line in done.stderr.splitlines() if "IK101" in line]
+    meant = re.search(r"relative to '(\w+)', add its position at rest, \[.*\]$", line)
+    assert (meant[1] if meant else "").startswith(joint)
+    assert (meant is None) == (joint == "")
+
+
+@pytest.mark.parametrize(
     "text", ["k=50:200:50", "k=50:50:200", "50:200:50", "k=50..200..50"]
 )
 def test_a_range_of_another_notation(workplace: Path, text: str) -> None:

@@ -30,7 +30,7 @@ def test_the_last_part_of_a_name_is_enough() -> None:
     assert all(find_page(name.split("/")[-1]).name == name for name in names)
 
 
-@pytest.mark.parametrize("topic", ["", "  ", "/", "rules", "no such page", "../README"])
+@pytest.mark.parametrize("topic", ["", "  ", "/", "no such page", "../README"])
 def test_no_page_has_that_name(topic: str) -> None:
     with pytest.raises(OptionError) as caught:
         find_page(topic)
@@ -38,9 +38,8 @@ def test_no_page_has_that_name(topic: str) -> None:
 
 
 def test_a_word_of_a_heading_leads_to_its_page() -> None:
-    with pytest.raises(OptionError) as caught:
-        find_page("slurm")
-    assert "howto/farm" in str(caught.value.faults[0].hint)
+    assert find_page("slurm").name == "howto/farm"
+    assert find_page("root_motion").name == "reference/passes"
 
 
 def test_words_of_users_lead_to_pages() -> None:

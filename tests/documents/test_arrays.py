@@ -15,7 +15,7 @@ from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
     MAX_OPEN_ARCHIVES,
     Archives,
-    ArrayHeader,
+    StoredArray,
     load_array,
 )
 from animtool.documents.references import resolve_path
@@ -40,7 +40,7 @@ def header(shape: str, descr: str = "<f8") -> str:
     return f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}"
 
 
-def array_header(path: Path, key: str) -> ArrayHeader:
+def array_header(path: Path, key: str) -> StoredArray:
     with Archives() as archives:
         return archives.header(path, key)
 

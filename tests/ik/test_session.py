@@ -14,6 +14,7 @@ from animtool.ik import Goal, IkOptions, Session, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Mimic, Rig
 
 NAN = float("nan")
@@ -74,6 +75,20 @@ def test_a_joint_is_asked_for_what_a_call_has_of_it() -> None:
         for given, goals, targets in wishes:
             many = solve(build(rig, goals), None, targets)
             assert_same(session.solve(given), many, 0)
+
+
+def test_a_chain_reaches_from_its_root() -> None:
+    joints = mixed_rig()
+    index = joints.index("hand")
+    root = joints.names[joints.upwards(index)[1]]
+    rig = replace(joints, chains=(IkChain("reach", root, "hand"),))
+    point = np.array([0.4, 1.3, 0.3])
+    goal = Goal("hand", root=root)
+    many = solve(build(rig, [goal]), None, Targets([[point]]))
+    assert_same(rig.ik("reach").solve(reach=point), many, 0)
+    with pytest.raises(OptionError) as caught:
+        rig.ik("reach", joints=["reach"])
+    assert caught.value.faults[0].code == "TGT001"
 
 
 def test_joints_are_where_forward_kinematics_has_them() -> None:

@@ -20,12 +20,10 @@ from animtool.motion.transforms import Track, Transforms
 from animtool.retarget import Retargeted, map_joints, retarget_take
 from animtool.retarget.hands import (
     AnkleHeights,
-    ArmTracks,
     _are_hands_joined,
     _arm_length,
     _shift_into_reach,
     _soften_heights,
-    _wrist_of_bent_arm,
     arm_joints,
     elbow_hinge,
 )
@@ -249,9 +247,6 @@ def test_arms_are_as_long_as_their_bones_and_bend_across_them() -> None:
     assert _arm_length(person, "r") == 0
     axis = so3.rotate(turn, elbow_hinge(person, [0, 1, 2]))
     assert_allclose(axis, [0, 0, -1], atol=1e-12)
-    tracks = ArmTracks(places[None], np.tile(so3.IDENTITY, (1, 2, 1)), places[None, 2])
-    bends = np.array([[[0.0, 0, np.pi / 2], [0, 0, np.pi]]])
-    assert_allclose(_wrist_of_bent_arm(tracks, bends), [[0, 0.7, 0]], atol=1e-12)
 
 
 def test_what_is_scaled_is_lifted_to_the_ground_along_the_up_axis() -> None:

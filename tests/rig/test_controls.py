@@ -8,11 +8,11 @@ from numpy.testing import assert_allclose
 
 from animtool.rig.controls import (
     Control,
-    ControlCycleError,
     Drive,
     evaluate_controls,
     evaluation_order,
 )
+from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.expressions import parse_expression
 
 
@@ -69,7 +69,7 @@ def test_circles(drives: dict[str, str], cycle: set[str]) -> None:
         Control(name, drives=(drive(f"control/{to}", name),))
         for name, to in drives.items()
     ]
-    with pytest.raises(ControlCycleError) as caught:
+    with pytest.raises(DependencyCycleError) as caught:
         evaluation_order(controls)
     assert set(caught.value.cycle) == cycle
     assert caught.value.cycle[0] == caught.value.cycle[-1]

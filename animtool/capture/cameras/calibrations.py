@@ -53,7 +53,6 @@ _SIZE_KEYS = (("width", "height"), ("image_width", "image_height"))
 # and a tilted sensor, are not modelled.
 _COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)
 MODELLED_COEFFICIENTS = 8
-MAX_NODES = 1_000_000
 _TOML_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
@@ -94,10 +93,8 @@ def _parse_toml(text: str, path: Path) -> Document:
 def _node_count(value: Any) -> int:
     """Return the number of document nodes of a value, counted with keys and items."""
     if isinstance(value, dict):
-        return 1 + sum(1 + _node_count(inner) for inner in value.values())
-    if isinstance(value, list):
-        return 1 + sum(map(_node_count, value))
-    return 1
+        return 1 + len(value) + sum(map(_node_count, value.values()))
+    return 1 + sum(map(_node_count, value)) if isinstance(value, list) else 1
 
 
 def parse_calibration(
@@ -203,11 +200,9 @@ class _CalibrationEntry:
             translation * scale,
             size,
             float(matrix[0, 1]),
-            tuple(
-                np.append(lens.ravel(), np.zeros(MODELLED_COEFFICIENTS))[
-                    :MODELLED_COEFFICIENTS
-                ].tolist()
-            ),
+            (*lens.ravel().tolist(), *[0.0] * MODELLED_COEFFICIENTS)[
+                :MODELLED_COEFFICIENTS
+            ],
         )
 
     def _key_of(self, quantity: str) -> str | None:
@@ -215,6 +210,13 @@ class _CalibrationEntry:
         return next(
             (key for key in _QUANTITY_KEYS[quantity] if key in self.value), None
         )
+
+    def _add_fault(
+        self, code: str, quantity: str, message: str, hint: str | None = None
+    ) -> None:
+        """Record a fault at the key of a quantity."""
+        key = self._key_of(quantity) or quantity
+        self.document.add(code, (*self.location, key), message, hint)
 
     def _read_numbers(
         self, quantity: str, shape: tuple[int, ...] | None
@@ -247,18 +249,17 @@ class _CalibrationEntry:
         elif shape is not None and numbers.shape != shape:
             message = f"{key} has shape {numbers.shape}, not {shape}"
         if message:
-            self.document.add("CAM003", (*self.location, key), message)
+            self._add_fault("CAM003", quantity, message)
             return None
         return numbers
 
     def _matrix_of_storage(self, value: dict[str, Any]) -> Any:
         """Return a matrix of a FileStorage, or raw numbers if its shape is wrong."""
         rows, columns, data = (value.get(key) for key in ("rows", "cols", "data"))
-        if not (
-            isinstance(rows, int) and isinstance(columns, int) and rows > 0 < columns
-        ):
+        has_size = isinstance(rows, int) and isinstance(columns, int)
+        if not (has_size and rows > 0 < columns and isinstance(data, list)):
             return None
-        if not isinstance(data, list) or rows * columns != len(data):
+        if rows * columns != len(data):
             return None
         return [data[i * columns : (i + 1) * columns] for i in range(rows)]
 
@@ -269,10 +270,8 @@ class _CalibrationEntry:
             matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(fixed_entries, 0)
         )
         if not is_valid:
-            message = "is not a camera matrix"
             hint = "write [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
-            key = self._key_of("matrix") or "matrix"
-            self.document.add("CAM003", (*self.location, key), message, hint)
+            self._add_fault("CAM003", "matrix", "is not a camera matrix", hint)
         return bool(is_valid)
 
     def _read_rotation(self, value: FloatArray) -> FloatArray | None:
@@ -283,25 +282,22 @@ class _CalibrationEntry:
             nearest_rotation(value.reshape(3, 3)) if value.size == 9 else None
         )
         if rotation_matrix is None:
-            message = "is not a rotation"
             hint = (
                 "write a matrix with orthogonal rows of length 1, or a rotation vector"
             )
-            key = self._key_of("rotation") or "rotation"
-            self.document.add("CAM001", (*self.location, key), message, hint)
+            self._add_fault("CAM001", "rotation", "is not a rotation", hint)
         return rotation_matrix
 
     def _check_lens(self, value: FloatArray) -> bool:
         """Return whether a lens is supported; record a fault otherwise."""
-        key = self._key_of("distortion") or "distortion"
         if value.size not in range(9) and value.size not in _COEFFICIENT_COUNTS:
             message = f"{value.size} numbers do not make an OpenCV lens"
-            self.document.add("CAM003", (*self.location, key), message)
+            self._add_fault("CAM003", "distortion", message)
             return False
         if value.ravel()[MODELLED_COEFFICIENTS:].any():
             message = "thin prisms and tilted sensors are not supported"
             hint = "calibrate without them: k1, k2, p1, p2, k3 to k6"
-            self.document.add("CAM003", (*self.location, key), message, hint)
+            self._add_fault("CAM003", "distortion", message, hint)
             return False
         return True
 

@@ -8,6 +8,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -75,16 +76,11 @@ def measure_noise(
     active = np.ones(pixels.shape[:2], bool)
     stale: dict[int, PoseChange] = {}
     settings = (gate, condition)
+    triangulate = partial(
+        _kernels.triangulate_points, pixels, confidences, kernel_cameras
+    )
     for round_ in range(_NOISE_ROUNDS + views):
-        *_, residuals, states = _kernels.triangulate_points(
-            pixels,
-            confidences,
-            kernel_cameras,
-            active,
-            noise,
-            *settings,
-            detailed=True,
-        )
+        *_, residuals, states = triangulate(active, noise, *settings, detailed=True)
         lengths = _lengths(residuals)
         if confidences is not None:
             lengths = lengths * np.sqrt(np.maximum(confidences, 0))
@@ -99,33 +95,20 @@ def measure_noise(
             cameras, pixels, confidences, noise, active, ratios, settings
         )
         if stale_camera is not None:
-            worst_camera, stale[worst_camera] = stale_camera[0], stale_camera[1]
+            worst_camera, stale[worst_camera] = stale_camera
             active[:, worst_camera] = False
-            active_frame = active[0]
-            noise[:] = initial_noise(
-                pixels[:, active_frame], kernel_cameras[active_frame]
-            )
+            is_active = active[0]
+            noise[:] = initial_noise(pixels[:, is_active], kernel_cameras[is_active])
         elif round_ >= _NOISE_ROUNDS - 1:
             break
-    points, *_ = _kernels.triangulate_points(
-        pixels, confidences, kernel_cameras, active, noise, *settings, detailed=False
-    )
-    visible_count = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(
-        axis=1
-    ) > 1
+    points, *_ = triangulate(active, noise, *settings, detailed=False)
+    views_of_point = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1)
     triangulated = int(np.isfinite(points[..., 0]).sum())
-    if triangulated < MIN_TRIANGULATED * visible_count.sum():
+    if triangulated < MIN_TRIANGULATED * (views_of_point > 1).sum():
         # If no two cameras agree, or any two do, all are pooled.
         stale, active = {}, np.ones_like(active)
-        *_, residuals, states = _kernels.triangulate_points(
-            pixels,
-            confidences,
-            kernel_cameras,
-            active,
-            noise,
-            _UNLIMITED_GATE,
-            condition,
-            detailed=True,
+        *_, residuals, states = triangulate(
+            active, noise, _UNLIMITED_GATE, condition, detailed=True
         )
         overall_noise = _pooled_noise(_lengths(residuals), states == USED)
         noise[:] = noise if overall_noise is None else max(overall_noise, MIN_NOISE)
@@ -140,9 +123,8 @@ def sampled_initial_noise(
     """Return the `initial_noise` of a sample of frames [px]."""
     frames, _, markers = observations.stored.shape[:3]
     step = max(1, frames * markers // SAMPLE_POINTS)
-    return initial_noise(
-        observations.pixels(0, frames, step), camera_parameters(cameras)
-    )
+    pixels = observations.pixels(0, frames, step)
+    return initial_noise(pixels, camera_parameters(cameras))
 
 
 def _lengths(residuals: Float32Array) -> Any:
@@ -180,14 +162,9 @@ def _stale_camera(
         without_camera = active_cameras.copy()
         without_camera[:, camera] = False
         points, sizes, *_ = _kernels.triangulate_points(
-            pixels,
-            confidences,
-            camera_parameters(cameras),
-            without_camera,
-            noise,
-            *settings,
-            detailed=False,
-        )
+            pixels, confidences, camera_parameters(cameras), without_camera, noise,
+            *settings, detailed=False,
+        )  # fmt: skip
         change = fit_pose_change(cameras[camera], points, pixels[:, camera])
         if change is not None:
             candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))

@@ -231,6 +231,19 @@ def _observation_rate(
     return rate_from_float(float(stored_rates[0]))
 
 
+def uncalibrated_error(name: str, cameras: Cameras, advice: str) -> OptionError:
+    """Return the error of a camera that has no calibration (CAM011).
+
+    advice: Text after the calibrated names, which are listed if none is similar.
+    """
+    similar_name = most_similar(name, cameras.names)
+    hint = f"the calibration has {listed(cameras.names)}{advice}"
+    if similar_name:
+        hint = f"did you mean {similar_name!r}?"
+    message = f"camera {name!r} has no calibration"
+    return OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
+
+
 def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
     """Return the cameras in the order of the observations."""
     path = cameras.path or None
@@ -239,15 +252,8 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
         by_name = {camera.name: camera for camera in cameras.cameras}
         missing_names = [name for name in observations.cameras if name not in by_name]
         if missing_names:
-            suggestions = most_similar(missing_names[0], list(by_name))
-            message = f"camera {missing_names[0]!r} has no calibration"
-            shown_names = listed(list(by_name))
-            hint = (
-                f"did you mean {suggestions!r}?"
-                if suggestions
-                else f"the calibration has {shown_names}: is it that of this capture?"
-            )
-            raise OptionError(Fault("CAM011", message, path, (), hint))
+            advice = ": is it that of this capture?"
+            raise uncalibrated_error(missing_names[0], cameras, advice)
         matched_cameras = tuple(by_name[name] for name in observations.cameras)
     else:
         matched_cameras = cameras.cameras

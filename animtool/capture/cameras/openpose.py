@@ -8,6 +8,7 @@ References:
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Iterator, Sequence
@@ -26,13 +27,16 @@ from animtool.capture.cameras.camera import (
     pixel_rays,
     project,
 )
-from animtool.capture.cameras.observations import Observations, match_cameras
+from animtool.capture.cameras.observations import (
+    Observations,
+    match_cameras,
+    uncalibrated_error,
+)
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
-from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 
@@ -110,26 +114,14 @@ def track_people(
     order = sorted(
         range(len(long_tracks)), key=lambda k: (-len(long_tracks[k].detections), k)
     )
-    order = sorted(order[: max_people or len(order)])
-    return _stack_tracks(
-        [long_tracks[k] for k in order], detections, len(cameras), keypoints
-    )
-
-
-def _stack_tracks(
-    tracks: list[_PersonTrack],
-    detections: Sequence[Sequence[Sequence[FloatArray]]],
-    cameras: int,
-    keypoints: int,
-) -> FloatArray:
-    """Return the keypoints of tracks as one array ``(F, C, P * M, 3)``."""
-    shape = (len(detections), cameras, max(1, len(tracks)), keypoints, 3)
-    gathered = np.full(shape, np.nan)
-    gathered[..., 2] = 0
-    for p, track in enumerate(tracks):
-        for (frame, camera), i in track.detections.items():
-            gathered[frame, camera, p] = detections[frame][camera][i]
-    return gathered.reshape(shape[0], cameras, -1, 3)
+    kept = sorted(order[: max_people or len(order)])
+    shape = (len(detections), len(cameras), max(1, len(kept)), keypoints, 3)
+    tracked = np.full(shape, np.nan)
+    tracked[..., 2] = 0
+    for p, k in enumerate(kept):
+        for (frame, c), i in long_tracks[k].detections.items():
+            tracked[frame, c, p] = detections[frame][c][i]
+    return tracked.reshape(len(detections), len(cameras), -1, 3)
 
 
 def _person_size(keypoints: FloatArray) -> float:
@@ -175,42 +167,27 @@ def _group_detections(
     unassigned: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
     """Group unassigned detections whose rays intersect into new people."""
-    pairs = []
-    ray_directions = {
-        detection: _keypoint_rays(
-            cameras[detection[0]], people[detection[0]][detection[1]]
-        )
-        for detection in unassigned
-    }
-    for a, detection_a in enumerate(unassigned):
-        for detection_b in unassigned[a + 1 :]:
-            if detection_a[0] != detection_b[0]:
-                cost = _ray_distance(
-                    cameras[detection_a[0]], ray_directions[detection_a],
-                    cameras[detection_b[0]], ray_directions[detection_b],
-                    _person_size(people[detection_a[0]][detection_a[1]]),
-                    _person_size(people[detection_b[0]][detection_b[1]]),
-                )  # fmt: skip
-                if cost < _MAX_RAY_GAP:
-                    pairs.append((cost, detection_a, detection_b))
-    pair_costs = {
-        (detection_a, detection_b): cost for cost, detection_a, detection_b in pairs
-    }
-    group_of = {detection: {detection[0]: detection[1]} for detection in unassigned}
-    for _, detection_a, detection_b in sorted(pairs):
-        first, second = group_of[detection_a], group_of[detection_b]
+    rays = {(c, i): _keypoint_rays(cameras[c], people[c][i]) for c, i in unassigned}
+    sizes = {(c, i): _person_size(people[c][i]) for c, i in unassigned}
+    pair_costs = {}
+    for a, b in itertools.combinations(unassigned, 2):
+        if a[0] != b[0]:
+            cost = _ray_distance(
+                cameras[a[0]], rays[a], cameras[b[0]], rays[b], sizes[a], sizes[b]
+            )
+            if cost < _MAX_RAY_GAP:
+                pair_costs[a, b] = cost
+    group_of = {(c, i): {c: i} for c, i in unassigned}
+    for _, a, b in sorted((cost, *pair) for pair, cost in pair_costs.items()):
+        first, second = group_of[a], group_of[b]
         if first is second or set(first) & set(second):
             continue
         # All keypoints of both must agree: rays of two people may meet by chance.
-        cross_pairs = [
-            tuple(sorted([(c, i), (d, j)]))
-            for c, i in first.items()
-            for d, j in second.items()
-        ]
-        if all(pair in pair_costs for pair in cross_pairs):
+        cross_pairs = itertools.product(first.items(), second.items())
+        if all((min(pair), max(pair)) in pair_costs for pair in cross_pairs):
             first.update(second)
-            for c, i in second.items():
-                group_of[c, i] = first
+            for detection in second.items():
+                group_of[detection] = first
     unique_groups = {id(group): group for group in group_of.values()}
     return [group for group in unique_groups.values() if len(group) > 1]
 
@@ -378,21 +355,13 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
     names = []
     for folder in folders:
         stripped_names = [folder.name.removesuffix(end) for end in suffixes]
-        names.append(
-            next((name for name in stripped_names if name in calibrated_names), "")
-        )
+        matches = (name for name in stripped_names if name in calibrated_names)
+        names.append(next(matches, ""))
     if all(names):
         return tuple(names)
     if any(names):
         missing = folders[names.index("")].name
-        suggestions = most_similar(missing, cameras.names)
-        message = f"camera {missing!r} has no calibration"
-        hint = (
-            f"did you mean {suggestions!r}?"
-            if suggestions
-            else f"the calibration has {listed(cameras.names)}; name the folder so"
-        )
-        raise OptionError(Fault("CAM011", message, cameras.path or None, (), hint))
+        raise uncalibrated_error(missing, cameras, "; name the folder so")
     if len(folders) != len(cameras):
         message = f"{len(folders)} folders, but {len(cameras)} cameras"
         hint = "give each folder the name of its camera in the calibration"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import ClassVar
 
 import numpy as np
@@ -219,38 +220,24 @@ def _exact_ranges(
     window: int,
 ) -> list[PoseShift]:
     """Return the exact frame ranges in which a camera does not fit."""
-    is_rejected = np.concatenate(
-        [
-            rejected[:, camera]
-            > MIN_REJECTED_FRACTION * triangulated_counts[:, camera],
-            [False],
-        ]
+    is_rejected = np.append(
+        rejected[:, camera] > MIN_REJECTED_FRACTION * triangulated_counts[:, camera],
+        False,
     )
+    # A shift that lasts a window shows for at least half of one around it.
+    min_frames = max(1, window // 2)
     ranges = []
-    for begin, end in _outlier_runs(is_off, window):
+    for begin, end in merge_runs(runs(is_off), window):
+        if end - begin < min_frames:
+            continue
         first = begin - int(np.argmin(is_rejected[:begin][::-1])) if begin else 0
         if begin and is_rejected[:begin].all():
             first = 0
         last = end + int(np.argmin(is_rejected[end:]))
-        fraction = _rejected_fraction(
-            triangulated_counts, rejected, camera, first, last
-        )
-        ranges.append(PoseShift(first, last, fraction))
+        observed = max(1, triangulated_counts[first:last, camera].sum())
+        outliers = float(rejected[first:last, camera].sum() / observed)
+        ranges.append(PoseShift(first, last, outliers))
     return ranges
-
-
-def _rejected_fraction(
-    triangulated_counts: FloatArray,
-    rejected: FloatArray,
-    camera: int,
-    first: int,
-    end: int,
-) -> float:
-    """Return the rejected fraction of a camera's observations in a frame range."""
-    return float(
-        rejected[first:end, camera].sum()
-        / max(1, triangulated_counts[first:end, camera].sum())
-    )
 
 
 def _window_sums(values: FloatArray, window: int) -> FloatArray:
@@ -261,17 +248,6 @@ def _window_sums(values: FloatArray, window: int) -> FloatArray:
     end = np.minimum(first + window, len(values))
     first = np.maximum(end - window, 0)
     return np.asarray(cumulative[end] - cumulative[first])
-
-
-def _outlier_runs(is_off: BoolArray, window: int) -> list[tuple[int, int]]:
-    """Close gaps shorter than the window, and return runs at least as long."""
-    # A shift that lasts a window shows for at least half of one around it.
-    min_frames = max(1, window // 2)
-    return [
-        (first, end)
-        for first, end in merge_runs(runs(is_off), window)
-        if end - first >= min_frames
-    ]
 
 
 def fit_pose_change(
@@ -293,10 +269,7 @@ def fit_pose_change(
     rotation, translation = camera.rotation, camera.translation
     refined_camera = camera
     for _ in range(_GAUSS_NEWTON_STEPS):
-        refined_camera = Camera(
-            camera.name, camera.focal, camera.centre, rotation, translation,
-            camera.size, camera.skew, camera.distortion,
-        )  # fmt: skip
+        refined_camera = replace(camera, rotation=rotation, translation=translation)
         residual_vectors = project(refined_camera, points) - pixels
         lengths = np.linalg.norm(residual_vectors, axis=-1)
         is_usable = np.isfinite(lengths)
@@ -333,10 +306,10 @@ def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
     for axis in range(6):
         rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
         shift = increment * np.eye(6)[axis][3:]
-        shifted_camera = Camera(
-            camera.name, camera.focal, camera.centre, rotation @ camera.rotation,
-            rotation @ camera.translation + shift, camera.size, camera.skew,
-            camera.distortion,
-        )  # fmt: skip
+        shifted_camera = replace(
+            camera,
+            rotation=rotation @ camera.rotation,
+            translation=rotation @ camera.translation + shift,
+        )
         columns.append((project(shifted_camera, points) - projected_points) / increment)
     return np.stack(columns, axis=-1)

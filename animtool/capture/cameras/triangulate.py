@@ -7,8 +7,9 @@ cameras agree on is searched for. Points that no two cameras agree on are gaps.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -36,7 +37,7 @@ from animtool.capture.cameras.stale import (
 )
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.options import TriangulateOptions
-from animtool.core.array_types import BoolArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
@@ -79,10 +80,8 @@ def triangulate(
     """
     options = options or TriangulateOptions()
     _check_options(options)
-    run = _TriangulationRun(
-        observations, match_cameras(observations, cameras), options, progress
-    )
-    return run.run()
+    cameras = match_cameras(observations, cameras)
+    return _TriangulationRun(observations, cameras, options, progress).run()
 
 
 def _check_options(options: TriangulateOptions) -> None:
@@ -136,19 +135,13 @@ class _TriangulationRun:
         if self.options.noise is not None:
             self.noise = np.full(self.views, float(self.options.noise))
             return {}
-        noise = measure_noise(
-            self.observations,
-            self.cameras.cameras,
-            self.options.gate,
-            self._max_condition,
-        )
+        gate, cameras = self.options.gate, self.cameras.cameras
+        noise = measure_noise(self.observations, cameras, gate, self._max_condition)
         if not self.options.keep_moved:
             self.active[:, list(noise.pose_changes)] = False
         self.noise = noise.pixels
         median_noise = float(np.median(self.noise))
-        widths = [
-            c.size[0] if c.size else 2 * c.centre[0] for c in self.cameras.cameras
-        ]
+        widths = [c.size[0] if c.size else 2 * c.centre[0] for c in cameras]
         width = max(1.0, float(np.median(widths)))
         limit = SUSPECT_NOISE * width
         if noise.pose_changes or not noise.cameras_agree or median_noise > limit:
@@ -157,12 +150,14 @@ class _TriangulationRun:
             message = (
                 f"cameras disagree: their rays miss each other by {median_noise:.0f} px"
             )
-            self._warn_of_disagreement(message)
+            self._refuse_cameras(message)
         if not noise.cameras_agree or median_noise > limit:
             message = f"rays of the cameras miss each other by {median_noise:.1f} px"
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
-            self._warn("CAM108", message, hint)
+            path = self.cameras.path or None
+            fault = Fault("CAM108", message, path, (), hint, Severity.WARNING)
+            self.notices.append(fault)
         return noise.pose_changes
 
     def _refuse_other_convention(self, limit: float) -> None:
@@ -194,28 +189,38 @@ class _TriangulationRun:
 
     def _solve_frames(self, first: int, end: int) -> None:
         """Solve frames block by block, and store the results."""
-        for first_frame, end_frame in self._frame_blocks(first, end):
-            block = slice(first_frame, end_frame)
+        size = max(1, BLOCK_VALUES // (self.views * self.markers))
+        for block_first in range(first, end, size):
+            block = slice(block_first, min(block_first + size, end))
+            observed = self._observations_of(block_first, block.stop)
             self.positions[block], self.known[block], self.tallies.values[block], *_ = (
-                _kernels.triangulate_points(
-                    self.observations.pixels(first_frame, end_frame),
-                    self.observations.confidences_of(first_frame, end_frame),
-                    self.numbers,
-                    np.ascontiguousarray(self.active[block]),
-                    self.noise,
-                    self.options.gate,
-                    self._max_condition,
-                    detailed=False,
-                )
+                self._triangulate(observed, self.active[block], detailed=False)
             )
             if self.progress is not None:
-                self.progress(end_frame / self.frames)
+                self.progress(block.stop / self.frames)
 
-    def _frame_blocks(self, first: int, end: int) -> Iterator[tuple[int, int]]:
-        """Yield first and end of blocks of frames that fit into memory."""
-        size = max(1, BLOCK_VALUES // (self.views * self.markers))
-        for begin in range(first, end, size):
-            yield begin, min(begin + size, end)
+    def _observations_of(self, *frames: int) -> tuple[FloatArray, FloatArray | None]:
+        """Return the pixels and confidences of frames: first, end and step."""
+        observations = self.observations
+        return observations.pixels(*frames), observations.confidences_of(*frames)
+
+    def _triangulate(
+        self,
+        observed: tuple[FloatArray, FloatArray | None],
+        active: BoolArray,
+        *,
+        detailed: bool,
+    ) -> Any:
+        """Return the kernel's triangulation of observations with active cameras."""
+        return _kernels.triangulate_points(
+            *observed,
+            self.numbers,
+            np.ascontiguousarray(active),
+            self.noise,
+            self.options.gate,
+            self._max_condition,
+            detailed=detailed,
+        )
 
     def _record_stale(self, stale: dict[int, PoseChange]) -> None:
         """Record frames in which stale cameras do not fit; use them in other frames.
@@ -235,7 +240,8 @@ class _TriangulationRun:
                 self.active[:, camera] = True
                 for shift in self.shifts[camera]:
                     self.active[shift.first : shift.end, camera] = shift.kept
-                self._solve_changed_frames(self.active[:, camera] != previously_active)
+                for first, end in runs(self.active[:, camera] != previously_active):
+                    self._solve_frames(first, end)
 
     def _mark_kept_ranges(
         self, camera: int, ranges: list[PoseShift]
@@ -255,42 +261,21 @@ class _TriangulationRun:
         """Return whether excluding a camera reduces the error of the other cameras."""
         step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
-        pixels = self.observations.pixels(shift.first, shift.end, step)
-        confidences = self.observations.confidences_of(shift.first, shift.end, step)
-        visible = np.isfinite(pixels).all(axis=-1)
+        observed = self._observations_of(shift.first, shift.end, step)
+        visible = np.isfinite(observed[0]).all(axis=-1)
         views = visible & self.active[frames][..., None]
         views[:, camera] = False
         views &= (views.sum(axis=1) > 1)[:, None]
         errors = []
         for is_kept in (True, False):
-            active = np.ascontiguousarray(self.active[frames])
+            active = self.active[frames].copy()
             active[:, camera] = is_kept
-            *_, residuals, states = _kernels.triangulate_points(
-                pixels,
-                confidences,
-                self.numbers,
-                active,
-                self.noise,
-                self.options.gate,
-                self._max_condition,
-                detailed=True,
-            )
+            *_, residuals, states = self._triangulate(observed, active, detailed=True)
             is_used = states[:, camera] == USED
-            errors.append(
-                truncated_error(
-                    residuals.astype(np.float64),
-                    views,
-                    self.noise,
-                    self.options.gate,
-                    is_used,
-                )
-            )
+            residuals = residuals.astype(np.float64)
+            gate = self.options.gate
+            errors.append(truncated_error(residuals, views, self.noise, gate, is_used))
         return errors[1] <= TIE_COST_RATIO * errors[0]
-
-    def _solve_changed_frames(self, changed: BoolArray) -> None:
-        """Solve again the frames whose set of active cameras changed."""
-        for first, end in runs(changed):
-            self._solve_frames(first, end)
 
     def _exclude_shifted(self) -> None:
         """Exclude cameras in frame ranges in which they do not fit, the worst first."""
@@ -339,17 +324,12 @@ class _TriangulationRun:
             message = "no point is seen by two cameras in any frame"
             path = self.observations.path or None
             raise OptionError(Fault("CAM013", message, path))
-        self._warn_of_disagreement(
+        self._refuse_cameras(
             f"no two cameras agree on any of {counted(self._view_count, 'point')}"
         )
 
-    def _warn(self, code: str, message: str, hint: str) -> None:
-        """Add a warning about the cameras file."""
-        path = self.cameras.path or None
-        self.notices.append(Fault(code, message, path, (), hint, Severity.WARNING))
-
-    def _warn_of_disagreement(self, message: str) -> None:
-        """Warn that cameras and observations may not belong together."""
+    def _refuse_cameras(self, message: str) -> NoReturn:
+        """Raise because cameras and observations may not belong together."""
         hint = "is this the calibration of these cameras, in this order, for images of "
         hint += "this size?"
         path = self.cameras.path or None
@@ -374,37 +354,27 @@ class _TriangulationRun:
         )
         keep_moved = self.options.keep_moved
         notices = self.notices
+        path, clock = observations.path, observations.clock
         for report, camera in zip(reports, cameras, strict=True):
-            notices += camera_notices(
-                report,
-                camera,
-                observations.clock,
-                observations.path,
-                is_kept=keep_moved,
-            )
-        notices += lost_frames(
-            self.positions,
-            self.known[..., 4] > 1,
-            observations.clock,
-            observations.path,
-        )
+            notices += camera_notices(report, camera, clock, path, is_kept=keep_moved)
+        is_visible = self.known[..., 4] > 1
+        notices += lost_frames(self.positions, is_visible, clock, path)
         notices += gap_notices(
-            observations.names, self.positions, self._view_count, observations.path
+            observations.names, self.positions, self._view_count, path
         )
         markers = Markers(
             observations.names,
-            observations.clock,
+            clock,
             self.positions,
             self.cameras.up,
             self.known[..., 3].astype(np.int64),
             self.known[..., 1].copy(),
             notices=tuple(notices),
         )
-        path = self.cameras.path or None
         # The markers are as wrong as the cameras.
         is_unit_known = all(notice.code != "CAM113" for notice in notices)
         notices += [
-            replace(notice, path=path)
+            replace(notice, path=self.cameras.path or None)
             for notice in plausibility_warnings(markers)
             if is_unit_known or notice.code != "MKR117"
         ]

@@ -8,9 +8,8 @@ from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from animtool.capture.face.model import FaceModel, landmark_names
+from animtool.capture.face.model import FaceModel
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -41,7 +40,6 @@ from animtool.documents.references import split_reference
 _UNIT_SUFFIXES = {f"_{unit}": unit.meters for unit in LengthUnit}
 _POINTS_ARRAY = re.compile(r"landmarks(_mm|_cm|_m|_in|_px)?")
 MAX_POSITIONS = 200_000_000
-MAX_LISTED_LANDMARKS = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,13 +110,12 @@ def read_capture(
         with Archives() as archives:
             return _read_arrays(archives, path, array, unit, up or UpAxis.Y, fps)
     except ValueError as error:
-        raise _fault_in_file(
-            path, str(error).removeprefix(path.name).lstrip("# ")
-        ) from error
+        message = str(error).removeprefix(path.name).lstrip("# ")
+        raise _fault_in_file(path, message) from error
 
 
 def _fault_in_file(path: Path, message: str, hint: str | None = None) -> FormatError:
-    """Return the error of a malformed capture file (FAC004)."""
+    """Return the error of a malformed capture file (FAC003)."""
     return FormatError(Fault("FAC003", message, str(path), (), hint))
 
 
@@ -164,17 +161,10 @@ def _read_arrays(
                 f"landmark_names has {len(set(name_array))} names for {count} landmarks"
             )
             raise _fault_in_file(path, message)
-    return FaceCapture(
-        path,
-        name_array,
-        Clock(
-            _capture_rate(archives, path, keys, fps), Fraction(1), Fraction(1), frames
-        ),
-        points,
-        up,
-        _read_model(archives, path, keys, name_array, unit),
-        tuple(notices),
-    )
+    rate = _capture_rate(archives, path, keys, fps)
+    clock = Clock(rate, Fraction(1), Fraction(1), frames)
+    model = _read_model(archives, path, keys, name_array, unit)
+    return FaceCapture(path, name_array, clock, points, up, model, tuple(notices))
 
 
 def _unit_meters(key: str, unit: LengthUnit | None) -> float:
@@ -199,9 +189,8 @@ def _capture_rate(
     try:
         return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
-        raise _fault_in_file(
-            path, f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
-        ) from error
+        message = f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
+        raise _fault_in_file(path, message) from error
 
 
 def _read_model(
@@ -212,25 +201,20 @@ def _read_model(
     unit: LengthUnit | None,
 ) -> FaceModel | None:
     """Return the face model in an npz; None if the file has no face."""
-    neutral_key = next(
-        (key for key in array_names if re.match(r"neutral(_|$)", key)), None
-    )
-    deltas_key = next(
-        (key for key in array_names if re.match(r"deltas?(_|$)", key)), None
+    neutral_key, deltas_key = (
+        next((key for key in array_names if re.match(pattern, key)), None)
+        for pattern in (r"neutral(_|$)", r"deltas?(_|$)")
     )
     if neutral_key is None or deltas_key is None or "shape_names" not in array_names:
         return None
 
     def meters(key: str) -> FloatArray:
         """Return an array of the file, converted to metres."""
-        values: npt.NDArray[np.float64] = archives.load(path, key) * _unit_meters(
-            key, unit
-        )
-        return values
+        return np.asarray(archives.load(path, key) * _unit_meters(key, unit))
 
     points = meters(neutral_key)
     shapes = tuple(archives.texts(path, "shape_names"))
-    labels = landmark_names(len(points), names)
+    labels = tuple(map(str, range(len(points)))) if names is None else names
     try:
         return FaceModel(labels, shapes, points, meters(deltas_key))
     except OptionError as error:
@@ -264,15 +248,11 @@ def order_landmarks(
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{nearest(capture.names[0], model.names)}"
         raise OptionError(Fault("FAC004", message, path, (), hint))
-    ordered_points = np.full(
-        (len(capture.points), count, capture.points.shape[2]), np.nan
-    )
-    for i, column in enumerate(columns_of):
-        if column >= 0:
-            ordered_points[:, i] = capture.points[:, column]
+    ordered_points = np.take(capture.points, columns_of, axis=1)
+    ordered_points[:, np.array(columns_of) < 0] = np.nan
     notices = []
     for names, problem in (
-        ([n for n, column in zip(model.names, columns_of, strict=True) if column < 0],
+        ([n for n in model.names if n not in columns],
          "landmarks of the face are not in the capture: "),
         ([n for n in capture.names if n not in set(model.names)],
          "landmarks of the capture are not on the face: "),

@@ -20,7 +20,7 @@ from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.documents.references import resolve_input
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Surface, SurfaceShape, surfaces_of
+from animtool.rig.surfaces import Surface, surfaces_of
 from animtool.skin.shapes import InbetweenDeltas, ShapeDeltas, prepare_shapes
 
 # Tolerance for the sum of a landmark's weights, since text is rounded.
@@ -140,47 +140,36 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
     rows = _landmark_rows(file, surfaces)
     neutral = np.stack(
-        [
-            _at_landmark(surfaces[mesh_name].points, vertices, vertex_weights)
-            for mesh_name, vertices, vertex_weights in rows
-        ]
+        [weights @ surfaces[mesh].points[vertices] for mesh, vertices, weights in rows]
     )
-    deltas: dict[str, FloatArray] = {}
     shape_deltas: list[ShapeDeltas] = []
-    for shape in rig.shapes:
+    deltas: list[FloatArray] = []
+    solved_indices: list[int] = []
+    is_nonlinear = False
+    for i, shape in enumerate(rig.shapes):
         displacement = _displacement(shape, surfaces, rows)
         if displacement is None:
             continue
-        deltas[shape.name] = displacement[0]
-        inbetween_deltas = tuple(
-            InbetweenDeltas(vertices, values) for vertices, values in displacement[1]
+        offsets, inbetweens = displacement
+        shape_deltas.append(ShapeDeltas(shape.name, offsets, inbetweens=inbetweens))
+        is_nonlinear = is_nonlinear or bool(shape.combine or inbetweens)
+        if not shape.combine:
+            solved_indices.append(i)
+            deltas.append(offsets)
+    nonlinear_shapes = None
+    if is_nonlinear:
+        # A combined shape may combine others that move no landmark: keep all.
+        nonlinear_shapes = NonlinearShapes(
+            tuple(rig.shapes),
+            prepare_shapes(shape_deltas, neutral),
+            tuple(solved_indices),
         )
-        shape_deltas.append(
-            ShapeDeltas(shape.name, displacement[0], inbetweens=inbetween_deltas)
-        )
-    solved_shapes = [
-        shape for shape in rig.shapes if not shape.combine and shape.name in deltas
-    ]
-    names = tuple(shape.name for shape in solved_shapes)
-    # A combined shape may combine others that move no landmark: keep all.
-    shapes = tuple(rig.shapes)
-    has_correctives = any(shape_.combine and shape_.name in deltas for shape_ in shapes)
-    has_correctives = has_correctives or any(shape.inbetweens for shape in shape_deltas)
-    columns = {shape.name: i for i, shape in enumerate(shapes)}
     return FaceModel(
         file.names,
-        names,
+        tuple(rig.shapes[i].name for i in solved_indices),
         neutral,
-        np.stack([deltas[name] for name in names])
-        if names
-        else np.zeros((0, *neutral.shape)),
-        NonlinearShapes(
-            shapes,
-            prepare_shapes(shape_deltas, neutral),
-            tuple(columns[n] for n in names),
-        )
-        if has_correctives
-        else None,
+        np.stack(deltas) if deltas else np.zeros((0, *neutral.shape)),
+        nonlinear_shapes,
     )
 
 
@@ -205,9 +194,8 @@ def _landmark_rows(
         mesh = point.mesh or default_mesh
         if mesh is None:
             message = "no mesh is named, and several have shapes"
-            document.add(
-                "FAC008", location, message, f"allowed: {', '.join(meshes_with_shapes)}"
-            )
+            hint = f"allowed: {', '.join(meshes_with_shapes)}"
+            document.add("FAC008", location, message, hint)
             continue
         if mesh not in surfaces:
             if point.mesh:
@@ -232,25 +220,18 @@ def _landmark_rows(
     return rows
 
 
-def _at_landmark(
-    values: FloatArray, vertices: IntArray, weights: FloatArray
-) -> FloatArray:
-    """Return the weighted mean of vertex values at a landmark ``(3,)``."""
-    return np.asarray(weights @ values[vertices])
-
-
-_Displacement = tuple[FloatArray, list[tuple[float, FloatArray]]]
+_Displacement = tuple[FloatArray, tuple[InbetweenDeltas, ...]]
 
 
 def _displacement(
     shape: Shape, surfaces: dict[str, Surface], rows: list[_LandmarkRow]
 ) -> _Displacement | None:
     """Return a shape's offsets at landmarks, with in-betweens; None for none."""
-    matching_shape: SurfaceShape | None = None
     surface = surfaces.get(shape.mesh)
-    if surface is not None:
-        matching_shape = next((s for s in surface.shapes if s.name == shape.name), None)
-    if surface is None or matching_shape is None:
+    if surface is None:
+        return None
+    matching_shape = next((s for s in surface.shapes if s.name == shape.name), None)
+    if matching_shape is None:
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
@@ -262,15 +243,13 @@ def _displacement(
             offsets[matching_shape.vertices] = values
         return np.stack(
             [
-                _at_landmark(offsets, vertices, w)
-                if mesh == shape.mesh
-                else np.zeros(3)
-                for mesh, vertices, w in rows
+                weights @ offsets[vertices] if mesh == shape.mesh else np.zeros(3)
+                for mesh, vertices, weights in rows
             ]
         )
 
-    inbetweens = [
-        (inbetween.at, at_landmarks(inbetween.deltas))
+    inbetweens = tuple(
+        InbetweenDeltas(inbetween.at, at_landmarks(inbetween.deltas))
         for inbetween in matching_shape.inbetweens
-    ]
+    )
     return at_landmarks(matching_shape.deltas), inbetweens

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import field, replace
+from itertools import compress
 
 import numpy as np
 
@@ -92,16 +92,10 @@ class FaceModel:
 
     def select(self, shapes: BoolArray) -> FaceModel:
         """Return the model restricted to given shapes; the others have weight 0."""
-        names = tuple(
-            name
-            for name, is_kept in zip(self.shapes, shapes.tolist(), strict=True)
-            if is_kept
-        )
-        nonlinear = (
-            None
-            if self.nonlinear_shapes is None
-            else self.nonlinear_shapes.select(shapes)
-        )
+        names = tuple(compress(self.shapes, shapes))
+        nonlinear = self.nonlinear_shapes
+        if nonlinear is not None:
+            nonlinear = nonlinear.select(shapes)
         return replace(
             self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=nonlinear
         )
@@ -119,10 +113,8 @@ class FaceModel:
     def notices(self) -> list[Fault]:
         """Return warnings about shapes that landmarks cannot detect or distinguish."""
         notices = []
-        moving = self.shapes_with_motion()
-        static_names = [
-            name for name, k in zip(self.shapes, moving.tolist(), strict=True) if not k
-        ]
+        has_motion = self.shapes_with_motion()
+        static_names = list(compress(self.shapes, ~has_motion))
         if static_names:
             message = f"{len(static_names)} shapes move no landmark, and stay at 0: "
             notices.append(
@@ -180,9 +172,8 @@ class NonlinearShapes:
 
     def select(self, shapes: BoolArray) -> NonlinearShapes:
         """Return the model restricted to the selected shapes."""
-        selected = np.flatnonzero(shapes).tolist()
         return replace(
-            self, solved_indices=tuple(self.solved_indices[i] for i in selected)
+            self, solved_indices=tuple(compress(self.solved_indices, shapes))
         )
 
 
@@ -192,8 +183,3 @@ def rms_spread(points: FloatArray) -> float:
         return 0.0
     offsets = points - points.mean(axis=0)
     return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))
-
-
-def landmark_names(count: int, names: Sequence[str] | None = None) -> tuple[str, ...]:
-    """Return the names of landmarks; their numbers if they are unnamed."""
-    return tuple(map(str, range(count))) if names is None else tuple(names)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 
@@ -135,10 +136,7 @@ def fit_face(
     status = np.where(
         is_usable, np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED), "gap"
     )
-    notices = [
-        *model.notices(),
-        *_notices(model, visible, is_usable, is_poor, robust_weights),
-    ]
+    notices = _notices(model, visible, is_usable, is_poor, robust_weights)
     return FaceFit(
         model,
         all_weights,
@@ -150,7 +148,7 @@ def fit_face(
         solver.noise,
         rounds,
         change,
-        tuple(notices),
+        (*model.notices(), *notices),
     )
 
 
@@ -215,7 +213,12 @@ class _Fit:
         self.observed = np.ascontiguousarray(observed, np.float64)
         self.deltas = np.ascontiguousarray(face.deltas)
         self.start_poses = self._initial_poses()
-        self.pixels_per_unit = 1.0 if camera is None else self._pixels_per_metre()
+        # The image scale at the face's median distance [px/m].
+        self.pixels_per_unit = (
+            1.0
+            if camera is None
+            else float(camera[0] / np.median(self.start_poses[:, 6]))
+        )
         self.noise = self._measure_noise()
         speed = TYPICAL_SPEED / fps
         self.smooth = smooth * (self.noise / speed) ** 2
@@ -233,17 +236,9 @@ class _Fit:
         pose = estimate_camera_pose(self.face.neutral, median_points, self.camera)
         if pose is None or not pose[6] > 0:
             message = "no face in the camera matches the rig's"
-            hint = (
-                "are the landmarks in pixels of this camera, in the order of their "
-                "names?"
-            )
-            raise OptionError(Fault("FAC010", message, hint=hint))
+            hint = "are the landmarks in pixels of this camera, in the order of their "
+            raise OptionError(Fault("FAC010", message, hint=f"{hint}names?"))
         return np.repeat(pose[None], len(self.observed), axis=0)
-
-    def _pixels_per_metre(self) -> float:
-        """Return the image scale at the face's median distance [px/m]."""
-        assert self.camera is not None
-        return float(self.camera[0] / np.median(self.start_poses[:, 6]))
 
     def _run_kernel(
         self,
@@ -286,7 +281,7 @@ class _Fit:
         threshold = 0.1 * self.face.size * self.pixels_per_unit
         noise = min_noise
         for _ in range(3):
-            weights, _, residuals, _, _, _ = self._run_kernel(
+            weights, _, residuals, *_ = self._run_kernel(
                 sampled_frames, threshold, 0.0, 6
             )
             visible = np.isfinite(residuals)
@@ -296,12 +291,8 @@ class _Fit:
             parameters = 6 * len(sampled_frames) + ((weights > 0) & (weights < 1)).sum()
             residual_fraction = max(1.0 - parameters / max(residual_count, 1), 0.05)
             median = MEDIAN_3D if width == 3 else MEDIAN_2D
-            noise = (
-                float(np.median(residuals[visible]))
-                / median
-                / np.sqrt(residual_fraction)
-            )
-            noise = max(noise, min_noise)
+            typical = float(np.median(residuals[visible])) / median
+            noise = max(typical / np.sqrt(residual_fraction), min_noise)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
@@ -310,27 +301,20 @@ class _Fit:
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, int, float]:
         """Return the kernel's result of all windows."""
         count, landmarks = self.observed.shape[:2]
-        weights = np.zeros((count, len(self.face.shapes)))
-        poses = np.zeros((count, 7))
-        residuals = np.zeros((count, landmarks))
-        robust_weights = np.zeros((count, landmarks))
+        widths = (len(self.face.shapes), 7, landmarks, landmarks)
+        outputs = [np.zeros((count, width)) for width in widths]
         rounds, change = 0, 0.0
         for first in range(0, count, WINDOW):
             begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
             window = self._solve_window(slice(begin, end))
             output_frames = slice(first, min(count, first + WINDOW))
             window_rows = slice(first - begin, output_frames.stop - begin)
-            weights[output_frames], poses[output_frames] = (
-                window[0][window_rows],
-                window[1][window_rows],
-            )
-            residuals[output_frames], robust_weights[output_frames] = (
-                window[2][window_rows],
-                window[3][window_rows],
-            )
+            for output, values in zip(outputs, window[:4], strict=True):
+                output[output_frames] = values[window_rows]
             rounds, change = max(rounds, window[4]), max(change, window[5])
             if progress is not None:
                 progress(output_frames.stop / count)
+        weights, poses, residuals, robust_weights = outputs
         return weights, poses, residuals, robust_weights, rounds, change
 
     def _solve_window(
@@ -378,11 +362,12 @@ def _notices(
         axis=0
     ) > MISPLACED_FRACTION * np.maximum(counts, 1)
     for names, problem in (
-        ([n for n, c in zip(model.names, counts.tolist(), strict=True) if not c],
-         "are never seen: "),
-        ([n for n, o in zip(model.names, is_misplaced.tolist(), strict=True) if o],
-         "do not match the face in most frames: "),
-    ):  # fmt: skip
+        (list(compress(model.names, counts == 0)), "are never seen: "),
+        (
+            list(compress(model.names, is_misplaced)),
+            "do not match the face in most frames: ",
+        ),
+    ):
         if names:
             message = f"{counted(len(names), 'landmark')} {problem}"
             notices.append(

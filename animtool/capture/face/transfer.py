@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.capture.face.fit import FaceFit
-from animtool.capture.face.model import FaceModel
+from animtool.capture.face.model import FaceModel, rms_spread
 from animtool.capture.face.solve import fit_face
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, names_fault
@@ -90,12 +90,8 @@ def _transfer_by_name(
         hint = "pair them in a remap file"
         raise OptionError(Fault("FAC009", message, hint=hint))
     has_motion = np.abs(weights).max(axis=0, initial=0) > 0
-    moving_shapes = {
-        name
-        for name, has_moved in zip(source, has_motion.tolist(), strict=True)
-        if has_moved
-    }
-    unlinked_names = [name for name in links.lost if name in moving_shapes]
+    is_moving = dict(zip(source, has_motion.tolist(), strict=True))
+    unlinked_names = [name for name in links.lost if is_moving[name]]
     notices = []
     if unlinked_names:
         message = f"{len(unlinked_names)} shapes that move are not in the target: "
@@ -132,25 +128,10 @@ def _target_landmarks(
         axis=-1,
     )
     indices = [source_face.names.index(name) for name in shared_names]
-    moved_offsets = (source_face.points(source_weights) - source_face.neutral)[
-        :, indices
-    ]
+    displacements = source_face.points(source_weights) - source_face.neutral
     shared_columns = [target_face.names.index(name) for name in shared_names]
-    shared_face = FaceModel(
-        tuple(shared_names),
-        (),
-        target_face.neutral[shared_columns],
-        np.zeros((0, len(shared_columns), 3)),
-    )
-    scale = shared_face.size / max(_rms_size(source_face.neutral[indices]), 1e-300)
+    neutral = target_face.neutral[shared_columns]
+    scale = rms_spread(neutral) / max(rms_spread(source_face.neutral[indices]), 1e-300)
     points = np.full((len(weights), len(target_face.names), 3), np.nan)
-    points[:, shared_columns] = (
-        target_face.neutral[shared_columns] + scale * moved_offsets
-    )
+    points[:, shared_columns] = neutral + scale * displacements[:, indices]
     return points
-
-
-def _rms_size(points: FloatArray) -> float:
-    """Return the root mean square distance of points from their mean [m]."""
-    offsets = points - points.mean(axis=0)
-    return float(np.sqrt((offsets * offsets).sum(axis=1).mean()))

@@ -222,15 +222,11 @@ def _fill_gaps(
                     positions[:, marker], visible[:, marker], gap
                 )
             if path is None:
-                prediction_from_markers = predict_from_markers(
+                from_markers = predict_from_markers(
                     positions, visible, marker, gap, spread[marker], rate
                 )
-                path = (
-                    None
-                    if prediction_from_markers is None
-                    else prediction_from_markers.positions
-                )
-                method = "markers"
+                if from_markers is not None:
+                    path, method = from_markers.positions, "markers"
         if path is not None:
             positions[gap, marker] = path
             visible[gap, marker] = True

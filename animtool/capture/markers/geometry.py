@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Most frames sampled of a long take.
@@ -68,31 +68,17 @@ def _column_quantiles(values: FloatArray) -> FloatArray:
     )
 
 
-def merge_distances(rest: MarkerDistances, moving: MarkerDistances) -> MarkerDistances:
-    """Return the distances in motion, or at rest where none is known in motion."""
-    is_known = np.isfinite(moving.mean)
-    return MarkerDistances(
-        np.where(is_known, moving.mean, rest.mean),
-        np.where(is_known, moving.spread, rest.spread),
-    )
-
-
-def fit_shape(
-    points: FloatArray, shape: FloatArray, weights: FloatArray | None = None
-) -> tuple[FloatArray, FloatArray]:
+def fit_shape(points: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Fit a rigid shape to the points of each frame by the Kabsch algorithm.
 
-    points: ``(F, K, 3)``. shape: ``(K, 3)``. weights: Of the points ``(F, K)``; None is
-    1. The result is ``(F, 3, 3)`` and ``(F, 3)``; ``points = rotation · shape +
-    translation``.
+    points: ``(F, K, 3)``. shape: ``(K, 3)``. The result is ``(F, 3, 3)`` and ``(F,
+    3)``; ``points = rotation · shape + translation``.
 
     References:
         Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
         Acta Crystallographica A32, 1976.
     """
-    if weights is None:
-        weights = np.ones(points.shape[:2])
-    weights = weights / weights.sum(axis=1, keepdims=True)
+    weights = np.full(points.shape[:2], 1.0 / len(shape))
     centre = np.einsum("fk,fki->fi", weights, points)
     shape_centre = weights @ shape
     centred_shape = shape - shape_centre[:, None]
@@ -104,6 +90,31 @@ def fit_shape(
     left_vectors[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
     rotation = left_vectors @ right_vectors
     return rotation, centre - np.einsum("fij,fj->fi", rotation, shape_centre)
+
+
+def mean_square_errors(points: FloatArray, shape: FloatArray) -> FloatArray:
+    """Return the mean square distance of points from a fitted shape ``(F,)`` [m^2].
+
+    Arguments are those of `fit_shape`.
+    """
+    rotation, shift = fit_shape(points, shape)
+    fitted_points = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
+    return np.asarray(((fitted_points - points) ** 2).sum(axis=-1).mean(axis=1))
+
+
+def positions_by_column(
+    positions: FloatArray, ids: IntArray, column_of_id: IntArray, count: int
+) -> FloatArray:
+    """Return positions in ``count`` columns ``(F, count, 3)``, NaN without a point.
+
+    positions: ``(F, P, 3)``. ids: ``(F, P)``, -1 for none. column_of_id: Column of each
+    id, -1 for none.
+    """
+    column = np.where(ids >= 0, column_of_id[ids], -1)
+    ordered = np.full((len(ids), count, 3), np.nan)
+    frame, slot = np.nonzero(column >= 0)
+    ordered[frame, column[frame, slot]] = positions[frame, slot]
+    return ordered
 
 
 # Iterations of fitting all frames to their median; the shape converges in these.

@@ -11,8 +11,9 @@ import numpy as np
 from animtool.capture.markers.chains import chain_runs, merge_chains
 from animtool.capture.markers.geometry import (
     MarkerDistances,
-    fit_shape,
     marker_distances,
+    mean_square_errors,
+    positions_by_column,
 )
 from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
@@ -58,27 +59,18 @@ def identify_runs(
     if not seeds:
         seeds = _find_seeds(points, groups, moving, shape, rest, LOOSE_SEED_TOLERANCE)
     initial_naming = PointNaming(moving, visible.T @ visible, rest)
-    best_naming: PointNaming | None = None
-    for seed in [
-        _merge_seeds(seeds, initial_naming.are_concurrent),
-        *seeds[:MAX_SEEDS],
-    ]:
-        if not seed:
-            continue
+    merged_seed = _merge_seeds(seeds, initial_naming.are_concurrent)
+    namings = []
+    for seed in filter(None, [merged_seed, *seeds[:MAX_SEEDS]]):
         naming = initial_naming.copy()
         for point, marker in seed.items():
             naming.assign(point, marker)
         naming.assign_greedily()
-        if (
-            best_naming is None
-            or naming.total_evidence() > best_naming.total_evidence()
-        ):
-            best_naming = naming
-    return (
-        None
-        if best_naming is None
-        else search_names(best_naming, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
-    )
+        namings.append(naming)
+    if not namings:
+        return None
+    best_naming = max(namings, key=PointNaming.total_evidence)
+    return search_names(best_naming, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
 
 
 def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
@@ -88,10 +80,8 @@ def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, 
         if any(names.get(point, marker) != marker for point, marker in seed.items()):
             continue
         combined_names = names | seed
-        points, markers = (
-            np.array(list(combined_names)),
-            np.array(list(combined_names.values())),
-        )
+        points = np.array(list(combined_names))
+        markers = np.array(list(combined_names.values()))
         clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
         np.fill_diagonal(clash, False)
         if not clash.any():
@@ -164,15 +154,7 @@ def _shape_error(points: FloatArray, shape: FloatArray) -> float:
     complete_frames = points[np.isfinite(points).all(axis=(1, 2))][::8]
     if not len(complete_frames):
         return np.inf
-    rotation, shift = fit_shape(complete_frames, shape)
-    fitted_points = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    return float(
-        np.sqrt(
-            np.median(
-                ((fitted_points - complete_frames) ** 2).sum(axis=-1).mean(axis=1)
-            )
-        )
-    )
+    return float(np.sqrt(np.median(mean_square_errors(complete_frames, shape))))
 
 
 # Minimum length of the runs that are named first [frame], and of the part of the take
@@ -267,17 +249,13 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
     """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
-    visible_columns = np.flatnonzero(static.visible.any(axis=0))
-    visible_columns = np.array(
-        [i for i in visible_columns.tolist() if not static.names[i].startswith("*")]
-    )
-    if len(visible_columns) < 4:
-        message = (
-            f"the trial has {len(visible_columns)} labelled markers; labelling needs 4"
-        )
+    visible_columns = np.flatnonzero(static.visible.any(axis=0)).tolist()
+    columns = [i for i in visible_columns if not static.names[i].startswith("*")]
+    if len(columns) < 4:
+        message = f"the trial has {len(columns)} labelled markers; labelling needs 4"
         raise OptionError(Fault("MKR020", message))
-    rest = np.nanmedian(static.positions[:, visible_columns], axis=0)
-    return tuple(static.names[i] for i in visible_columns.tolist()), rest
+    rest = np.nanmedian(static.positions[:, columns], axis=0)
+    return tuple(static.names[i] for i in columns), rest
 
 
 def _apply_names(
@@ -367,7 +345,11 @@ def _name_first_runs(
     """Return the marker of each run with many frames, else -1; None if none fits."""
     frames, runs = _base_frames(tracklets, len(cloud), float(cloud.clock.rate))
     lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    points = _run_positions(cloud.positions, tracklets, runs, frames)
+    column_of_run = np.full(len(tracklets.first) + 1, -1)
+    column_of_run[runs] = np.arange(len(runs))
+    points = positions_by_column(
+        cloud.positions[frames], tracklets.ids[frames], column_of_run, len(runs)
+    )
     names = identify_runs(points, rest, lengths)
     if names is None:
         return None
@@ -384,9 +366,8 @@ def _base_frames(
     length = min(frames, max(MIN_RUN_FRAMES, int(BASE_SECONDS * rate)))
     best_start, best_count = 0, -1
     for start in range(0, frames - length + 1, max(1, length // 4)):
-        shared_frames = (
-            np.minimum(last, start + length - 1) - np.maximum(first, start) + 1
-        )
+        ends = np.minimum(last, start + length - 1)
+        shared_frames = ends - np.maximum(first, start) + 1
         score = int(shared_frames[shared_frames > MIN_RUN_FRAMES].sum())
         if score > best_count:
             best_start, best_count = start, score
@@ -395,20 +376,6 @@ def _base_frames(
     return slice(best_start, end), np.flatnonzero(
         shared_frames >= min(MIN_RUN_FRAMES, length)
     )
-
-
-def _run_positions(
-    positions: FloatArray, tracklets: Tracklets, runs: IntArray, frames: slice
-) -> FloatArray:
-    """Return the positions of the given runs in the given frames ``(F, R, 3)``."""
-    ids = tracklets.ids[frames]
-    column = np.full(len(tracklets.first) + 1, -1)
-    column[runs] = np.arange(len(runs))
-    run_column = np.where(ids >= 0, column[ids], -1)
-    points = np.full((len(ids), len(runs), 3), np.nan)
-    frame, slot = np.nonzero(run_column >= 0)
-    points[frame, run_column[frame, slot]] = positions[frames][frame, slot]
-    return points
 
 
 def _exchange_parts(

@@ -22,21 +22,8 @@ MAX_TRIALS, MIN_GAIN = 40, 0.05
 # points visible for longer than that fraction, have the names around them reassigned:
 # number of restarts, radius [m], random bias [nat], and probability of restarting from
 # scratch.
-(
-    MIN_NAMED_FRACTION,
-    LONG_FRACTION,
-    RESTARTS,
-    RESTART_RADIUS,
-    RANDOM_BIAS,
-    EMPTY_START,
-) = (
-    0.5,
-    0.3,
-    60,
-    (0.3, 1.2),
-    (0.5, 6.0),
-    0.4,
-)
+MIN_NAMED_FRACTION, LONG_FRACTION, RESTARTS = 0.5, 0.3, 60
+RESTART_RADIUS, RANDOM_BIAS, EMPTY_START = (0.3, 1.2), (0.5, 6.0), 0.4
 # Radius around a doubtful marker [m].
 DOUBT_RADIUS = 0.3
 # Markers this near at rest are exchanged in triples and double pairs [m].
@@ -71,15 +58,11 @@ class PointNaming:
             moving, overlap_fraction, rest_distances
         )
         # Points never visible together that share a name should be one marker.
-        pair_weights = (
-            np.minimum(self.visible_fraction[:, None], self.visible_fraction)
-            * ~self.are_concurrent
-        )
-        chain_evidence = (pair_weights * chain_likelihoods(moving, overlap)).astype(
-            np.float32
-        )
+        pair_weights = np.minimum(self.visible_fraction[:, None], self.visible_fraction)
+        pair_weights = pair_weights * ~self.are_concurrent
+        chain_evidence = pair_weights * chain_likelihoods(moving, overlap)
         for name in range(markers):
-            self.pair_scores[:, :, name, name] += chain_evidence
+            self.pair_scores[:, :, name, name] += chain_evidence.astype(np.float32)
         self.rigid_pairs = _rigid_pairs(moving, overlap_fraction)
         self.exchanges = find_exchanges(rest_distances)
         self.names_of = np.full(count, -1)
@@ -242,10 +225,8 @@ class PointNaming:
                 )
                 best_exchange = int(value.argmax()) if len(value) else 0
                 if len(value) and value[best_exchange] > gain:
-                    best_names, gain = (
-                        (old[best_exchange], new[best_exchange]),
-                        float(value[best_exchange]),
-                    )
+                    best_names = old[best_exchange], new[best_exchange]
+                    gain = float(value[best_exchange])
             if best_names is None:
                 break
             names[best_names[0]] = names[best_names[1]]
@@ -294,9 +275,8 @@ class PointNaming:
         self, is_reassigned: BoolArray, seed: dict[int, int], bias: FloatArray
     ) -> None:
         """Remove the names in a mask ``(M,)``, and assign them again from a seed."""
-        for point in np.flatnonzero(
-            (self.names_of >= 0) & is_reassigned[self.names_of]
-        ).tolist():
+        is_removed = (self.names_of >= 0) & is_reassigned[self.names_of]
+        for point in np.flatnonzero(is_removed).tolist():
             self.assign(point, -1)
         for point, marker in seed.items():
             self.assign(point, marker)
@@ -352,9 +332,7 @@ def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNamin
         point, marker = move
         is_nearby = rest_distances[marker] < DOUBT_RADIUS
         if best.names_of[point] >= 0:
-            is_nearby = is_nearby | (
-                rest_distances[best.names_of[point]] < DOUBT_RADIUS
-            )
+            is_nearby |= rest_distances[best.names_of[point]] < DOUBT_RADIUS
         for is_reassigned in (np.zeros(len(rest_distances), bool), is_nearby):
             candidate = best.copy()
             candidate.force_name(point, marker, is_reassigned)

@@ -10,6 +10,7 @@ References:
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING
 
@@ -91,12 +92,10 @@ def predict_from_markers(
             local, pose, to_world = _in_neighbour_frame(
                 positions, frames, marker, neighbours, count
             )
-            best_prediction = _best_prediction(
+            best = _best_prediction(
                 local, pose, frames, gap, rate, DEVIATION_KERNELS, count
             )
-            predictions.append(
-                Prediction(to_world(best_prediction.positions), best_prediction.error)
-            )
+            predictions.append(replace(best, positions=to_world(best.positions)))
     return min(predictions, key=lambda prediction: prediction.error)
 
 
@@ -116,7 +115,7 @@ def _best_prediction(
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known_count = len(frames) - (gap.stop - gap.start)
+    known = local[: len(frames) - (gap.stop - gap.start)]
     best_prediction: Prediction | None = None
     for pose_markers in POSE_MARKERS:
         if pose_markers > pose.shape[1]:
@@ -130,14 +129,9 @@ def _best_prediction(
             if not pose_markers and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                pose_features,
-                frames / rate,
-                length_scale,
-                deviation,
-                time,
-                local[:known_count],
+                pose_features, frames / rate, length_scale, deviation, time, known
             )
-            error, values = _predict_gap(local[:known_count], kernel, frames, gap)
+            error, values = _predict_gap(known, kernel, frames, gap)
             if best_prediction is None or error < best_prediction.error:
                 best_prediction = Prediction(values, error)
     assert best_prediction is not None
@@ -165,33 +159,22 @@ def predict_from_parent_joint(
         return None
     frames = np.concatenate([training, np.arange(gap.start, gap.stop)])
     known_count = len(training)
-    origin, parent_rotations = (
-        skeleton.origins[frames, marker],
-        skeleton.parent_rotations[frames, marker],
-    )
+    origin = skeleton.origins[frames, marker]
+    parent_rotations = skeleton.parent_rotations[frames, marker]
     rotations = [parent_rotations]
     visible_throughout = np.asarray(visible[gap].all(axis=0))
     for marker_on_joint in skeleton.markers_on_joint(marker, visible_throughout):
         if np.isin(training, np.flatnonzero(visible[:, marker_on_joint])).all():
-            rotations.append(
-                _rotate_towards(
-                    parent_rotations, positions[frames, marker_on_joint] - origin
-                )
-            )
+            arms = positions[frames, marker_on_joint] - origin
+            rotations.append(_rotate_towards(parent_rotations, arms))
     predictions = []
     for rotation in rotations:
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best_prediction = _best_prediction(
-            local, pose, frames, gap, rate, LOOSE_KERNELS
-        )
-        world_positions = np.einsum(
-            "fij,fj->fi", rotation[known_count:], best_prediction.positions
-        )
-        predictions.append(
-            Prediction(world_positions + origin[known_count:], best_prediction.error)
-        )
+        best = _best_prediction(local, pose, frames, gap, rate, LOOSE_KERNELS)
+        rotated = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
+        predictions.append(replace(best, positions=rotated + origin[known_count:]))
     return min(predictions, key=lambda prediction: prediction.error)
 
 
@@ -203,11 +186,8 @@ def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArra
     mean_direction /= np.linalg.norm(mean_direction)
     axis = np.cross(mean_direction, local)
     frames = np.zeros((len(local), 3, 3))
-    frames[:, 0, 1], frames[:, 0, 2], frames[:, 1, 2] = (
-        -axis[:, 2],
-        axis[:, 1],
-        -axis[:, 0],
-    )
+    frames[:, 0, 1], frames[:, 0, 2] = -axis[:, 2], axis[:, 1]
+    frames[:, 1, 2] = -axis[:, 0]
     frames -= frames.transpose(0, 2, 1)
     cosine = np.maximum(local @ mean_direction, -0.99)
     swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
@@ -305,10 +285,8 @@ def _in_neighbour_frame(
 
     def to_world(values: FloatArray) -> FloatArray:
         """Return positions of the gap in world space."""
-        gap_frames = rotation[-len(values) :], shift[-len(values) :]
-        return np.asarray(
-            np.einsum("fij,fj->fi", gap_frames[0], values) + gap_frames[1]
-        )
+        rotated = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
+        return np.asarray(rotated + shift[-len(values) :])
 
     return local, pose, to_world
 
@@ -372,11 +350,8 @@ def _covariance(
     """Return the covariance of all frames with known frames ``(F, known)`` [m^2]."""
     known_count = len(local)
     variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
-    lag = (
-        np.sqrt(5.0)
-        * np.abs(times[:, None] - times[None, :known_count])
-        / deviation_time
-    )
+    distance = np.abs(times[:, None] - times[None, :known_count])
+    lag = np.sqrt(5.0) * distance / deviation_time
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     features = centred_pose / (

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import MarkerDistances, marker_distances
+from animtool.capture.markers.geometry import (
+    MarkerDistances,
+    marker_distances,
+    positions_by_column,
+)
 from animtool.capture.markers.tracklets import Tracklets
 from animtool.core.array_types import FloatArray, IntArray
 
@@ -61,12 +65,8 @@ class RunLabels:
 
     def marker_paths(self) -> FloatArray:
         """Return the named positions ``(F, M, 3)``."""
-        ids = self.tracklets.ids
-        marker = np.where(ids >= 0, self.names_of[ids], -1)
-        points = np.full((len(ids), len(self.rest), 3), np.nan)
-        frame, slot = np.nonzero(marker >= 0)
-        points[frame, marker[frame, slot]] = self.positions[frame, slot]
-        return points
+        ids, count = self.tracklets.ids, len(self.rest)
+        return positions_by_column(self.positions, ids, self.names_of, count)
 
     def name_runs(self) -> None:
         """Name the remaining runs, the clearest first."""

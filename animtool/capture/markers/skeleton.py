@@ -97,11 +97,7 @@ class SkeletonMarkers:
             return 0.0
         if marker_count and markers_below:
             return DRIFT_PER_SECOND[0]
-        return (
-            DRIFT_PER_SECOND[1]
-            if marker_count or markers_below > 1
-            else DRIFT_PER_SECOND[2]
-        )
+        return DRIFT_PER_SECOND[1 if marker_count or markers_below > 1 else 2]
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
@@ -109,16 +105,11 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
 
     Bones and offsets are calibrated to the take, then its poses are solved.
     """
+    rig, template, options = subject.rig, subject.template, subject.options
     calibration = calibrate(
-        markers,
-        subject.rig,
-        subject.template,
-        static=subject.static,
-        options=subject.options,
+        markers, rig, template, static=subject.static, options=options
     )
-    solve = solve_markers(
-        markers, calibration.rig, calibration.template, subject.options
-    )
+    solve = solve_markers(markers, calibration.rig, calibration.template, options)
     take = solve.take()
     world, model = take.world(), solve.model
     rotated_offsets = np.einsum(

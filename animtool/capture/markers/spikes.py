@@ -186,7 +186,6 @@ def _local_level(
     starts: IntArray, squared_residuals: FloatArray, frames: int
 ) -> FloatArray:
     """Return each frame's local noise level over the typical level ``(F,)``."""
-    level = np.ones(frames)
     order = np.searchsorted(starts, np.arange(frames))
     window_start = np.maximum(order - FIT_WINDOW, 0)
     window_end = np.minimum(order + FIT_WINDOW, len(starts))
@@ -253,11 +252,7 @@ def _span_deviations(
         [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
     )
     support_count = is_visible_around.sum(axis=1)
-    is_span &= (
-        support_count == 2 * SUPPORT_FRAMES
-        if complete
-        else support_count >= MIN_SUPPORT
-    )
+    is_span &= support_count >= (2 * SUPPORT_FRAMES if complete else MIN_SUPPORT)
     starts = np.flatnonzero(is_span)
     values = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
     values[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
@@ -299,10 +294,8 @@ def _prediction_weights(
         ]
     )
     offsets = offsets_around[[bool(code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
-    frames = (
-        np.concatenate([offsets, np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)])
-        + 1.0
-    )
+    span = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
+    frames = np.concatenate([offsets, span]) + 1.0
     # White noise integrated three times: its expected curve is a quintic spline.
     earlier_frame = np.minimum(frames[:, None], frames)
     frame_distance = np.abs(frames[:, None] - frames)

@@ -90,12 +90,10 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
         if clearest_pair is None or crossing_by_pair[clearest_pair][0] < MIN_GAIN:
             break
         pair = list(clearest_pair)
-        for first, last in _swap_spans(
-            crossing_by_pair[clearest_pair][1], positions[:, pair]
-        ):
-            swaps.append(
-                Swap((markers.names[pair[0]], markers.names[pair[1]]), first, last)
-            )
+        names = (markers.names[pair[0]], markers.names[pair[1]])
+        is_crossed = crossing_by_pair[clearest_pair][1]
+        for first, last in _swap_spans(is_crossed, positions[:, pair]):
+            swaps.append(Swap(names, first, last))
             span = slice(first, last + 1)
             positions[span, pair] = positions[span, pair[::-1]]
             source_column[span, pair] = source_column[span, pair[::-1]]
@@ -185,7 +183,7 @@ class _SwapPath:
     cost: float
     is_swapped: int
     changes: tuple[int, ...]
-    past_positions: tuple[list[Any], list[Any]]
+    past_positions: list[list[Any]]
 
 
 def _find_crossed_frames(
@@ -212,8 +210,8 @@ def _find_crossed_frames(
     events = np.flatnonzero(~(is_smooth & is_unchanged).all(axis=1)).tolist()
     events = sorted({0, *events})
     event_ends = [*events[1:], len(pair_positions)]
-    initial_path = _SwapPath(0.0, 0, (), ([], []))
-    paths = [initial_path, _SwapPath(CHANGE_COST, 1, (0,), ([], []))]
+    initial_path = _SwapPath(0.0, 0, (), [[], []])
+    paths = [initial_path, _SwapPath(CHANGE_COST, 1, (0,), [[], []])]
     points: list[list[Any]] = [
         [
             position if is_visible else None
@@ -239,29 +237,21 @@ def _find_crossed_frames(
             costs_by_state: tuple[float, float] = costs_by_state,
         ) -> _SwapPath:
             """Return a path extended by a span of frames in a state."""
-            cost, changes, past = (
-                path.cost + costs_by_state[state],
-                path.changes,
-                path.past_positions,
-            )
+            cost, changes = path.cost + costs_by_state[state], path.changes
             if state != path.is_swapped:
                 cost, changes = cost + CHANGE_COST, (*changes, start)
             past_of_markers = []
-            for marker in (0, 1):
+            for marker, past in enumerate(path.past_positions):
                 point = points[start][marker ^ state]
                 if start and point is not None:
-                    cost += _position_cost(
-                        past[marker], start, point, rate, acceleration
-                    )
+                    cost += _position_cost(past, start, point, rate, acceleration)
                 new_state = [
                     (frame, points[frame][marker ^ state])
                     for frame in range(max(start, end - PAST_SAMPLES), end)
                     if points[frame][marker ^ state] is not None
                 ]
-                past_of_markers.append([*past[marker], *new_state][-PAST_SAMPLES:])
-            return _SwapPath(
-                cost, state, changes, (past_of_markers[0], past_of_markers[1])
-            )
+                past_of_markers.append([*past, *new_state][-PAST_SAMPLES:])
+            return _SwapPath(cost, state, changes, past_of_markers)
 
         initial_path = later(initial_path, 0)
         if start == 0:
@@ -359,11 +349,7 @@ def _shape_gain(
             gain = np.where(is_known, costs[0] - costs[1], 0.0)
             if weight.sum() > 0:
                 gains.append(float((weight * gain).sum() / weight.sum()))
-    return (
-        float(np.clip(MAX_SHAPE_GAIN * sum(gains), -MAX_SHAPE_GAIN, MAX_SHAPE_GAIN))
-        if gains
-        else 0.0
-    )
+    return float(np.clip(MAX_SHAPE_GAIN * sum(gains), -MAX_SHAPE_GAIN, MAX_SHAPE_GAIN))
 
 
 def _swap_spans(
@@ -383,12 +369,8 @@ def _swap_spans(
         visible_before = np.flatnonzero(visible[: frames[0]])
         visible_after = np.flatnonzero(visible[frames[-1] + 1 :])
         begin, last = int(frames[0]), int(frames[-1])
-        if len(visible_before):
-            begin = (
-                (int(visible_before[-1]) + begin) // 2 + 1
-                if visible_before[-1] < begin - 1
-                else begin
-            )
+        if len(visible_before) and visible_before[-1] < begin - 1:
+            begin = (int(visible_before[-1]) + begin) // 2 + 1
         if len(visible_after):
             last += int(visible_after[0]) // 2
         spans.append((begin, last))

@@ -56,9 +56,8 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
     last: list[int] = []
     max_step = NOISE + MAX_ACCELERATION / rate**2
     max_first_step = NOISE + MAX_SPEED / rate
-    past_positions = np.zeros(
-        (0, PAST_FRAMES, 3)
-    )  # latest positions of the open runs, newest first
+    # Latest positions of the open runs, newest first.
+    past_positions = np.zeros((0, PAST_FRAMES, 3))
     age = np.zeros(0, np.int64)
     open_run_ids = np.zeros(0, np.int64)
     for frame in range(frames):
@@ -83,13 +82,10 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
         ids[frame, slots] = run_ids
         next_positions = np.zeros((len(slots), PAST_FRAMES, 3))
         next_positions[:, 0] = points
-        next_positions[is_continued, 1:] = past_positions[
-            row_of_slot[is_continued], :-1
-        ]
+        rows = row_of_slot[is_continued]
+        next_positions[is_continued, 1:] = past_positions[rows, :-1]
         new_age = np.ones(len(slots), np.int64)
-        new_age[is_continued] = np.minimum(
-            age[row_of_slot[is_continued]] + 1, PAST_FRAMES
-        )
+        new_age[is_continued] = np.minimum(age[rows] + 1, PAST_FRAMES)
         past_positions, age, open_run_ids = next_positions, new_age, run_ids
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
@@ -98,11 +94,7 @@ def _expected_positions(
     past_positions: FloatArray, age: IntArray, max_step: float, max_first_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return each run's expected next position, and its tolerance [m]."""
-    current, previous, before_previous = (
-        past_positions[:, 0],
-        past_positions[:, 1],
-        past_positions[:, 2],
-    )
+    current, previous, before_previous = np.moveaxis(past_positions, 1, 0)
     linear_prediction = 2.0 * current - previous
     # Halfway to a parabola: a full parabola has seven times the noise.
     quadratic_prediction = 0.5 * (

@@ -6,7 +6,7 @@ from itertools import combinations
 
 import numpy as np
 
-from animtool.capture.markers.geometry import fit_shape, marker_distances
+from animtool.capture.markers.geometry import marker_distances, mean_square_errors
 from animtool.capture.markers.naming import (
     compute_exchange_gains,
     compute_pair_evidence,
@@ -171,8 +171,6 @@ def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> 
     if len(complete_frames) < MIN_SAMPLES:
         return np.inf
     points = points[complete_frames[:: max(1, len(complete_frames) // SAMPLED_FRAMES)]]
-    rotation, shift = fit_shape(points, shape)
-    fitted_points = np.einsum("fij,kj->fki", rotation, shape) + shift[:, None]
-    error = np.sqrt(((fitted_points - points) ** 2).sum(axis=-1).mean(axis=1))
+    error = np.sqrt(mean_square_errors(points, shape))
     count = max(1, int(BEST_FRACTION * len(error)))
     return float(np.partition(error, count - 1)[:count].mean())

@@ -33,7 +33,7 @@ from animtool.capture.solve.sampling import (
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.errors import Fault, Severity, listed, refuse, warning
 from animtool.core.record import dataclass
 from animtool.ik.chain import difference
 from animtool.ik.fit import FitOptions, fit
@@ -48,12 +48,8 @@ MOTION_FRAMES, STATIC_FRAMES = 120, 10
 # Standard deviations of the priors: bone scales about the overall scale, that scale
 # about 1, left bones about right ones [1], and markers about their template offsets,
 # per axis [m].
-BONE_DEVIATION, OVERALL_DEVIATION, SIDE_DEVIATION, OFFSET_DEVIATION = (
-    0.07,
-    0.25,
-    0.004,
-    0.008,
-)
+BONE_DEVIATION, OVERALL_DEVIATION, SIDE_DEVIATION = 0.07, 0.25, 0.004
+OFFSET_DEVIATION = 0.008
 # Standard deviations of the pose about the rest pose, in the static take and in the
 # motion, where no marker determines it [rad].
 STATIC_POSE_DEVIATION, MOTION_POSE_DEVIATION = 0.08, 1.5
@@ -168,20 +164,24 @@ class _CalibrationState:
             message = (
                 f"{len(self.positions)} frames have at least {MIN_MARKERS} markers"
             )
-            hint = f"a calibration needs {MIN_FRAMES}"
-            raise OptionError(Fault("SOL006", message, hint=hint))
+            refuse("SOL006", message, hint=f"a calibration needs {MIN_FRAMES}")
         check_units(self.model, self.positions, self.model.template)
-        self.bone_groups = _scalable_bones(self.model.rig)
+        # The joints whose bones scale independently: all but roots.
+        self.bones = [
+            j
+            for j, joint in enumerate(self.model.rig.joints)
+            if joint.parent >= 0 and any(joint.translation)
+        ]
         self.base_translations = self.model.rig.rest_translations
         self.initial_offsets = self.model.offsets
-        self.scales = np.full(len(self.bone_groups), self._size_ratio())
+        self.scales = np.full(len(self.bones), self._size_ratio())
         self.is_fixed_offset = np.array(
             [m.fixed for m in self.model.template.markers], np.bool_
         )
         size = np.where(self.is_fixed_offset, 1.0, self.scales[0])
         self.offsets = size[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
-        self.surety = np.zeros(len(self.bone_groups))
+        self.surety = np.zeros(len(self.bones))
 
     def _to_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
@@ -195,11 +195,11 @@ class _CalibrationState:
 
     def _size_ratio(self) -> float:
         """Return the ratio of the subject's size to the rig's."""
-        frames = self.positions[: max(self.static_frames, 1)]
-        rest_points = self.model.points(self.model.start_poses(frames))
-        visible = visible_markers(frames)[:, :, None]
         if self.static_frames == 0:
             return 1.0
+        frames = self.positions[: self.static_frames]
+        rest_points = self.model.points(self.model.start_poses(frames))
+        visible = visible_markers(frames)[:, :, None]
 
         def spread(points: FloatArray) -> float:
             """Return the median distance of markers from their centre."""
@@ -215,25 +215,22 @@ class _CalibrationState:
         for round_ in range(MAX_STEPS):
             poses = self._fit_poses(poses)
             step = self._solve_step(poses)
-            bones, shifts = step[: len(self.bone_groups)], step[len(self.bone_groups) :]
+            bones, shifts = step[: len(self.bones)], step[len(self.bones) :]
             self.scales = np.clip(self.scales + bones, 0.1, 10.0)
             self.offsets = self.offsets + shifts.reshape(-1, 3)
             self._rebuild_model()
-            if (
-                max(np.abs(bones).max(initial=0), np.abs(shifts).max(initial=0))
-                < CONVERGED_STEP
-            ):
+            if np.abs(step).max(initial=0) < CONVERGED_STEP:
                 return round_ + 1, True
         return MAX_STEPS, False
 
     def _rebuild_model(self) -> None:
         """Rebuild the model from the current bone scales and offsets."""
-        self.model = self.model.with_bones(
-            scale_bones(
-                self.model.rig, self.bone_groups, self.scales, self.base_translations
-            ),
-            self.offsets,
-        )
+        rig, joints = self.model.rig, list(self.model.rig.joints)
+        for j, scale in zip(self.bones, self.scales.tolist(), strict=True):
+            x, y, z = (scale * self.base_translations[j]).tolist()
+            joints[j] = replace(joints[j], translation=(x, y, z))
+        rig = replace(rig, joints=tuple(joints))
+        self.model = self.model.with_bones(rig, self.offsets)
 
     def _fit_poses(self, poses: FloatArray) -> FloatArray:
         """Return poses fitted to the current bones, and update the noise."""
@@ -287,9 +284,8 @@ class _CalibrationState:
             mixed_slopes.T @ residuals.ravel() - mixed_terms.T @ pose_step.ravel()
         )
         prior, prior_gradient = self._prior_equations()
-        self.surety = np.diag(matrix)[: len(self.bone_groups)] / (
-            np.diag(matrix)[: len(self.bone_groups)] + BONE_DEVIATION**-2.0
-        )
+        bone_precision = np.diag(matrix)[: len(self.bones)]
+        self.surety = bone_precision / (bone_precision + BONE_DEVIATION**-2.0)
         return np.linalg.solve(matrix + prior, gradient + prior_gradient)
 
     def _deviation_from_rest(self, poses: FloatArray) -> FloatArray:
@@ -308,16 +304,15 @@ class _CalibrationState:
         local = model.local_transforms(poses)
         world = forward_kinematics(rig, local.translations, local.rotations)
         count, markers = len(poses), len(model.joints)
-        derivatives = np.zeros((count, markers, 3, len(self.bone_groups) + 3 * markers))
+        derivatives = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
         is_above = np.zeros((markers, len(rig.joints)), np.bool_)
         for e, j in enumerate(model.joints.tolist()):
             is_above[e, rig.upwards(j)] = True
-        for b, group in enumerate(self.bone_groups):
-            for j in group:
-                bone = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
-                derivatives[:, is_above[:, j], :, b] += bone
+        for b, j in enumerate(self.bones):
+            bone = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
+            derivatives[:, is_above[:, j], :, b] += bone
         for e, j in enumerate(model.joints.tolist()):
-            first = len(self.bone_groups) + 3 * e
+            first = len(self.bones) + 3 * e
             if not model.template.markers[e].fixed:
                 derivatives[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
@@ -327,7 +322,7 @@ class _CalibrationState:
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return the normal equations of the prior of scales and offsets."""
-        bones, size = len(self.bone_groups), len(self.bone_groups) + self.offsets.size
+        bones, size = len(self.bones), len(self.bones) + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
         precision = np.eye(bones) / BONE_DEVIATION**2
@@ -368,9 +363,9 @@ class _CalibrationState:
         bone that ends there, else with all bones.
         """
         rig = self.model.rig
-        bone_joints = np.array([group[0] for group in self.bone_groups])
-        parents = np.array([rig.joints[group[0]].parent for group in self.bone_groups])
-        weights = np.zeros((len(self.model.joints), len(self.bone_groups)))
+        bone_joints = np.array(self.bones)
+        parents = np.array([rig.joints[j].parent for j in self.bones])
+        weights = np.zeros((len(self.model.joints), len(self.bones)))
         for e, j in enumerate(self.model.joints.tolist()):
             children = parents == j if (parents == j).any() else bone_joints == j
             weights[e, children if children.any() else slice(None)] = 1.0
@@ -381,55 +376,40 @@ class _CalibrationState:
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
-        bone_of = {j: b for b, group in enumerate(self.bone_groups) for j in group}
+        bone_of = {j: b for b, j in enumerate(self.bones)}
         return [
-            (bone_of[j], bone_of[int(k)])
-            for j, k in enumerate(partners)
-            if j < k
-            and j in bone_of
-            and int(k) in bone_of
-            and bone_of[j] != bone_of[int(k)]
+            (bone_of[j], bone_of[k])
+            for j, k in enumerate(partners.tolist())
+            if j < k and j in bone_of and k in bone_of
         ]
 
     def build_result(self, rounds: int, converged: bool) -> Calibration:
         """Return the calibration of the final state: rig, template and statistics."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
-        for b, group in enumerate(self.bone_groups):
-            scales[list(group)] = self.scales[b]
-        markers_by_name = {
-            marker_.name: marker_ for marker_ in self.model.template.markers
-        }
+        scales[self.bones] = self.scales
+        offset_of = {m.name: m.offset for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
-        markers = []
-        for marker_, marker in enumerate(self.template.markers):
-            calibrated_marker = markers_by_name.get(marker.name)
-            if calibrated_marker is not None:
-                shifts[marker_] = np.linalg.norm(
-                    np.subtract(calibrated_marker.offset, marker.offset)
-                )
-            markers.append(
-                marker
-                if calibrated_marker is None
-                else replace(marker, offset=calibrated_marker.offset)
-            )
+        markers = list(self.template.markers)
+        for i, marker in enumerate(markers):
+            offset = offset_of.get(marker.name)
+            if offset is not None:
+                shifts[i] = np.linalg.norm(np.subtract(offset, marker.offset))
+                markers[i] = replace(marker, offset=offset)
         notices = []
         if not converged:
             message = f"the calibration did not converge in {MAX_STEPS} steps"
             hint = "a longer take, or a static one, gives more data"
-            notices.append(Fault("SOL104", message, None, (), hint, Severity.WARNING))
+            notices.append(warning("SOL104", message, hint))
         uncertain_bones = [
-            rig.names[group[0]]
-            for b, group in enumerate(self.bone_groups)
-            if self.surety[b] < UNCERTAIN_SCALE_RATIO
+            rig.names[j]
+            for j, surety in zip(self.bones, self.surety, strict=True)
+            if surety < UNCERTAIN_SCALE_RATIO
         ]
         if uncertain_bones:
-            message = (
-                "no marker determines the length of these bones; they scale with the "
-                "others: "
-            )
-            message += listed(uncertain_bones, 8)
-            notices.append(Fault("SOL105", message, None, (), None, Severity.NOTE))
+            message = "no marker determines the length of these bones; they scale with "
+            message += f"the others: {listed(uncertain_bones, 8)}"
+            notices.append(Fault("SOL105", message, severity=Severity.NOTE))
         return Calibration(
             scale_rig_bones(self.source_rig, scales),
             replace(self.template, markers=tuple(markers), document=None),
@@ -441,15 +421,6 @@ class _CalibrationState:
             converged,
             tuple(notices),
         )
-
-
-def _scalable_bones(rig: Rig) -> list[tuple[int, ...]]:
-    """Return the joints whose bones scale independently: all but roots."""
-    return [
-        (j,)
-        for j, joint in enumerate(rig.joints)
-        if joint.parent >= 0 and any(joint.translation)
-    ]
 
 
 def unlimited_rig(model: MarkerProblem) -> Rig:
@@ -468,18 +439,6 @@ def unlimited_rig(model: MarkerProblem) -> Rig:
         for joint, count in zip(rig.joints, marker_counts.tolist(), strict=True)
     )
     return replace(rig, joints=joints)
-
-
-def scale_bones(
-    rig: Rig, bones: list[tuple[int, ...]], scales: FloatArray, base: FloatArray
-) -> Rig:
-    """Return a rig with bones scaled from a base ``(J, 3)``."""
-    joints = list(rig.joints)
-    for group, scale in zip(bones, scales.tolist(), strict=True):
-        for j in group:
-            x, y, z = (scale * base[j]).tolist()
-            joints[j] = replace(joints[j], translation=(x, y, z))
-    return replace(rig, joints=tuple(joints))
 
 
 def scale_rig_bones(rig: Rig, scales: FloatArray) -> Rig:

@@ -89,10 +89,8 @@ class MarkerProblem:
         rest_pose = forward_kinematics(
             rig, rig.rest_translations[None], rig.rest_rotations[None]
         )
-        rest_position, rest_rotation = (
-            rest_pose.positions[0, root],
-            rest_pose.rotations[0, root],
-        )
+        rest_position = rest_pose.positions[0, root]
+        rest_rotation = rest_pose.rotations[0, root]
         # world = T(rest) R(rest) motion: the remaining rotation.
         world_rotation = so3.multiply(rotation, rest_rotation)
         world_position = so3.rotate(rotation, rest_position) + translation

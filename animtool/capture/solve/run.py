@@ -19,10 +19,8 @@ from animtool.capture.solve.model import (
 from animtool.capture.solve.report import SolveScore
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
-    marker_residuals,
+    estimate_noise,
     sampled_frames,
-    sampled_poses,
-    typical_noise,
 )
 from animtool.capture.solve.swapped import swapped_side_notices
 from animtool.capture.templates.match import (
@@ -39,6 +37,7 @@ from animtool.core.errors import (
     Severity,
     counted,
     listed,
+    warning,
     with_notices,
 )
 from animtool.core.quantities import length_text
@@ -70,9 +69,6 @@ MAX_SIZE_RATIO = math.log(2.0)
 MIN_STRANGE_RESIDUAL = 0.01
 # A marker this many times farther off than most has a wrong name or offset [1].
 FAR_FACTOR = 4.0
-# Initial noise, maximum rounds of its estimate, and the ratio at which it has
-# converged.
-INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
 # A marker on a body moves by more than this: breathing alone moves a chest by 4 mm [m].
 STATIC_EXTENT = 0.002
 # A marker that does not move while the others move by this much is not on the body [m].
@@ -189,17 +185,15 @@ class MarkerSolve:
         ):
             if not len(frames):
                 continue
-            start, step = clock.start, clock.step
-            frames_text = frame_spans(
-                [math.floor(start + step * f) for f in frames.tolist()]
-            )
+            numbers = [
+                math.floor(clock.start + clock.step * f) for f in frames.tolist()
+            ]
+            frames_text = frame_spans(numbers)
             message = f"{problem} in {counted(len(frames), 'frame')}: {frames_text}"
             hint = "their poses are taken from nearby frames"
             if code == "SOL102":
                 hint = "labels may be wrong there, or the rig may not match the subject"
-            self.notices.append(
-                Fault(code, message, hint=hint, severity=Severity.WARNING)
-            )
+            self.notices.append(warning(code, message, hint))
 
 
 def solve_markers(
@@ -240,12 +234,10 @@ def solve_markers(
         message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
         message += f"template: {listed(match.missing, 8)}"
         hint = _renamed_hint(match)
-        notices.append(Fault("SOL103", message, hint=hint, severity=Severity.WARNING))
+        notices.append(warning("SOL103", message, hint))
     notices += static_notices(model.template.names, positions)
     noise = estimate_noise(model, sample, options.noise)
-    side_notices = swapped_side_notices(
-        model, sample, noise, options.noise, estimate_noise
-    )
+    side_notices = swapped_side_notices(model, sample, noise, options.noise)
     if all(notice.code != "MKT003" for notice in notices):
         notices += side_notices or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
@@ -285,7 +277,7 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
     else:
         return []
-    return [Fault("SOL107", message, hint=hint, severity=Severity.WARNING)]
+    return [warning("SOL107", message, hint)]
 
 
 def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
@@ -311,34 +303,13 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
     elif np.median(extents[is_tested]) < MOVING_EXTENT:
         return []
     else:
-        static_names = [
-            name for name, is_fixed in zip(names, is_static, strict=True) if is_fixed
-        ]
+        static_names = list(itertools.compress(names, is_static))
         message = (
             f"these markers never move, while others move by "
             f"{length_text(float(np.median(extents[is_tested])))}: "
             f"{listed(static_names, 8)}"
         )
-    return [Fault("SOL108", message, hint=hint, severity=Severity.WARNING)]
-
-
-def estimate_noise(
-    model: MarkerProblem, sample: FloatArray, min_noise: float
-) -> FloatArray:
-    """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
-
-    The estimate starts from a large value, so that another subject's rig and wrong
-    labels can be distinguished.
-    """
-    noise = np.full(len(model.joints), INITIAL_NOISE)
-    for _ in range(NOISE_ROUNDS):
-        misses = marker_residuals(model, sampled_poses(model, sample, noise), sample)
-        estimate = typical_noise(misses, min_noise)
-        has_converged = bool((estimate > CONVERGED_RATIO * noise).all())
-        noise = estimate
-        if has_converged:
-            break
-    return noise
+    return [warning("SOL108", message, hint)]
 
 
 def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
@@ -369,43 +340,36 @@ def check_units(
 
     The error is located in the template if the offsets are suspicious (MKT003).
     """
-    rest_points_all = model.points(model.start_poses(sample[:1]))[0]
+    rest_points = model.points(model.start_poses(sample[:1]))[0]
     ratios = []
     for frame in sample:
         visible = np.isfinite(frame).all(axis=1)
-        rest_points, frame_points = rest_points_all[visible], frame[visible]
-        rest_size = np.linalg.norm(
-            rest_points - rest_points.mean(axis=0), axis=1
-        ).mean()
-        frame_size = np.linalg.norm(
-            frame_points - frame_points.mean(axis=0), axis=1
-        ).mean()
-        ratios.append(frame_size / max(float(rest_size), 1e-9))
+        rest_size, frame_size = (
+            float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
+            for points in (rest_points[visible], frame[visible])
+        )
+        ratios.append(frame_size / max(rest_size, 1e-9))
     ratio = float(np.median(ratios))
     if 1 / MIN_UNIT_RATIO < ratio < MIN_UNIT_RATIO:
         return
-    size_factor, comparison = (
-        (ratio, "larger") if ratio > 1 else (1 / max(ratio, 1e-12), "smaller")
-    )
-    message = (
-        f"the markers are {size_factor:.3g} times {comparison} than those on the rig"
-    )
+    comparison = f"{1 / max(ratio, 1e-12):.3g} times smaller than those on the rig"
+    if ratio > 1:
+        comparison = f"{ratio:.3g} times larger than those on the rig"
+    message = f"the markers are {comparison}"
     document = None if template is None else template.document
     for notice in () if document is None else document.notices:
         if notice.code == "MKT003":
-            message = f"{notice.message}; captured markers are {size_factor:.3g} times "
-            message += f"{comparison} than those on the rig"
-            error = replace(
-                notice, code="SOL005", message=message, severity=Severity.ERROR
+            message = f"{notice.message}; captured markers are {comparison}"
+            severity = Severity.ERROR
+            raise OptionError(
+                replace(notice, code="SOL005", message=message, severity=severity)
             )
-            raise OptionError(error)
     unit_written, unit_read = _confused_units(ratio)
     hint = (
         f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or in"
     )
     if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_SIZE_RATIO:
-        hint = (
-            f"the numbers look like {unit_written} that are read as {unit_read}: set "
-        )
-        hint += argument("source.unit", str(unit_written))
+        unit_text = argument("source.unit", str(unit_written))
+        hint = f"the numbers look like {unit_written} that are read as {unit_read}: "
+        hint += f"set {unit_text}"
     raise OptionError(Fault("SOL005", message, hint=hint))

@@ -16,6 +16,9 @@ MEDIAN_LENGTH = 1.538
 ROBUST_DEVIATIONS = 8.0
 # A marker visible in fewer frames gets the noise of the others.
 MIN_VISIBLE_FRAMES = 5
+# Initial noise, maximum rounds of its estimate, and the ratio at which it has
+# converged.
+INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
 
 
 def sampled_frames(positions: FloatArray, count: int) -> IntArray:
@@ -55,15 +58,32 @@ def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
         min_noise: Lower bound [m].
     """
     is_known = np.isfinite(misses)
-    median = (
-        float(np.median(misses[is_known])) / MEDIAN_LENGTH
-        if is_known.any()
-        else min_noise
-    )
+    median = min_noise
+    if is_known.any():
+        median = float(np.median(misses[is_known])) / MEDIAN_LENGTH
     noise = np.full(misses.shape[1], median)
     has_enough = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
     noise[has_enough] = np.nanmedian(misses[:, has_enough], axis=0) / MEDIAN_LENGTH
     return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
+
+
+def estimate_noise(
+    model: MarkerProblem, sample: FloatArray, min_noise: float
+) -> FloatArray:
+    """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
+
+    The estimate starts from a large value, so that another subject's rig and wrong
+    labels can be distinguished.
+    """
+    noise = np.full(len(model.joints), INITIAL_NOISE)
+    for _ in range(NOISE_ROUNDS):
+        misses = marker_residuals(model, sampled_poses(model, sample, noise), sample)
+        estimate = typical_noise(misses, min_noise)
+        has_converged = bool((estimate > CONVERGED_RATIO * noise).all())
+        noise = estimate
+        if has_converged:
+            break
+    return noise
 
 
 def marker_residuals(

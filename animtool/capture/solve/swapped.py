@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from animtool.capture.solve.model import MarkerProblem
-from animtool.capture.solve.sampling import marker_residuals, sampled_poses
+from animtool.capture.solve.sampling import (
+    estimate_noise,
+    marker_residuals,
+    sampled_poses,
+)
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import length_text
@@ -16,15 +18,9 @@ from animtool.rig.sides import pair_sides
 # Residual of swapped markers, and the fraction of it that is left without the swap.
 MIN_RESIDUAL, MAX_FRACTION = 0.02, 0.4
 
-Noise = Callable[[MarkerProblem, FloatArray, float], FloatArray]
-
 
 def swapped_side_notices(
-    model: MarkerProblem,
-    sample: FloatArray,
-    noise: FloatArray,
-    min_noise: float,
-    estimate_noise_of: Noise,
+    model: MarkerProblem, sample: FloatArray, noise: FloatArray, min_noise: float
 ) -> list[Fault]:
     """Return a warning if all or several left and right markers are swapped (SOL109).
 
@@ -33,7 +29,6 @@ def swapped_side_notices(
         sample: Positions of markers in sampled frames ``(F, E, 3)`` [m].
         noise: Noise of the markers ``(E,)`` [m].
         min_noise: Lower bound of the noise [m].
-        estimate_noise_of: Function that returns the noise of other positions.
     """
     names = model.template.names
     pairs = pair_sides(names)
@@ -42,9 +37,7 @@ def swapped_side_notices(
     exchanged = sample[:, pairs.partners]
     median = float(np.median(noise))
     if median >= MIN_RESIDUAL / 2:
-        exchanged_noise = float(
-            np.median(estimate_noise_of(model, exchanged, min_noise))
-        )
+        exchanged_noise = float(np.median(estimate_noise(model, exchanged, min_noise)))
         if exchanged_noise < MAX_FRACTION * median:
             message = (
                 "left and right look swapped: with all their markers exchanged, "
@@ -60,22 +53,18 @@ def swapped_side_notices(
     swapped_pairs = []
     for left in pairs.left:
         both_markers = [left, int(pairs.partners[left])]
-        is_far = misses[both_markers].min() > MIN_RESIDUAL
-        if (
-            is_far
-            and exchanged_misses[both_markers].max()
-            < MAX_FRACTION * misses[both_markers].min()
-        ):
+        residual = misses[both_markers].min()
+        exchanged_residual = exchanged_misses[both_markers].max()
+        if residual > MIN_RESIDUAL and exchanged_residual < MAX_FRACTION * residual:
             swapped_pairs.append(both_markers)
     if not swapped_pairs:
         return []
     pairs_text = listed([f"{names[a]} and {names[b]}" for a, b in swapped_pairs], 4)
-    both_markers = swapped_pairs[0]
+    first = swapped_pairs[0][0]
     message = (
-        f"markers look swapped: {pairs_text}; exchanged, {names[both_markers[0]]} is "
-        f"{length_text(float(exchanged_misses[both_markers[0]]))} off its position "
-        "on the rig, not "
-        f"{length_text(float(misses[both_markers[0]]))}"
+        f"markers look swapped: {pairs_text}; exchanged, {names[first]} is "
+        f"{length_text(float(exchanged_misses[first]))} off its position on the rig, "
+        f"not {length_text(float(misses[first]))}"
     )
     return [_warning(message)]
 

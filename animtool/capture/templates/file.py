@@ -17,7 +17,7 @@ from animtool.core.options import key
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit
 from animtool.documents.check import FileModel, check_version, validate_document
-from animtool.documents.document import Document, read_document
+from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
 from animtool.documents.references import missing_hint, resolve_reference
 
@@ -97,16 +97,13 @@ def parse_template(document: Document) -> MarkerTemplate:
     entry_of_name: dict[str, int] = {}
     markers = []
     for i, entry in enumerate(model.marker_set):
-        names = [("name", entry.name)]
-        names += [(f"aliases[{k}]", alias) for k, alias in enumerate(entry.aliases)]
+        names: list[tuple[Location, str]] = [(("name",), entry.name)]
+        names += [(("aliases", k), alias) for k, alias in enumerate(entry.aliases)]
         for location, name in names:
             if name in entry_of_name:
                 message = f"two markers are called {name!r}"
                 hint = f"rename it here, or in marker_set[{entry_of_name[name]}]"
-                key_path = (
-                    ("aliases", int(location[8:-1])) if "[" in location else ("name",)
-                )
-                document.add("MKT002", ("marker_set", i, *key_path), message, hint)
+                document.add("MKT002", ("marker_set", i, *location), message, hint)
             entry_of_name.setdefault(name, i)
         x, y, z = (value * unit for value in entry.offset)
         markers.append(

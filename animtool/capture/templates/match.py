@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
+from itertools import compress
 
 import numpy as np
 
@@ -61,7 +62,7 @@ def match_markers(
     labelled_names = [name for name in names if not name.startswith("*")]
     matches = {
         prefix: _marker_columns(template, names, prefix)
-        for prefix in _subject_prefixes(labelled_names)
+        for prefix in dict.fromkeys(_split_prefix(name)[0] for name in labelled_names)
     }
     matching = {
         prefix: column_indices
@@ -85,22 +86,13 @@ def match_markers(
         raise OptionError(_unmatched_fault(template, labelled_names, names))
     ((subject, columns),) = matching.items()
     used_columns = set(columns[columns >= 0].tolist())
-    missing_markers = [
-        m
-        for m, column_indices in zip(template.names, columns, strict=True)
-        if column_indices < 0
-    ]
+    missing_markers = tuple(compress(template.names, columns < 0))
     unused_names = [
         name
         for i, name in enumerate(names)
         if i not in used_columns and not name.startswith("*")
     ]
-    return MarkerMatch(columns, tuple(missing_markers), tuple(unused_names), subject)
-
-
-def _subject_prefixes(names: Iterable[str]) -> list[str]:
-    """Return the distinct subject prefixes of names; "" for names without a prefix."""
-    return list(dict.fromkeys(_split_prefix(name)[0] for name in names))
+    return MarkerMatch(columns, missing_markers, tuple(unused_names), subject)
 
 
 def _split_prefix(name: str) -> tuple[str, str]:

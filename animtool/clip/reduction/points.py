@@ -152,10 +152,8 @@ class TrackBudget:
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
-        frames_and_limits, limits = (
-            np.asarray(frames),
-            np.asarray(factor) / self.tolerance,
-        )
+        frames_and_limits = np.asarray(frames)
+        limits = np.asarray(factor) / self.tolerance
         starts = self.keys.frames
         segment_indices = np.searchsorted(starts, frames_and_limits, side="right") - 1
         segment_indices = segment_indices.clip(0, max(0, len(starts) - 2))

@@ -124,11 +124,7 @@ def sort_tracks(tracks: Iterable[KeyTrack]) -> list[KeyTrack]:
     kinds = list(ChannelKind)
     return sorted(
         tracks,
-        key=lambda t: (
-            t.kind is ChannelKind.WEIGHT,
-            t.index,
-            kinds.index(t.kind),
-        ),
+        key=lambda t: (t.kind is ChannelKind.WEIGHT, t.index, kinds.index(t.kind)),
     )
 
 
@@ -214,11 +210,7 @@ class ReducedPose:
         """Return an independent copy."""
         scales = None if self.scales is None else self.scales.copy()
         return ReducedPose(
-            self.rig,
-            self.translations.copy(),
-            self.rotations.copy(),
-            scales,
-            self.base,
+            self.rig, self.translations.copy(), self.rotations.copy(), scales, self.base
         )
 
 

@@ -121,10 +121,7 @@ MAX_LISTED_OUTPUTS = 3
 
 
 def check_outputs(
-    outputs: Sequence[Path],
-    inputs: Sequence[Path],
-    *,
-    overwrite: bool,
+    outputs: Sequence[Path], inputs: Sequence[Path], *, overwrite: bool
 ) -> None:
     """Raise an error for outputs that cannot be written or must not be.
 
@@ -155,10 +152,8 @@ def check_outputs(
         message, reported_paths = "already exists", existing
         if len(existing) > MAX_LISTED_OUTPUTS:
             other_text = counted(len(existing) - 1, "other output")
-            message, reported_paths = (
-                f"already exists, and so do {other_text}",
-                existing[:1],
-            )
+            message = f"already exists, and so do {other_text}"
+            reported_paths = existing[:1]
             hint = hint.replace("s it", "s them")
         raise OptionError(
             [
@@ -292,10 +287,8 @@ def replacement_path(path: Path) -> Iterator[Path]:
     """
     # Links stay: their target is replaced.
     final = output_target(path).final
-    written_file, pending_set = (
-        WrittenFile(path, final, new_temporary(final)),
-        _pending_outputs.get(),
-    )
+    written_file = WrittenFile(path, final, new_temporary(final))
+    pending_set = _pending_outputs.get()
     note_folder(final.parent)
     has_succeeded, initial_signal = False, ending_signal()
     try:

@@ -53,9 +53,7 @@ SIGNATURES = (
     _signature("a C3D file", rb"[\x02-\x0a]\x50.{6}", ".c3d"),
     _signature("a TRC file", rb"PathFileType[\t ,]", ".trc"),
     _signature(
-        "an OpenSim motion file",
-        rb"[^\0]{0,4000}\n[ \t]{0,20}endheader\b",
-        ".mot .sto",
+        "an OpenSim motion file", rb"[^\0]{0,4000}\n[ \t]{0,20}endheader\b", ".mot .sto"
     ),
     _signature("a binary USD file", rb"PXR-USDC", ".usdc .usd"),
     _signature("a USD file of text", rb"#usda ", ".usda .usd"),

@@ -30,9 +30,8 @@ class _SignalState:
     """State of the termination of this process by signals."""
 
     number: int = 0  # the signal that is obeyed; 0 for none so far
-    has_written_all: bool = (
-        False  # whether all output is written, so that signals have no effect
-    )
+    # Whether all output is written, so that signals have no effect.
+    has_written_all: bool = False
     is_installed: bool = False  # whether this module's handler is installed
 
 
@@ -86,11 +85,9 @@ def obey_signals() -> None:
         if signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _raise_first_signal)
     sys.unraisablehook = _reraise_ending
-    _signal_state.number, _signal_state.has_written_all, _signal_state.is_installed = (
-        0,
-        False,
-        True,
-    )
+    _signal_state.number = 0
+    _signal_state.has_written_all = False
+    _signal_state.is_installed = True
 
 
 @contextmanager
@@ -110,15 +107,9 @@ def obey_signals_in_block() -> Iterator[None]:
             if handler is not None:
                 signal.signal(number, handler)
         sys.unraisablehook = hook
-        (
-            _signal_state.number,
-            _signal_state.has_written_all,
-            _signal_state.is_installed,
-        ) = (
-            0,
-            False,
-            False,
-        )
+        _signal_state.number = 0
+        _signal_state.has_written_all = False
+        _signal_state.is_installed = False
 
 
 def receive_signals() -> None:

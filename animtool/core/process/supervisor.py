@@ -124,18 +124,16 @@ def _stored_data(memory: mmap.mmap) -> bytes | None:
 class _SupervisionState:
     """State of the supervision in this process."""
 
-    notes: _SharedNotes | None = (
-        None  # where notes are stored; None if the process is not supervised
-    )
+    # Where notes are stored; None if the process is not supervised.
+    notes: _SharedNotes | None = None
     # Files that crashed a child, with the signals that ended it.
     crash_signals: dict[str, int] = field(default_factory=dict)
     # Files that are being read, the latest last.
     files_being_read: list[str] = field(default_factory=list)
     # Called with the file that is being read; None for no listener.
     listener: Callable[[str], object] | None = None
-    starting_threads: int = (
-        0  # number of threads that are starting processes in `without_main`
-    )
+    # Number of threads that are starting processes in `without_main`.
+    starting_threads: int = 0
     script_module: ModuleType | None = None  # the script's module in the meantime
 
 
@@ -268,10 +266,8 @@ def without_main() -> Iterator[None]:
         with _lock:
             _state.starting_threads -= 1
             if not _state.starting_threads and _state.script_module is not None:
-                sys.modules["__main__"], _state.script_module = (
-                    _state.script_module,
-                    None,
-                )
+                sys.modules["__main__"] = _state.script_module
+                _state.script_module = None
 
 
 def can_supervise() -> bool:

@@ -13,7 +13,7 @@ from typing import BinaryIO, NoReturn
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import (
     FileState,
@@ -271,16 +271,9 @@ class RowReader:
             (self._missing_lines, np.isnan(rows)),
             (self._out_of_range_lines, is_out_of_range),
         ):
-            self._add_lines(fault_lines, mask, lines)
-
-    @staticmethod
-    def _add_lines(
-        fault_lines: dict[int, list[int]], mask: BoolArray, lines: IntArray
-    ) -> None:
-        for column in np.flatnonzero(mask.any(axis=0)):
-            fault_lines.setdefault(int(column), []).extend(
-                lines[mask[:, column]].tolist()
-            )
+            for column in np.flatnonzero(mask.any(axis=0)).tolist():
+                invalid_lines = lines[mask[:, column]].tolist()
+                fault_lines.setdefault(column, []).extend(invalid_lines)
 
     def _fill_missing(self, block: FloatArray) -> None:
         """Fill NaN in place: linear interpolation, nearest value at both ends."""
@@ -324,34 +317,24 @@ class RowReader:
             raise FormatError(faults[:MAX_LISTED_CHANNELS])
 
     def _add_notices(self) -> None:
-        declared_frames, count, path = (
-            self.source.declared_frames,
-            self._row_count,
-            self._path,
-        )
+        declared_frames, count = self.source.declared_frames, self._row_count
         if declared_frames != count:
             line = self._first_surplus_line or self.source.frames_line
             message = f"Frames states {declared_frames}, but there are {count} rows"
             hint = "all rows are read"
             if declared_frames > count:
                 hint += "; is the file truncated? copy or export it again"
-            self.notices.append(
-                Fault("BVH101", message, path, (line,), hint, Severity.WARNING)
-            )
-        self._add_channel_notices(
-            "BVH102",
-            self._missing_lines,
-            "not finite",
-            "interpolated between neighbours",
-        )
-        self._add_channel_notices(
-            "BVH104",
-            self._out_of_range_lines,
-            "beyond float32",
-            "the largest float32 is written; the reported error does not count them",
-        )
+            self._warn("BVH101", message, [line], hint)
+        hint = "interpolated between neighbours"
+        self._warn_channels("BVH102", self._missing_lines, "not finite", hint)
+        hint = "the largest float32 is written; the reported error does not count them"
+        self._warn_channels("BVH104", self._out_of_range_lines, "beyond float32", hint)
 
-    def _add_channel_notices(
+    def _warn(self, code: str, message: str, lines: list[int], hint: str) -> None:
+        fault = Fault(code, message, self._path, tuple(lines), hint, Severity.WARNING)
+        self.notices.append(fault)
+
+    def _warn_channels(
         self, code: str, fault_lines: dict[int, list[int]], problem: str, hint: str
     ) -> None:
         for column, lines in sorted(fault_lines.items())[:MAX_LISTED_CHANNELS]:
@@ -361,19 +344,8 @@ class RowReader:
                 "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
             )
             message = f"{name}: {values_text} {problem}, on line {line_list}"
-            self.notices.append(
-                Fault(
-                    code,
-                    message,
-                    self._path,
-                    tuple(lines[:10]),
-                    hint,
-                    Severity.WARNING,
-                )
-            )
+            self._warn(code, message, lines[:10], hint)
         if len(fault_lines) > MAX_LISTED_CHANNELS:
             omitted_count = len(fault_lines) - MAX_LISTED_CHANNELS
             message = f"{omitted_count} more channels have values {problem}"
-            self.notices.append(
-                Fault(code, message, self._path, (), hint, Severity.WARNING)
-            )
+            self._warn(code, message, [], hint)

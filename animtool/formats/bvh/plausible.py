@@ -77,17 +77,11 @@ class ChannelRanges:
 
         ``root`` is ``(F, 3)``, or ``(F, 0)`` without position channels.
         """
-        values = rows[:, self.columns]
-        for k, channel_values in enumerate((values, root)):
-            if not channel_values.shape[1]:
-                continue
-            columns = slice(-3, None) if k else slice(0, -3)
-            self.low[columns] = np.minimum(
-                self.low[columns], channel_values.min(axis=0)
-            )
-            self.high[columns] = np.maximum(
-                self.high[columns], channel_values.max(axis=0)
-            )
+        rotations = rows[:, self.columns]
+        for values, columns in ((rotations, slice(0, -3)), (root, slice(-3, None))):
+            if values.shape[1]:
+                self.low[columns] = np.minimum(self.low[columns], values.min(axis=0))
+                self.high[columns] = np.maximum(self.high[columns], values.max(axis=0))
 
     @property
     def rotations(self) -> tuple[float, int]:
@@ -120,7 +114,6 @@ def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     )
     hint = (
         f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
-        "export "
+        "export degrees, or multiply the rotation channels by 57.2958"
     )
-    hint += "degrees, or multiply the rotation channels by 57.2958"
     return [Fault("BVH112", message, path, (), hint, Severity.WARNING)]

@@ -16,10 +16,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.files.reading import open_input, unreadable_error
 from animtool.core.files.signatures import expects_format
 from animtool.core.names import numbered_names
-from animtool.core.rates import (
-    FractionLike,
-    rate_option,
-)
+from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.bvh.hierarchy import BvhHeader, BvhJoint, read_header
 from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
@@ -147,9 +144,8 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
     ]
     unit = stated_unit or LengthUnit.CM
     message = (
-        f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
-        "character in "
-        f"{unit}"
+        f"the skeleton spans {file_extent:.4g}, which is not plausible for a character "
+        f"in {unit}"
     )
     hint = f"set the unit with {argument('source.unit')}"
     if fitting_units:
@@ -250,7 +246,6 @@ def _read_blocks(
     position_joints = np.array(layout.position_joints, np.int64)
     rotation_joints = np.array(layout.rotation_joints, np.int64)
     rest = rig.rest_translations[position_joints].ravel()
-    rest_rotations = rig.rest_rotations
     previous: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     columns = layout.rotation_columns
     ranges = ChannelRanges(np.unique(columns[columns >= 0]))
@@ -273,18 +268,18 @@ def _read_blocks(
                 position_joints,
                 translations.reshape(len(rows), -1, 3),
             ),
-            Channel(rest_rotations, rotation_joints, rotations),
+            Channel(rig.rest_rotations, rotation_joints, rotations),
         )
     notices.extend(reader.notices)
     max_per_slot = np.zeros(3 * len(position_joints))
     max_per_slot[layout.position_slots] = max_positions
     has_channel = np.zeros(3 * len(position_joints), np.bool_)
     has_channel[layout.position_slots] = True
-    faults = _collapsed_bones_notice(
-        rig, position_joints, max_per_slot, has_channel, str(source.path)
+    path = str(source.path)
+    notices += _collapsed_bones_notice(
+        rig, position_joints, max_per_slot, has_channel, path
     )
-    notices.extend(faults)
-    notices.extend(radians_warning(ranges, rig, str(source.path)))
+    notices += radians_warning(ranges, rig, path)
 
 
 def _collapsed_bones_notice(

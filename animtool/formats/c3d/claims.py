@@ -15,21 +15,15 @@ WORD_RANGE = 65536
 
 @dataclass(frozen=True, slots=True)
 class Claim:
-    """A value of a layout quantity, stated by one field of the file.
+    """A value of a layout quantity, stated by one field of the file."""
 
-    Attributes:
-        source: The field, as named in messages.
-        value: The stated value.
-        weight: Cost of a layout that contradicts it; claims below 0.5 are hints, not
-            mentioned in messages.
-        is_saturated: Whether the field cannot state a larger value.
-        can_wrap: Whether the field has 16 bits and wraps to 0 for longer takes.
-    """
-
-    source: str
-    value: int
+    source: str  # the field, as named in messages
+    value: int  # the stated value
+    # Cost of a layout that contradicts it; claims below 0.5 are hints, not mentioned in
+    # messages.
     weight: float
-    is_saturated: bool = False
+    is_saturated: bool = False  # whether the field cannot state a larger value
+    # Whether the field has 16 bits and wraps to 0 for longer takes.
     can_wrap: bool = False
 
     def cost(self, value: int) -> float:
@@ -47,24 +41,16 @@ class Claim:
 
 @dataclass(frozen=True, slots=True)
 class Claims:
-    """All layout values that a file states, by quantity.
+    """All layout values that a file states, by quantity."""
 
-    Attributes:
-        begin: Offset of the first frame [byte].
-        width: Size of a number [byte]: 2 for integers, 4 for floats.
-        points: Points per frame.
-        analog: Analogue values per frame, all samples of all channels.
-        frames: Number of frames.
-        analog_candidates: Further values of `analog` to try that no field states.
-        parameters_end: End of the parameters [byte]; the data start there or later.
-    """
-
-    begin: tuple[Claim, ...]
-    width: tuple[Claim, ...]
-    points: tuple[Claim, ...]
-    analog: tuple[Claim, ...]
-    frames: tuple[Claim, ...]
+    begin: tuple[Claim, ...]  # offset of the first frame [byte]
+    width: tuple[Claim, ...]  # size of a number [byte]: 2 for integers, 4 for floats
+    points: tuple[Claim, ...]  # points per frame
+    analog: tuple[Claim, ...]  # analogue values per frame, all samples of all channels
+    frames: tuple[Claim, ...]  # number of frames
+    # Further values of `analog` to try that no field states.
     analog_candidates: tuple[int, ...] = ()
+    # End of the parameters [byte]; the data start there or later.
     parameters_end: int = 0
 
 
@@ -177,20 +163,12 @@ def _analog_samples_per_frame(
     analog_rate: float | None, point_rate: float | None
 ) -> int | None:
     """Return analogue samples per frame from the rates; None if not an integer."""
-    if (
-        not analog_rate
-        or not point_rate
-        or not math.isfinite(analog_rate)
-        or not point_rate > 0
-    ):
+    if not analog_rate or not point_rate or not point_rate > 0:
         return None
     ratio = analog_rate / point_rate
-    is_in_range = math.isfinite(ratio) and 0.5 < ratio < WORD_RANGE
-    return (
-        round(ratio)
-        if is_in_range and abs(ratio - round(ratio)) < 1e-3 * ratio
-        else None
-    )
+    is_in_range = 0.5 < ratio < WORD_RANGE
+    is_integer = is_in_range and abs(ratio - round(ratio)) < 1e-3 * ratio
+    return round(ratio) if is_integer else None
 
 
 def _frame_claims(sections: Sections) -> Iterable[Claim]:

@@ -15,14 +15,12 @@ from animtool.formats.c3d.sections import BLOCK_BYTES
 # bytes before the first frame (SKIPPED), a count that no field states (UNSTATED), a
 # number of frames solved from the file size (FITTED), and other counts solved from it
 # (SOLVED).
-DIRTY_COST, TRAILING_COST, SKIPPED_COST, UNSTATED_COST, FITTED_COST, SOLVED_COST = (
-    0.75,
-    3.0,
-    1.0,
-    0.5,
-    1.0,
-    1.5,
-)
+DIRTY_COST = 0.75
+TRAILING_COST = 3.0
+SKIPPED_COST = 1.0
+UNSTATED_COST = 0.5
+FITTED_COST = 1.0
+SOLVED_COST = 1.5
 # Thresholds for positions: fraction of outliers, roughness of smooth motion, and
 # roughness of noise.
 MAX_OUTLIER_FRACTION, MAX_SMOOTH_ROUGHNESS, NOISE_ROUGHNESS = 0.1, 0.25, 0.5
@@ -36,29 +34,19 @@ MIN_CLAIM_WEIGHT = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Counts of points, analogue values and frames, and the start of the data.
+    """Counts of points, analogue values and frames, and the start of the data."""
 
-    Attributes:
-        begin: Offset of the first frame [byte].
-        width: Size of a number [byte].
-        points: Points per frame.
-        analog: Numbers after the points of a frame.
-        frames: Number of frames.
-        trailing_bytes: Bytes after the last frame, except zeros up to a full block.
-        cost: Total cost of contradicted claims.
-        needs_evidence: Whether to use it only if the numbers look like positions.
-        is_solved: Whether one of the counts is not stated by any field.
-    """
-
-    begin: int
-    width: int
-    points: int
-    analog: int
-    frames: int
+    begin: int  # offset of the first frame [byte]
+    width: int  # size of a number [byte]
+    points: int  # points per frame
+    analog: int  # numbers after the points of a frame
+    frames: int  # number of frames
+    # Bytes after the last frame, except zeros up to a full block.
     trailing_bytes: int = 0
-    cost: float = 0.0
+    cost: float = 0.0  # total cost of contradicted claims
+    # Whether to use it only if the numbers look like positions.
     needs_evidence: bool = False
-    is_solved: bool = False
+    is_solved: bool = False  # whether one of the counts is not stated by any field
 
     @property
     def numbers_per_frame(self) -> int:
@@ -81,31 +69,23 @@ class Layout:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Plausibility of a layout's numbers as positions over frames.
+    """Plausibility of a layout's numbers as positions over frames."""
 
-    Attributes:
-        outlier_fraction: Fraction of points that cannot be positions.
-        roughness: Mean step between frames, relative to the spread of all positions;
-            NaN if nothing moves or no two frames are consecutive.
-    """
-
-    outlier_fraction: float
+    outlier_fraction: float  # fraction of points that cannot be positions
+    # Mean step between frames, relative to the spread of all positions; NaN if nothing
+    # moves or no two frames are consecutive.
     roughness: float
 
 
 @dataclass(frozen=True, slots=True)
 class LayoutResult:
-    """The layout to read, or the closest layouts if none fits the file.
+    """The layout to read, or the closest layouts if none fits the file."""
 
-    Attributes:
-        layout: The layout to read; None if no layout fits.
-        truncated: The layout with the fewest contradictions among those that need more
-            bytes than the file has.
-        ambiguous_layouts: Layouts that the evidence cannot decide between.
-    """
-
-    layout: Layout | None
+    layout: Layout | None  # the layout to read; None if no layout fits
+    # The layout with the fewest contradictions among those that need more bytes than
+    # the file has.
     truncated: Layout | None = None
+    # Layouts that the evidence cannot decide between.
     ambiguous_layouts: tuple[Layout, ...] = ()
 
 
@@ -123,7 +103,7 @@ def choose_layout(
         end_offsets: Byte offsets where the points may end; the last is the file size.
         measure_evidence: Returns the evidence for a layout.
     """
-    cheapest: dict[tuple[int, ...], Layout] = {}
+    cheapest: dict[tuple[float, ...], Layout] = {}
     truncated_layout: Layout | None = None
     padding = _count_padding(data)
     for layout in _combinations(claims, end_offsets[-1], padding):
@@ -138,13 +118,7 @@ def choose_layout(
             key=_sort_key,
         )
         candidate = _add_skipped_cost(candidate, claims.parameters_end, data)
-        key = (
-            candidate.begin,
-            candidate.width,
-            candidate.points,
-            candidate.analog,
-            candidate.frames,
-        )
+        key = _sort_key(candidate)[1:]
         if key not in cheapest or candidate.cost < cheapest[key].cost:
             cheapest[key] = candidate
     candidates = sorted(cheapest.values(), key=_sort_key)[:MAX_JUDGED_LAYOUTS]
@@ -152,9 +126,9 @@ def choose_layout(
         # All claims agree but the file is too small: it is truncated, unless other
         # claims match its size exactly.
         candidates = [
-            candidate_layout
-            for candidate_layout in candidates
-            if candidate_layout.trailing_bytes == 0 and not candidate_layout.is_solved
+            layout
+            for layout in candidates
+            if layout.trailing_bytes == 0 and not layout.is_solved
         ]
     if not candidates:
         return LayoutResult(None, truncated_layout)
@@ -229,10 +203,8 @@ def _combinations(claims: Claims, size: int, padding: int) -> Iterable[Layout]:
         for points, analog, frames, count_cost, is_solved in _count_combinations(
             claims, *capacity
         ):
-            cost, needs_evidence = (
-                begin_cost + width_cost + count_cost,
-                contradicts_width or is_solved,
-            )
+            cost = begin_cost + width_cost + count_cost
+            needs_evidence = contradicts_width or is_solved
             yield Layout(
                 begin, width, points, analog, frames, 0, cost, needs_evidence, is_solved
             )
@@ -252,23 +224,12 @@ def _count_combinations(
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
         points, analog
     ):
-        numbers_per_frame, is_unclaimed = (
-            4 * point_count + analog_count,
-            analog_count not in claimed_values,
-        )
-        for frame_count, frame_cost in frames:
-            yield (
-                point_count,
-                analog_count,
-                frame_count,
-                point_cost + analog_cost + frame_cost,
-                is_unclaimed,
-            )
-        frame_counts = (
-            _solve_frame_counts(claims, -(-min_numbers // numbers_per_frame))
-            if numbers_per_frame and min_numbers > 0
-            else ()
-        )
+        numbers_per_frame = 4 * point_count + analog_count
+        is_unclaimed = analog_count not in claimed_values
+        frame_counts = [(count, cost, False) for count, cost in frames]
+        if numbers_per_frame and min_numbers > 0:
+            fitting_count = -(-min_numbers // numbers_per_frame)
+            frame_counts += _solve_frame_counts(claims, fitting_count)
         for frame_count, frame_cost, is_solved in frame_counts:
             yield (
                 point_count,
@@ -281,22 +242,14 @@ def _count_combinations(
         for point_count, point_cost in points if _can_solve(claims.analog) else ():
             analog_count = capacity // frame_count - 4 * point_count
             if analog_count >= 0:
-                cost = (
-                    point_cost
-                    + frame_cost
-                    + _claims_cost(claims.analog, analog_count)
-                    + SOLVED_COST
-                )
+                analog_cost = _claims_cost(claims.analog, analog_count)
+                cost = point_cost + frame_cost + analog_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
         for analog_count, analog_cost in analog if _can_solve(claims.points) else ():
             point_count, remainder = divmod(capacity // frame_count - analog_count, 4)
             if point_count > 0 and remainder == 0:
-                cost = (
-                    analog_cost
-                    + frame_cost
-                    + _claims_cost(claims.points, point_count)
-                    + SOLVED_COST
-                )
+                point_cost = _claims_cost(claims.points, point_count)
+                cost = analog_cost + frame_cost + point_cost + SOLVED_COST
                 yield point_count, analog_count, frame_count, cost, True
 
 
@@ -392,22 +345,13 @@ def _choose_by_evidence(
     measure_evidence: Callable[[Layout], Evidence],
 ) -> LayoutResult:
     """Return the layout whose numbers look most like positions."""
-    layouts_with_evidence = [
-        (layout, measure_evidence(layout)) for layout in candidates
-    ]
-    min_outlier_fraction = min(
-        evidence.outlier_fraction for _, evidence in layouts_with_evidence
-    )
-    min_roughness = min(
-        (
-            evidence.roughness
-            for _, evidence in layouts_with_evidence
-            if evidence.roughness >= 0
-        ),
-        default=0.0,
-    )
+    all_evidence = [measure_evidence(layout) for layout in candidates]
+    min_outlier_fraction = min(evidence.outlier_fraction for evidence in all_evidence)
+    # NaN is not measured.
+    measured = [one.roughness for one in all_evidence if one.roughness >= 0]
+    min_roughness = min(measured, default=0.0)
     scored_layouts = []
-    for layout, evidence in layouts_with_evidence:
+    for layout, evidence in zip(candidates, all_evidence, strict=True):
         if layout.is_solved and layout.trailing_bytes:
             continue
         if layout.needs_evidence and not (

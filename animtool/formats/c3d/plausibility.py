@@ -7,13 +7,8 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.formats.c3d.layout import (
-    Evidence,
-    Layout,
-)
-from animtool.formats.c3d.sections import (
-    Processor,
-)
+from animtool.formats.c3d.layout import Evidence, Layout
+from animtool.formats.c3d.sections import Processor
 
 # Number and length of the runs of consecutive frames that are examined.
 SAMPLED_RUNS = 8

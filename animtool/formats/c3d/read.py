@@ -56,17 +56,12 @@ _UP_CONVERSIONS = {
 
 @dataclass(frozen=True, slots=True)
 class ScreenAxes:
-    """Up axis of a file, and the axis permutation that converts positions to it.
+    """Up axis of a file, and the axis permutation that converts positions to it."""
 
-    Attributes:
-        up: The up axis of the converted positions.
-        order: File coordinates that become x, y and z; None without a conversion.
-        signs: Signs of the converted coordinates.
-    """
-
-    up: UpAxis
+    up: UpAxis  # the up axis of the converted positions
+    # File coordinates that become x, y and z; None without a conversion.
     order: IntArray | None = None
-    signs: FloatArray | None = None
+    signs: FloatArray | None = None  # signs of the converted coordinates
 
     def convert(self, positions: FloatArray) -> FloatArray:
         """Return positions ``(..., 3)`` rotated to the up axis."""
@@ -265,10 +260,7 @@ def _layout_error(file: MarkerFile, result: LayoutResult, size: int) -> FormatEr
     available_bytes = max(0, size - truncated.begin)
     message = (
         f"is truncated: it claims {truncated}, {truncated.end - truncated.begin} "
-        "bytes; "
-    )
-    message += (
-        f"it has {available_bytes}, "
+        f"bytes; it has {available_bytes}, "
         f"{available_bytes // (truncated.width * truncated.numbers_per_frame)} frames"
     )
     return file.error("C3D002", message, "copy or export it again")
@@ -307,10 +299,8 @@ def _point_scale(sections: Sections) -> float:
 
 def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
     """Warn about a scale that is missing or stated with two values."""
-    header_scale, parameter_scale = (
-        sections.header.scale,
-        sections.number("POINT", "SCALE"),
-    )
+    header_scale = sections.header.scale
+    parameter_scale = sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
     scales = [
@@ -440,17 +430,13 @@ def _read_filled_group(
 ) -> BoolArray | None:
     is_filled = np.zeros(visible.shape, bool)
     columns = {point: column for column, point in enumerate(marker_columns.tolist())}
-    parameter_number = 1
-    while True:
-        key = "FILLED" if parameter_number == 1 else f"FILLED{parameter_number}"
-        rows = np.array(sections.numbers(ANIMTOOL_GROUP, key))
-        if not len(rows):
+    for value in sections.continued_values(ANIMTOOL_GROUP, "FILLED"):
+        if not isinstance(value, np.ndarray) or not value.size:
             break
-        for marker, first, last in rows[: len(rows) // 3 * 3].reshape(-1, 3):
+        for marker, first, last in value.ravel()[: value.size // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in columns:
                 begin = int(min(max(first, 0), len(visible)))
                 end = int(min(max(last + 1, 0), len(visible)))
                 is_filled[begin:end, columns[int(marker)]] = True
-        parameter_number += 1
     is_filled &= visible
     return is_filled if is_filled.any() else None

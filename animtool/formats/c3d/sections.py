@@ -7,7 +7,7 @@ References:
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
 from enum import IntEnum
 from typing import Any
@@ -100,8 +100,6 @@ class Sections:
     processor: Processor
     # Block after the parameters, as stated by them; 2 without parameters.
     end_block: int = 2
-    # Whether the file states its processor.
-    has_processor: bool = True
     # Parameter values by group and name in capitals: arrays or lists of texts.
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
@@ -118,19 +116,25 @@ class Sections:
         return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 
     def texts(self, group: str, name: str) -> list[str]:
-        """Return the texts of a parameter and its continuations.
+        """Return the texts of a parameter and its continuations."""
+        texts: list[str] = []
+        for value in self.continued_values(group, name):
+            if not isinstance(value, list):
+                break
+            texts += value
+        return texts
+
+    def continued_values(self, group: str, name: str) -> Iterator[Any]:
+        """Yield the values of a parameter and its continuations.
 
         Labels after the first 255 are in ``LABELS2``, ``LABELS3`` and so on.
         """
         entries = self.groups.get(group, {})
-        texts: list[str] = []
-        number = 1
-        key = name
-        while isinstance(entries.get(key), list):
-            texts += entries[key]
+        key, number = name, 1
+        while key in entries:
+            yield entries[key]
             number += 1
             key = f"{name}{number}"
-        return texts
 
 
 def read_sections(data: bytes) -> Sections:
@@ -149,15 +153,11 @@ def read_sections(data: bytes) -> Sections:
         processor = Processor(processor_code)
         sections = Sections(_read_header(data, processor), processor)
     else:
-        sections = Sections(
-            *_guess_processor(data, processor_code), has_processor=False
-        )
+        sections = Sections(*_guess_processor(data, processor_code))
     if has_parameters:
         _read_parameters(sections, data, start + 4)
     if not sections.groups:
-        sections = Sections(
-            *_guess_processor(data, processor_code), has_processor=is_known_processor
-        )
+        sections = Sections(*_guess_processor(data, processor_code))
     if is_known_processor or sections.groups:
         sections.end_block = data[0] + data[start + 2]
     return sections
@@ -201,10 +201,8 @@ def _read_parameters(sections: Sections, data: bytes, offset: int) -> None:
     for _ in range(MAX_PARAMETERS):
         if offset + 2 > len(data):
             break
-        name_length, group_id = (
-            _signed_byte(data[offset]),
-            _signed_byte(data[offset + 1]),
-        )
+        name_length = _signed_byte(data[offset])
+        group_id = _signed_byte(data[offset + 1])
         name_length = abs(name_length)  # below 0 is locked
         body_offset = offset + 2 + name_length
         if name_length == 0 or group_id == 0 or body_offset + 2 > len(data):

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -138,18 +139,9 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     }
     if frames > MAX_COUNT:
         point_group["LONG_FRAMES"] = _float_parameter([frames])
-    point_group.update(
-        _continued_parameter(
-            "LABELS", [_text_parameter(texts) for texts in _chunk_texts(markers.names)]
-        )
-    )
+    point_group |= _continued_parameter("LABELS", markers.names, _text_parameter)
     blank_texts = [""] * marker_count
-    point_group.update(
-        _continued_parameter(
-            "DESCRIPTIONS",
-            [_text_parameter(texts) for texts in _chunk_texts(blank_texts)],
-        )
-    )
+    point_group |= _continued_parameter("DESCRIPTIONS", blank_texts, _text_parameter)
     groups = {
         "POINT": point_group,
         "ANALOG": {
@@ -165,11 +157,9 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     }
     spans = filled_spans(markers)
     if spans:
-        rows = [
-            _float_parameter(np.array(spans[i : i + MAX_PARAMETER_ENTRIES]))
-            for i in range(0, len(spans), MAX_PARAMETER_ENTRIES)
-        ]
-        groups[ANIMTOOL_GROUP] = _continued_parameter("FILLED", rows)
+        groups[ANIMTOOL_GROUP] = _continued_parameter(
+            "FILLED", np.array(spans), _float_parameter
+        )
     section = b""
     for number, (name, entries) in enumerate(groups.items(), 1):
         encoded_name = name.encode()
@@ -185,18 +175,15 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     return section + b"\0\0"
 
 
-def _continued_parameter(name: str, values: Sequence[bytes]) -> dict[str, bytes]:
-    """Return a parameter and its continuations: NAME, NAME2, NAME3."""
-    return {
-        name if i == 0 else f"{name}{i + 1}": value for i, value in enumerate(values)
-    }
-
-
-def _chunk_texts(texts: Sequence[str]) -> list[Sequence[str]]:
-    return [
-        texts[i : i + MAX_PARAMETER_ENTRIES]
-        for i in range(0, len(texts), MAX_PARAMETER_ENTRIES)
-    ]
+def _continued_parameter(
+    name: str, entries: Any, encode: Callable[[Any], bytes]
+) -> dict[str, bytes]:
+    """Return the entries of a parameter and its continuations: NAME, NAME2, NAME3."""
+    parameters = {}
+    for number, begin in enumerate(range(0, len(entries), MAX_PARAMETER_ENTRIES), 1):
+        key = name if number == 1 else f"{name}{number}"
+        parameters[key] = encode(entries[begin : begin + MAX_PARAMETER_ENTRIES])
+    return parameters
 
 
 def _text_parameter(texts: Sequence[str]) -> bytes:

@@ -41,7 +41,6 @@ class SkinBinder:
         rig: Rig,
         joints: IntArray,
         folded_scales: FloatArray,
-        scales: FloatArray,
         worlds: Sequence[FloatArray] = (),
     ) -> None:
         """Start with a rig without meshes, and the node data of its joints.
@@ -49,7 +48,7 @@ class SkinBinder:
         ``worlds`` are the world transforms of each skin's mesh at bind time ``(4, 4)``.
         """
         self.file, self.worlds = file, worlds
-        self.joints, self.folded_scales, self.scales = joints, folded_scales, scales
+        self.joints, self.folded_scales = joints, folded_scales
         self.notices: list[Fault] = []
         self._rig = rig
         self._bind: dict[int, FloatArray] = {}  # by joint, in file units
@@ -94,9 +93,8 @@ class SkinBinder:
         if is_singular.any():
             if where:
                 message = (
-                    f"{int(is_singular.sum())} inverse bind matrices are "
-                    "singular: using "
-                    "the identity"
+                    f"{int(is_singular.sum())} inverse bind matrices are singular: "
+                    "using the identity"
                 )
                 path = str(self.file.path)
                 location = f"{where}/inverseBindMatrices"
@@ -147,10 +145,6 @@ class SkinBinder:
                     eigenvectors @ np.diag(eigenvalues**-0.5) @ eigenvectors.T
                 )
         return geometry
-
-    def joint_nodes(self, nodes: IntArray) -> IntArray:
-        """Return the node of each joint, -1 for helper joints."""
-        return np.concatenate([nodes, np.full(len(self._helpers), -1, np.int64)])
 
     def joint_names(self) -> list[str]:
         """Return joint names, helper joints last."""

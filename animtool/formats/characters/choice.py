@@ -84,10 +84,7 @@ def _character_paths(file: NodeTree, members: dict[int, list[int]]) -> list[str]
 
 
 def choose_character(
-    file: NodeTree,
-    prim_path: str | None,
-    unknown_code: str,
-    several_code: str,
+    file: NodeTree, prim_path: str | None, unknown_code: str, several_code: str
 ) -> tuple[CharacterNodes, list[Fault]]:
     """Return the character to read, and a note about the characters not read.
 

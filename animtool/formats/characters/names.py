@@ -55,6 +55,18 @@ def replace_unprintable(text: str) -> str:
     return "".join(c if c.isprintable() else "_" for c in text).strip()
 
 
+def unique_take_names(names: Iterable[str], noun: str) -> list[str]:
+    """Return unique printable names of takes; unnamed ones are numbered after a noun.
+
+    >>> unique_take_names(["walk", "", "walk"], "take")
+    ['walk', 'take_2', 'walk_2']
+    """
+    printable_names = map(replace_unprintable, names)
+    return numbered_names(
+        name or f"{noun}_{i}" for i, name in enumerate(printable_names, 1)
+    )
+
+
 def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
     """Return unique shape names, prefixed with the mesh if ambiguous.
 

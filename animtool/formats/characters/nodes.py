@@ -14,35 +14,21 @@ SCALE_TOLERANCE = 3e-7
 
 @dataclass(frozen=True, slots=True)
 class Node:
-    """A node of the file.
+    """A node of the file."""
 
-    Attributes:
-        name: Name in the file; None without a name.
-        parent: Index of the parent node; -1 for a root.
-        children: Indices of the child nodes.
-        translation: Relative to the parent [m].
-        rotation: Relative to the parent (x, y, z, w).
-        scale: Relative to the parent [1].
-        mesh: Index of the node's mesh; -1 without a mesh.
-        skin: Index of the node's skin; -1 without a skin.
-        weights: Weights of the morph targets; None uses the weights of the mesh.
-        visible: Whether the node is visible if all its ancestors are visible.
-        has_matrix: Whether the file stores its transform as a matrix.
-        is_inserted: Whether animtool inserted it above the roots of a rig, outside
-            the rig.
-    """
-
-    name: str | None
-    parent: int
-    children: tuple[int, ...]
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
-    scale: tuple[float, float, float]
-    mesh: int = -1
-    skin: int = -1
+    name: str | None  # name in the file; None without a name
+    parent: int  # index of the parent node; -1 for a root
+    children: tuple[int, ...]  # indices of the child nodes
+    translation: tuple[float, float, float]  # relative to the parent [m]
+    rotation: tuple[float, float, float, float]  # relative to the parent (x, y, z, w)
+    scale: tuple[float, float, float]  # relative to the parent [1]
+    mesh: int = -1  # index of the node's mesh; -1 without a mesh
+    skin: int = -1  # index of the node's skin; -1 without a skin
+    # Weights of the morph targets; None uses the weights of the mesh.
     weights: tuple[float, ...] | None = None
-    visible: bool = True
-    has_matrix: bool = False
+    visible: bool = True  # whether the node is visible if all its ancestors are visible
+    has_matrix: bool = False  # whether the file stores its transform as a matrix
+    # Whether animtool inserted it above the roots of a rig, outside the rig.
     is_inserted: bool = False
 
 

@@ -26,21 +26,13 @@ MAX_LISTED_TAKES = 8
 
 @dataclass(frozen=True, slots=True)
 class TakeMessages:
-    """Wording and codes of messages about the takes of a format.
+    """Wording and codes of messages about the takes of a format."""
 
-    Attributes:
-        noun: The format's word for a take.
-        static_message: Message for a character without a take.
-        unknown_code: Code of the error for an unknown take.
-        no_take_code: Code of the note about a file without takes.
-        several_code: Code of the note about takes that are not read.
-    """
-
-    noun: str
-    static_message: str
-    unknown_code: str
-    no_take_code: str
-    several_code: str
+    noun: str  # the format's word for a take
+    static_message: str  # message for a character without a take
+    unknown_code: str  # code of the error for an unknown take
+    no_take_code: str  # code of the note about a file without takes
+    several_code: str  # code of the note about takes that are not read
 
 
 def choose_take(

@@ -25,6 +25,7 @@ from animtool.formats.fbx.poses import RowKind
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.sampling import FRAME_TOLERANCE, FbxFrames, FbxSampler
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
+from animtool.formats.fbx.takes import find_track
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
 from animtool.maths.tangents import Tangent
@@ -74,11 +75,9 @@ class _ClipBuilder:
     """Builds a clip's channels from curves or samples."""
 
     def __init__(self, fbx_rig: FbxRig, sampler: FbxSampler, frames: FbxFrames) -> None:
-        self.fbx_rig, self.sampler, self.frames = (
-            fbx_rig,
-            sampler,
-            frames,
-        )
+        self.fbx_rig = fbx_rig
+        self.sampler = sampler
+        self.frames = frames
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
         self.errors = _SamplingErrors()
@@ -177,8 +176,7 @@ class _ClipBuilder:
         ]
 
     def _find_track(self, model: Model, name: str) -> PropertyTrack | None:
-        take = self.sampler.take
-        return None if take is None else take.tracks.get((model.object.id, name))
+        return find_track(self.sampler.take, model.object.id, name)
 
     def _pivot_offset(self, model: Model) -> FloatArray | None:
         """Return the constant translation offset of the pivots; None if animated."""
@@ -241,10 +239,8 @@ class _ClipBuilder:
         per_second = float(self.frames.fps)
         handles = []
         for handle_rows in (keys.ins, keys.outs):
-            times, values = (
-                handle_rows[:, :1] * per_second,
-                handle_rows[:, 1:] @ linear.T,
-            )
+            times = handle_rows[:, :1] * per_second
+            values = handle_rows[:, 1:] @ linear.T
             handles.append(np.concatenate([times, values], axis=1))
         count = len(keys.ticks)
         return ClipChannel(
@@ -296,14 +292,10 @@ class _ClipBuilder:
         take = self.sampler.take
         key_times = np.zeros(0, np.int64) if take is None else take.key_times()
         key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]
-        tick_after = ticks[
-            np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
-        ]
-        tick_before = ticks[
-            np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1) - 1
-        ]
+        frame_after = np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
         frame_distance = np.minimum(
-            np.abs(tick_after - key_times), np.abs(key_times - tick_before)
+            np.abs(ticks[frame_after] - key_times),
+            np.abs(key_times - ticks[frame_after - 1]),
         )
         key_times = key_times[
             frame_distance > FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)

@@ -34,29 +34,19 @@ class FbxExtrapolation:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxCurve:
-    """Keys of one scalar over time.
+    """Keys of one scalar over time."""
 
-    Attributes:
-        times: Times of the K keys, ascending ``(K,)`` [tick].
-        values: ``(K,)``.
-        modes: Interpolation from each key to the next ``(K,)``.
-        out_slopes: Slope after each key ``(K,)`` [1/s]; that of the segment if it is
-            linear.
-        in_slopes: Slope before the next key ``(K,)`` [1/s], likewise.
-        weights: Weights of the handles out of each key and into the next, as fractions
-            of the segment's duration ``(K, 2)``.
-        pre: Extrapolation before the first key.
-        post: Extrapolation after the last key.
-    """
-
-    times: IntArray
-    values: FloatArray
-    modes: IntArray
+    times: IntArray  # times of the K keys, ascending ``(K,)`` [tick]
+    values: FloatArray  # ``(K,)``
+    modes: IntArray  # interpolation from each key to the next ``(K,)``
+    # Slope after each key ``(K,)`` [1/s]; that of the segment if it is linear.
     out_slopes: FloatArray
-    in_slopes: FloatArray
+    in_slopes: FloatArray  # slope before the next key ``(K,)`` [1/s], likewise
+    # Weights of the handles out of each key and into the next, as fractions of the
+    # segment's duration ``(K, 2)``.
     weights: FloatArray
-    pre: FbxExtrapolation = FbxExtrapolation()
-    post: FbxExtrapolation = FbxExtrapolation()
+    pre: FbxExtrapolation = FbxExtrapolation()  # extrapolation before the first key
+    post: FbxExtrapolation = FbxExtrapolation()  # extrapolation after the last key
 
     def is_static(self) -> bool:
         """Return whether the value never changes."""
@@ -159,20 +149,16 @@ def solve_bezier_parameter(fraction: FloatArray, weights: FloatArray) -> FloatAr
     has_weights = np.flatnonzero(np.abs(weights - ONE_THIRD).max(axis=1) > 1e-9)
     if not len(has_weights):
         return u
-    s, a, b = (
-        fraction[has_weights],
-        weights[has_weights, 0],
-        1.0 - weights[has_weights, 1],
-    )
+    s = fraction[has_weights]
+    a = weights[has_weights, 0]
+    b = 1.0 - weights[has_weights, 1]
     lower, upper = np.zeros(len(s)), np.ones(len(s))
     x = s.copy()
     for _ in range(60):
         y = 1.0 - x
         residual = 3 * y * y * x * a + 3 * y * x * x * b + x**3 - s
-        lower, upper = (
-            np.where(residual <= 0, x, lower),
-            np.where(residual >= 0, x, upper),
-        )
+        lower = np.where(residual <= 0, x, lower)
+        upper = np.where(residual >= 0, x, upper)
         slope = 3 * y * y * a + 6 * y * x * (b - a) + 3 * x * x * (1 - b)
         newton_x = x - residual / np.where(np.abs(slope) > 1e-12, slope, 1e-12)
         is_in_bounds = (newton_x > lower) & (newton_x < upper)

@@ -81,9 +81,7 @@ def read_integers(parent: Element, name: str, notes: FileNotices) -> IntArray | 
         return None
     values = _numeric_array(element, notes)
     if values.dtype.kind == "f":
-        is_in_range = (
-            np.isfinite(values).find_all() and (np.abs(values) < 2.0**63).find_all()
-        )
+        is_in_range = (np.abs(values) < 2.0**63).all()
         if not is_in_range or (values != np.round(values)).any():
             notes.fail("FBX005", element.where, f"{name} must hold integers")
     return np.asarray(values, np.int64)

@@ -29,61 +29,37 @@ MAX_TABLE_CELLS = 100_000_000
 
 @dataclass(slots=True, eq=False)
 class Cluster:
-    """Skin weights of one bone on a mesh.
+    """Skin weights of one bone on a mesh."""
 
-    Attributes:
-        bone: Id of the bone's node.
-        bone_from_mesh: Transform at bind time ``(4, 4)``.
-        world_from_bone: Transform at bind time ``(4, 4)``.
-        indices: Control points ``(N,)``.
-        weights: Weights of the control points ``(N,)`` [1].
-        where: Location of its element in the file.
-    """
-
-    bone: ObjectId
-    bone_from_mesh: FloatArray
-    world_from_bone: FloatArray
-    indices: IntArray
-    weights: FloatArray
-    where: str
+    bone: ObjectId  # Id of the bone's node
+    bone_from_mesh: FloatArray  # transform at bind time ``(4, 4)``
+    world_from_bone: FloatArray  # transform at bind time ``(4, 4)``
+    indices: IntArray  # control points ``(N,)``
+    weights: FloatArray  # weights of the control points ``(N,)`` [1]
+    where: str  # location of its element in the file
 
 
 @dataclass(slots=True, eq=False)
 class ShapeChannel:
-    """A blend shape channel with its in-between targets.
+    """A blend shape channel with its in-between targets."""
 
-    Attributes:
-        id: Id of the channel, whose percentage is animated.
-        name: Name in the file.
-        percent: Weight without animation [%].
-        targets: For each target its full weight [%] and offsets ``(V, 3)``.
-    """
-
-    id: ObjectId
-    name: str
-    percent: float
+    id: ObjectId  # Id of the channel, whose percentage is animated
+    name: str  # name in the file
+    percent: float  # weight without animation [%]
+    # For each target its full weight [%] and offsets ``(V, 3)``.
     targets: list[tuple[float, FloatArray]]
 
 
 @dataclass(slots=True, eq=False)
 class FbxGeometry:
-    """A mesh of one or several nodes.
+    """A mesh of one or several nodes."""
 
-    Attributes:
-        name: Name in the file, often empty.
-        points: Control points ``(V, 3)``.
-        faces: Control point indices, padded with -1 ``(N, K)``.
-        method: Skinning method.
-        clusters: Skin weights by bone.
-        shapes: Blend shapes.
-    """
-
-    name: str
-    points: FloatArray
-    faces: IntArray
-    method: str = LINEAR
-    clusters: list[Cluster] = field(default_factory=list)
-    shapes: list[ShapeChannel] = field(default_factory=list)
+    name: str  # name in the file, often empty
+    points: FloatArray  # control points ``(V, 3)``
+    faces: IntArray  # control point indices, padded with -1 ``(N, K)``
+    method: str = LINEAR  # skinning method
+    clusters: list[Cluster] = field(default_factory=list)  # skin weights by bone
+    shapes: list[ShapeChannel] = field(default_factory=list)  # blend shapes
 
 
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
@@ -282,17 +258,13 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     cluster_sizes = [len(cluster.indices) for cluster in mesh.clusters]
     cluster_indices = np.repeat(np.arange(cluster_count), cluster_sizes)
     has_weight = weights > 0
-    points, weights, cluster_indices = (
-        points[has_weight],
-        weights[has_weight],
-        cluster_indices[has_weight],
-    )
+    points = points[has_weight]
+    weights = weights[has_weight]
+    cluster_indices = cluster_indices[has_weight]
     order = np.argsort(points, kind="stable")
-    points, weights, cluster_indices = (
-        points[order],
-        weights[order],
-        cluster_indices[order],
-    )
+    points = points[order]
+    weights = weights[order]
+    cluster_indices = cluster_indices[order]
     influence_counts = np.bincount(points, minlength=point_count)
     influence_count = max(1, int(influence_counts.max(initial=0)))
     starts = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])

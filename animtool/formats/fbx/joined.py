@@ -33,25 +33,17 @@ _EXTRAPOLATIONS = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JoinedKeys:
-    """Keys of a property of D components.
+    """Keys of a property of D components."""
 
-    Attributes:
-        ticks: Times ``(K,)``.
-        values: ``(K, D)``.
-        interps: Interpolation of the segment after each key, K entries.
-        ins: Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
-        outs: Handles after the keys, likewise.
-        pre: Extrapolation before the first key.
-        post: Extrapolation after the last key.
-    """
-
-    ticks: IntArray
-    values: FloatArray
+    ticks: IntArray  # times ``(K,)``
+    values: FloatArray  # ``(K, D)``
+    # Interpolation of the segment after each key, K entries.
     interps: tuple[Interp, ...]
+    # Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
     ins: FloatArray
-    outs: FloatArray
-    pre: Extrapolation
-    post: Extrapolation
+    outs: FloatArray  # handles after the keys, likewise
+    pre: Extrapolation  # extrapolation before the first key
+    post: Extrapolation  # extrapolation after the last key
 
 
 def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
@@ -69,26 +61,20 @@ def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     if not keyed_curves or extrapolation is None:
         return None
     ticks = np.unique(np.concatenate([curve.times for curve in keyed_curves]))
-    segmented_curves = [
-        _split_curve(curve, ticks) for curve in curves if curve is not None
-    ]
+    segmented_curves = [_split_curve(curve, ticks) for curve in keyed_curves]
     interps = _segment_interpolations(segmented_curves, len(ticks) - 1)
     weights = _common_weights(segmented_curves)
     if interps is None or weights is None:
         return None
     seconds = np.diff(ticks) / TICKS_PER_SECOND
     key_count, component_count = len(ticks), len(curves)
-    ins, outs = (
-        np.zeros((key_count, 1 + component_count)),
-        np.zeros((key_count, 1 + component_count)),
-    )
+    ins = np.zeros((key_count, 1 + component_count))
+    outs = np.zeros((key_count, 1 + component_count))
     outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
-    remaining_curves = iter(segmented_curves)
-    for component, curve in enumerate(curves):
-        if curve is not None:
-            segmented_curve = next(remaining_curves)
-            outs[:-1, 1 + component] = segmented_curve.out_slopes * outs[:-1, 0]
-            ins[1:, 1 + component] = segmented_curve.in_slopes * ins[1:, 0]
+    columns = [1 + i for i, curve in enumerate(curves) if curve is not None]
+    for column, segmented_curve in zip(columns, segmented_curves, strict=True):
+        outs[:-1, column] = segmented_curve.out_slopes * outs[:-1, 0]
+        ins[1:, column] = segmented_curve.in_slopes * ins[1:, 0]
     values = track.evaluate(base, ticks)
     return JoinedKeys(
         ticks, values, (*interps, Interp.LINEAR), ins, outs, *extrapolation
@@ -99,27 +85,27 @@ def _common_extrapolation(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
-    extrapolations = []
-    for end in ("pre", "post"):
-        end_extrapolations = {
-            _convert_extrapolation(curve_, getattr(curve_, end)) for curve_ in curves
-        }
-        if len(end_extrapolations) != 1 or None in end_extrapolations:
-            return None
-        extrapolations += [
-            curve_ for curve_ in end_extrapolations if curve_ is not None
-        ]
-    if extrapolations and set(extrapolations) != {Extrapolation.HOLD}:
+    end_pairs = {
+        (
+            _convert_extrapolation(curve, curve.pre),
+            _convert_extrapolation(curve, curve.post),
+        )
+        for curve in curves
+    }
+    if len(end_pairs) != 1:
+        return None
+    ((pre, post),) = end_pairs
+    if pre is None or post is None:
+        return None
+    if {pre, post} != {Extrapolation.HOLD}:
         times = curves[0].times
-        if any(not np.array_equal(times, curve_.times) for curve_ in curves):
+        if any(not np.array_equal(times, curve.times) for curve in curves):
             return None
     # At a discontinuity between repeats, a clip and FBX have different values.
-    has_discontinuity = any(curve_.values[0] != curve_.values[-1] for curve_ in curves)
-    if not extrapolations or (
-        has_discontinuity and Extrapolation.CYCLE in extrapolations
-    ):
+    has_discontinuity = any(curve.values[0] != curve.values[-1] for curve in curves)
+    if has_discontinuity and Extrapolation.CYCLE in {pre, post}:
         return None
-    return extrapolations[0], extrapolations[1]
+    return pre, post
 
 
 def _convert_extrapolation(
@@ -160,7 +146,7 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
             all_false,
             all_true,
             all_false,
-            np.full((len(key_index), 2), ONE_THIRD),
+            np.full((len(starts), 2), ONE_THIRD),
             no_slopes,
             no_slopes,
         )
@@ -196,34 +182,20 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     is_complete = is_cubic & ~is_split
     out_slopes = np.where(is_complete, curve.out_slopes[key_index], out_slopes)
     in_slopes = np.where(is_complete, curve.in_slopes[key_index], in_slopes)
-    # The value of a NEXT segment applies from its start.
-    is_next_step = is_stepped & (modes == NEXT) & ~is_flat
-    if is_next_step.any():
-        is_stepped, is_flat = is_stepped & ~is_next_step, is_flat & ~is_next_step
-        return _SegmentedCurve(
-            is_cubic | is_next_step,
-            is_stepped,
-            is_flat,
-            is_split | is_next_step,
-            _nan_weights(key_index),
-            out_slopes,
-            in_slopes,
-        )
     weights = np.where(is_cubic[:, None], curve.weights[key_index], ONE_THIRD)
+    # The value of a NEXT segment applies from its start; NaN weights mark that it
+    # cannot be joined.
+    is_next_step = is_stepped & (modes == NEXT) & ~is_flat
+    weights[is_next_step] = np.nan
     return _SegmentedCurve(
-        is_cubic,
-        is_stepped,
+        is_cubic | is_next_step,
+        is_stepped & ~is_next_step,
         is_flat | ~is_in_range,
-        is_split,
+        is_split | is_next_step,
         weights,
         out_slopes,
         in_slopes,
     )
-
-
-def _nan_weights(k: IntArray) -> FloatArray:
-    """Return NaN weights, which mark segments that cannot be joined."""
-    return np.full((len(k), 2), np.nan)
 
 
 def _evaluate_slope(

@@ -64,13 +64,13 @@ def read_curve(
     ):
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     attribute_bits = _attribute_bits(attribute_data, notes)
-    is_consistent = len(flags) == len(
-        reference_counts
-    ) and attribute_bits.size == 4 * len(flags)
-    is_consistent = is_consistent and bool(
-        (reference_counts >= 0).all() and (reference_counts <= count).all()
-    )
-    if not is_consistent or int(reference_counts.sum()) != count:
+    has_valid_counts = (reference_counts >= 0) & (reference_counts <= count)
+    if (
+        len(flags) != len(reference_counts)
+        or attribute_bits.size != 4 * len(flags)
+        or not has_valid_counts.all()
+        or int(reference_counts.sum()) != count
+    ):
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, reference_counts)
@@ -125,7 +125,7 @@ def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> Fbx
             notes.fail("FBX006", element.where, "a slope of a key is not finite")
     pre, post = (
         _read_extrapolation(element, f"{name}-Extrapolation", notes)
-        for name in _EXTRAPOLATION_NAMES
+        for name in ("Pre", "Post")
     )
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
@@ -159,9 +159,6 @@ def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
         notes.fail("FBX006", element.where, "the time of a key is out of range")
     if (np.diff(times) < 0).any():
         notes.fail("FBX006", element.where, "the times of keys must not descend")
-
-
-_EXTRAPOLATION_NAMES = ("Pre", "Post")
 
 
 def _read_extrapolation(

@@ -30,24 +30,16 @@ FULL_WEIGHT = 0.99999
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Layer:
-    """An animation layer of a take.
+    """An animation layer of a take."""
 
-    Attributes:
-        name: Name in the file.
-        weight: Weight without a curve [1].
-        weight_curve: Weight over time [%]; None uses the constant weight.
-        mode: `ADDITIVE`; `OVERRIDE`, which ignores the weight; or `PASSTHROUGH`, which
-            blends.
-        accumulates_rotations: Whether rotations accumulate as quaternions.
-        accumulates_scales: Whether scales accumulate as products.
-    """
-
-    name: str
-    weight: float = 1.0
+    name: str  # name in the file
+    weight: float = 1.0  # weight without a curve [1]
+    # Weight over time [%]; None uses the constant weight.
     weight_curve: FbxCurve | None = None
+    # `ADDITIVE`; `OVERRIDE`, which ignores the weight; or `PASSTHROUGH`, which blends.
     mode: int = ADDITIVE
-    accumulates_rotations: bool = False
-    accumulates_scales: bool = False
+    accumulates_rotations: bool = False  # whether rotations accumulate as quaternions
+    accumulates_scales: bool = False  # whether scales accumulate as products
 
     def weights(self, ticks: IntArray) -> FloatArray:
         """Return the weight of the layer at times ``(F,)`` [1]."""
@@ -85,17 +77,20 @@ class LayerValues:
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """An animated property with its layers.
+    """An animated property with its layers."""
 
-    Attributes:
-        object_id: Id of the object.
-        name: Name such as ``Lcl Rotation``.
-        layers: Layers from bottom to top.
-    """
+    object_id: int | str  # Id of the object
+    name: str  # name such as ``Lcl Rotation``
+    layers: list[LayerValues] = field(default_factory=list)  # layers from bottom to top
 
-    object_id: int | str
-    name: str
-    layers: list[LayerValues] = field(default_factory=list)
+    def curves(self) -> list[FbxCurve]:
+        """Return the curves of all layers."""
+        return [
+            curve
+            for layer_values in self.layers
+            for curve in layer_values.curves
+            if curve is not None
+        ]
 
     def constant_value(self, base: FloatArray) -> FloatArray | None:
         """Return the property's values if they never change, else None."""

@@ -20,7 +20,6 @@ from animtool.formats.fbx.layers import (
     ROTATION,
     SCALING,
     TRANSLATION,
-    PropertyTrack,
 )
 from animtool.formats.fbx.objects import (
     ROOT_IDS,
@@ -30,7 +29,7 @@ from animtool.formats.fbx.objects import (
     read_scalar,
     read_vector,
 )
-from animtool.formats.fbx.takes import AnimTake
+from animtool.formats.fbx.takes import AnimTake, find_track
 from animtool.maths import so3
 
 # Factor order by RotationOrder: in XYZ, X rotates first, so its factor is last.
@@ -43,35 +42,22 @@ _TRANSFORM_PROPERTIES = (TRANSLATION, ROTATION, SCALING)
 
 @dataclass(slots=True, eq=False)
 class Model:
-    """A node of the scene, with its transform properties.
+    """A node of the scene, with its transform properties."""
 
-    Attributes:
-        object: Object of the node in the file.
-        parent: Index of the parent node; -1 for a root.
-        base_values: Translation, rotation [deg] and scale without animation ``(3, 3)``.
-        rotation_order: Rotation order, as in `euler.to_quaternion`.
-        pre_rotation: Pre-rotation ``(4,)``.
-        inverse_post_rotation: Inverse of the post-rotation ``(4,)``.
-        pivots: Offset and pivot of rotation, then of scaling ``(4, 3)``.
-        scale_inheritance: How the node inherits the scale of its parent.
-        geometric_transform: Transform of the node's own mesh only ``(4, 4)``.
-        has_outer_rotations: Whether rotation order, pre- and post-rotation apply.
-        outer_angles: Angles of pre- and post-rotation ``(2, 3)`` [deg].
-        scale_source: Node whose scale, including inherited scale, it applies along its
-            own axes; -1 for none.
-    """
-
-    object: Object
-    parent: int
+    object: Object  # object of the node in the file
+    parent: int  # index of the parent node; -1 for a root
+    # Translation, rotation [deg] and scale without animation ``(3, 3)``.
     base_values: FloatArray
-    rotation_order: str
-    pre_rotation: FloatArray
-    inverse_post_rotation: FloatArray
-    pivots: FloatArray
-    scale_inheritance: int
-    geometric_transform: FloatArray
-    has_outer_rotations: bool
-    outer_angles: FloatArray
+    rotation_order: str  # rotation order, as in `euler.to_quaternion`
+    pre_rotation: FloatArray  # pre-rotation ``(4,)``
+    inverse_post_rotation: FloatArray  # inverse of the post-rotation ``(4,)``
+    pivots: FloatArray  # offset and pivot of rotation, then of scaling ``(4, 3)``
+    scale_inheritance: int  # how the node inherits the scale of its parent
+    geometric_transform: FloatArray  # transform of the node's own mesh only ``(4, 4)``
+    has_outer_rotations: bool  # whether rotation order, pre- and post-rotation apply
+    outer_angles: FloatArray  # angles of pre- and post-rotation ``(2, 3)`` [deg]
+    # Node whose scale, including inherited scale, it applies along its own axes; -1 for
+    # none.
     scale_source: int = -1
 
     @property
@@ -87,7 +73,7 @@ class Model:
         pre, post = self.pre_rotation, self.inverse_post_rotation
         if take is not None and self.has_outer_rotations:
             pre_track, post_track = (
-                _property_track(self, take, name) for name in OUTER_ROTATIONS
+                find_track(take, self.object.id, name) for name in OUTER_ROTATIONS
             )
             if pre_track is not None:
                 pre = rotations_from_angles(
@@ -119,9 +105,8 @@ def read_models(file: FbxFile) -> list[Model]:
     objects = [
         node_object
         for node_object in file.of_kind("Model")
-        if not _is_default_camera(file, node_object)
+        if node_object.id not in ROOT_IDS and not _is_default_camera(file, node_object)
     ]
-    objects = [node_object for node_object in objects if node_object.id not in ROOT_IDS]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
@@ -162,8 +147,8 @@ def _is_default_camera(file: FbxFile, node: Object) -> bool:
 
 
 def _parent_model(file: FbxFile, node: Object) -> ObjectId | None:
-    parent_ids = [model.id for model in file.targets(node.id, "Model")]
-    parent_ids = [model_id for model_id in parent_ids if model_id not in ROOT_IDS]
+    targets = file.targets(node.id, "Model")
+    parent_ids = [model.id for model in targets if model.id not in ROOT_IDS]
     if len(set(parent_ids)) > 1:
         message = f"the node {node.name!r} has {len(set(parent_ids))} parents"
         file.notes.fail("FBX009", node.element.where, message)
@@ -225,19 +210,13 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
     )
 
 
-def _property_track(
-    model: Model, take: AnimTake | None, name: str
-) -> PropertyTrack | None:
-    return None if take is None else take.tracks.get((model.object.id, name))
-
-
 def _transform_values(
     model: Model, take: AnimTake | None, ticks: IntArray
 ) -> FloatArray:
     """Return translation, rotation [deg] and scale at times ``(F, 3, 3)``."""
     values = np.repeat(model.base_values[None], len(ticks), axis=0)
     for k, name in enumerate(_TRANSFORM_PROPERTIES):
-        track = _property_track(model, take, name)
+        track = find_track(take, model.object.id, name)
         if track is not None:
             values[:, k] = track.evaluate(model.base_values[k], ticks)
     return values
@@ -249,7 +228,7 @@ def _pivot_values(
     """Return rotation offset and pivot, then scaling offset and pivot, over time."""
     pivots = list(model.pivots)
     for k, name in enumerate(PIVOT_PROPERTIES):
-        track = _property_track(model, take, name)
+        track = find_track(take, model.object.id, name)
         if track is not None:
             pivots[k] = track.evaluate(model.pivots[k], ticks)
     return pivots
@@ -260,7 +239,7 @@ def has_pivots(model: Model, take: AnimTake | None) -> bool:
     if model.pivots.any():
         return True
     return any(
-        _property_track(model, take, name) is not None for name in PIVOT_PROPERTIES
+        find_track(take, model.object.id, name) is not None for name in PIVOT_PROPERTIES
     )
 
 
@@ -270,7 +249,7 @@ def find_animated_components(
     """Return whether translation, rotation and scale change in a take."""
 
     def is_animated(name: str, base: FloatArray) -> bool:
-        track = _property_track(model, take, name)
+        track = find_track(take, model.object.id, name)
         return track is not None and track.constant_value(base) is None
 
     is_changing = [

@@ -29,25 +29,15 @@ ROOT_IDS = (0, "Model::Scene", "Model::RootNode")
 
 @dataclass(slots=True, eq=False)
 class Object:
-    """An object: a model, a geometry, a deformer, a curve.
+    """An object: a model, a geometry, a deformer, a curve."""
 
-    Attributes:
-        id: Number, or kind and name in files before 7000.
-        kind: Name of the element, such as ``Model``.
-        name: Name without the kind, namespace kept.
-        subtype: Subtype such as ``LimbNode``.
-        element: Element of the object.
-        properties: Values by name, without defaults.
-        defaults: Default values of this kind of object.
-    """
-
-    id: ObjectId
-    kind: str
-    name: str
-    subtype: str
-    element: Element
-    properties: dict[str, list[Any]]
-    defaults: dict[str, list[Any]]
+    id: ObjectId  # number, or kind and name in files before 7000
+    kind: str  # name of the element, such as ``Model``
+    name: str  # name without the kind, namespace kept
+    subtype: str  # subtype such as ``LimbNode``
+    element: Element  # element of the object
+    properties: dict[str, list[Any]]  # values by name, without defaults
+    defaults: dict[str, list[Any]]  # default values of this kind of object
 
     def values(self, name: str) -> list[Any]:
         """Return the values of a property; empty if it is missing."""
@@ -57,28 +47,17 @@ class Object:
 
 @dataclass(slots=True, eq=False)
 class FbxFile:
-    """The objects and connections of a file.
+    """The objects and connections of a file."""
 
-    Attributes:
-        path: Path of the file.
-        version: Version such as 7400.
-        is_text: Whether the file is ASCII.
-        root: The root element.
-        objects: Objects by id, in file order.
-        settings: Global properties.
-        incoming: Connections to each object: source id and property name.
-        outgoing: Connections from each object: target id and property name.
-        notes: Collects warnings and notes.
-    """
-
-    path: Path
-    version: int
-    is_text: bool
-    root: Element
-    objects: dict[ObjectId, Object]
-    settings: Object
-    notes: FileNotices
+    path: Path  # path of the file
+    version: int  # version such as 7400
+    root: Element  # the root element
+    objects: dict[ObjectId, Object]  # objects by id, in file order
+    settings: Object  # global properties
+    notes: FileNotices  # collects warnings and notes
+    # Connections to each object: source id and property name.
     incoming: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
+    # Connections from each object: target id and property name.
     outgoing: dict[ObjectId, list[tuple[ObjectId, str]]] = field(default_factory=dict)
 
     def sources(
@@ -188,7 +167,7 @@ def open_objects(path: Path | str) -> FbxFile:
             notes.warn("FBX106", element.where, message)
             continue
         objects[fbx_object.id] = fbx_object
-    file = FbxFile(path, version, is_text, root, objects, settings, notes)
+    file = FbxFile(path, version, root, objects, settings, notes)
     _connect_objects(file)
     return file
 

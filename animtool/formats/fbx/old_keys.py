@@ -39,7 +39,7 @@ DEFAULT_5000_LAYOUT = 4004
 
 
 def read_channel_curve(
-    element: Element, notes: FileNotices, layout: int = WEIGHTED_LAYOUT
+    element: Element, notes: FileNotices, layout: int
 ) -> FbxCurve | None:
     """Return the curve of a take's channel (before FBX 7000).
 
@@ -59,18 +59,15 @@ def read_channel_curve(
     if keys.approximated_kinds:
         message = (
             f"tangents of kind {listed(sorted(map(repr, keys.approximated_kinds)))} "
-            "are "
+            "are read as automatic ones, between the keys"
         )
-        message += "read as automatic ones, between the keys"
         hint = "bake the curves before exporting, or export FBX 2011 or later"
         notes.warn("FBX120", element.where, message, hint)
     columns = list(zip(*rows, strict=True))
     times, values = np.array(columns[0], np.int64), np.array(columns[1])
     flags = np.array(columns[2], np.int64)
-    slopes = np.stack(
-        [np.array(column) for column in (*columns[3:5], columns[4])], axis=1
-    )
-    weights = np.stack([np.array(column) for column in columns[5:7]], axis=1)
+    slopes = np.stack((*columns[3:5], columns[4]), axis=1)
+    weights = np.stack(columns[5:7], axis=1)
     check_times(times, element, notes)
     out_slopes, in_slopes = compute_key_slopes(
         times / TICKS_PER_SECOND, values, flags, slopes, weights
@@ -158,12 +155,8 @@ def _read_tangent(keys: _KeyCursor) -> tuple[int, float, float, int]:
     kind = keys.next_letter()
     if kind in {"s", "b"}:
         out_slopes, in_slopes = keys.next_number(), keys.next_number()
-        return (
-            CURVED | USER,
-            out_slopes,
-            in_slopes,
-            0 if keys.layout == UNWEIGHTED_LAYOUT else 1,
-        )
+        weight_list_count = 0 if keys.layout == UNWEIGHTED_LAYOUT else 1
+        return CURVED | USER, out_slopes, in_slopes, weight_list_count
     auto_flags = CURVED | PROGRESSIVE | TIME_INDEPENDENT
     is_6100 = keys.layout >= WEIGHTED_LAYOUT
     if kind == "a":

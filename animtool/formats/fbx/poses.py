@@ -93,10 +93,8 @@ class NodeTransforms:
         for node in reversed(ancestors):
             model = self.models[node]
             translations, rotations, _ = self.local_transforms(node)
-            scale, ignores_parent_scale = (
-                self.local_scale(node),
-                model.scale_inheritance != INHERIT,
-            )
+            scale = self.local_scale(node)
+            ignores_parent_scale = model.scale_inheritance != INHERIT
             local = np.tile(np.eye(4), (len(self.ticks), 1, 1))
             local[:, :3, :3] = so3.to_matrix(rotations) * scale[:, None, :]
             if ignores_parent_scale and model.parent >= 0:
@@ -198,13 +196,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             tracks = [take.tracks[key] for key in keys if key in take.tracks]
             if not tracks:
                 continue
-            curves = [
-                curve
-                for track in tracks
-                for layer_values in track.layers
-                for curve in layer_values.curves
-                if curve
-            ]
+            curves = [curve for track in tracks for curve in track.curves()]
             times = np.unique(
                 np.concatenate([_REST_TICKS, *(curve.times for curve in curves)])
             )

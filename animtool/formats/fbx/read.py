@@ -6,11 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 
 from animtool.core.errors import Fault, Severity, listed
-from animtool.core.names import numbered_names
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
-from animtool.formats.characters.names import replace_unprintable
+from animtool.formats.characters.names import unique_take_names
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.fbx.clip_keys import build_clip
 from animtool.formats.fbx.rig import build_rig, scale_notice
@@ -122,10 +121,7 @@ def take_names(path: Path) -> list[str]:
 
 def scene_take_names(scene: FbxScene) -> list[str]:
     """Return unique names of all takes of a scene."""
-    printable_names = [replace_unprintable(take.name) for take in scene.takes]
-    return numbered_names(
-        name or f"take_{i + 1}" for i, name in enumerate(printable_names)
-    )
+    return unique_take_names((take.name for take in scene.takes), "take")
 
 
 def _ignored_contents_notice(scene: FbxScene, take: AnimTake | None) -> list[Fault]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import field
 
 import numpy as np
 
@@ -42,31 +42,21 @@ WEIGHT_TOLERANCE = 1e-5
 
 @dataclass(slots=True, eq=False)
 class FbxRig:
-    """A rig with the nodes and channels that its joints and shapes come from.
+    """A rig with the nodes and channels that its joints and shapes come from."""
 
-    Attributes:
-        rig: J joints.
-        joint_rows: Node of each joint; trailing helper joints of meshes are omitted.
-        joint_of_node: Joint of each node; -1 for nodes that are not joints.
-        folded_scales: By node, the uniform scale that is folded into lengths below it
-            [1].
-        translation_factors: Factor of each joint's translations [m].
-        is_folded: Whether each joint's scale is folded into lengths ``(J,)``.
-        remaining_scales: Saved scales that are not folded ``(J, 3)`` [1].
-        shape_channels: Channel of each shape, and its percentage at weight 1 [%].
-        mesh_names: Name of the mesh that each node shows.
-        notices: Warnings about data that rigs cannot store.
-    """
-
-    rig: Rig
+    rig: Rig  # J joints
+    # Node of each joint; trailing helper joints of meshes are omitted.
     joint_rows: list[JointRow]
-    joint_of_node: IntArray
+    joint_of_node: IntArray  # joint of each node; -1 for nodes that are not joints
+    # By node, the uniform scale that is folded into lengths below it [1].
     folded_scales: FloatArray
-    translation_factors: FloatArray
-    is_folded: BoolArray
-    remaining_scales: FloatArray
+    translation_factors: FloatArray  # factor of each joint's translations [m]
+    is_folded: BoolArray  # whether each joint's scale is folded into lengths ``(J,)``
+    remaining_scales: FloatArray  # saved scales that are not folded ``(J, 3)`` [1]
+    # Channel of each shape, and its percentage at weight 1 [%].
     shape_channels: list[tuple[ShapeChannel, float]]
-    mesh_names: dict[int, str]
+    mesh_names: dict[int, str]  # name of the mesh that each node shows
+    # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -75,8 +65,6 @@ def build_rig(
     character: CharacterNodes,
     name: str,
     meters: float | None = None,
-    *,
-    read_surfaces: bool = True,
 ) -> FbxRig:
     """Return the rig of a character; the rest pose is the saved scene.
 
@@ -89,7 +77,6 @@ def build_rig(
         character: Nodes of the character.
         name: Name of the rig.
         meters: Size of the file's unit [m]; None is the stated unit.
-        read_surfaces: Whether to read meshes and shapes.
     """
     unit = scene.settings.meters if meters is None else meters
     joint_nodes = [
@@ -137,7 +124,7 @@ def build_rig(
     fbx_rig = FbxRig(
         rig, rows, joints, folded_scales, factors, is_folded, scales, [], {}, notices
     )
-    _add_shapes_and_meshes(scene, character, fbx_rig, read_surfaces=read_surfaces)
+    _add_shapes_and_meshes(scene, character, fbx_rig)
     fbx_rig.notices += _moved_meshes_notice(scene, character)
     return fbx_rig
 
@@ -152,8 +139,7 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
             continue
         object_id = scene.models[node].object.id
         is_animated = any(
-            track.object_id == object_id
-            and track.constant_value(scene.models[node].base_values[k]) is None
+            track.constant_value(scene.models[node].base_values[k]) is None
             for take in scene.takes
             for k, name in enumerate((TRANSLATION, ROTATION, SCALING))
             for track in (take.tracks.get((object_id, name)),)
@@ -193,27 +179,24 @@ def _joint_names(
     )
     names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{names_by_model[row.model]}_unscaled" if row.kind is RowKind.OUTER else ""
+        f"{names_by_model[row.model]}_unscaled"
         for row in rows
+        if row.kind is RowKind.OUTER
     ]
-    unique_names = numbered_names(
-        [*inner_names, *(name for name in outer_names if name)]
-    )
-    helper_names = iter(unique_names[len(inner_names) :])
+    added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
+    remaining_names = iter(added_names)
     names = [
-        next(helper_names) if name else names_by_model[row.model]
-        for name, row in zip(outer_names, rows, strict=True)
+        next(remaining_names)
+        if row.kind is RowKind.OUTER
+        else names_by_model[row.model]
+        for row in rows
     ]
     path = str(scene.path)
     notices = renamed_joints_notice("FBX113", renamed_joints, path)
-    added_names = unique_names[len(inner_names) :]
     if added_names:
         message = (
             f"{counted(len(added_names), 'joint')} added above joints that do not "
-            "inherit "
-        )
-        message += (
-            "the non-uniform scale of their parent: "
+            "inherit the non-uniform scale of their parent: "
             f"{listed(added_names, MAX_LISTED_MESHES)}"
         )
         notices.append(Fault("FBX112", message, path, severity=Severity.NOTE))
@@ -221,7 +204,7 @@ def _joint_names(
 
 
 def _add_shapes_and_meshes(
-    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig, *, read_surfaces: bool
+    scene: FbxScene, character: CharacterNodes, fbx_rig: FbxRig
 ) -> None:
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
@@ -243,10 +226,6 @@ def _add_shapes_and_meshes(
     fbx_rig.shape_channels += [
         (channel, _full_percent(channel)) for _, channel in channels
     ]
-    if not read_surfaces:
-        shapes = tuple(map(Shape, names))
-        fbx_rig.rig = replace(fbx_rig.rig, shapes=shapes)
-        return
     shapes = tuple(
         _build_shape(
             name,
@@ -261,7 +240,6 @@ def _add_shapes_and_meshes(
         fbx_rig.rig,
         fbx_rig.joint_of_node,
         fbx_rig.folded_scales,
-        fbx_rig.remaining_scales,
         scene.bind_worlds(),
     )
     meshes = tuple(
@@ -323,10 +301,8 @@ def _build_skin(
         geometry, joint = binder.bind_node(node)
         joints = [joint]
         point_count = len(mesh.points)
-        indices, weights = (
-            np.zeros((point_count, 1), np.int64),
-            np.ones((point_count, 1)),
-        )
+        indices = np.zeros((point_count, 1), np.int64)
+        weights = np.ones((point_count, 1))
     names = binder.joint_names()
     skin = Skin(
         mesh.method if index >= 0 else "linear",

@@ -18,7 +18,7 @@ from animtool.formats.fbx.poses import AnimatedComponents, NodeTransforms
 from animtool.formats.fbx.rig import FbxRig
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
-from animtool.formats.fbx.takes import AnimTake
+from animtool.formats.fbx.takes import AnimTake, find_track
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -87,8 +87,7 @@ class FbxSampler:
     def weight_track(self, row: int) -> PropertyTrack | None:
         """Return the track of a shape's weight; None if not animated."""
         channel = self.fbx_rig.shape_channels[row][0]
-        take = self.take
-        return None if take is None else take.tracks.get((channel.id, DEFORM_PERCENT))
+        return find_track(self.take, channel.id, DEFORM_PERCENT)
 
     def _is_animated(self, row: int) -> bool:
         track = self.weight_track(row)
@@ -107,17 +106,13 @@ class FbxSampler:
         """Return translations, rotations, scales and weights at the first tick."""
         fbx_rig, joint_count = self.fbx_rig, len(self.fbx_rig.rig.joints)
         transforms = NodeTransforms(self.scene, self.take, ticks)
-        translations, rotations = (
-            np.zeros((joint_count, 3)),
-            np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1)),
-        )
+        translations = np.zeros((joint_count, 3))
+        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (joint_count, 1))
         scales = np.ones((joint_count, 3))
         for j, row in enumerate(fbx_rig.joint_rows):
             local = transforms.joint_transforms(row)
-            translations[j], rotations[j] = (
-                local[0][0] * fbx_rig.translation_factors[j],
-                local[1][0],
-            )
+            translations[j] = local[0][0] * fbx_rig.translation_factors[j]
+            rotations[j] = local[1][0]
             scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
         weights = [
             self.weight(row, ticks)[0] for row in range(len(fbx_rig.shape_channels))
@@ -196,12 +191,11 @@ def find_frame_range(
         count > MAX_FRAMES
         or count * max(values_per_frame, MIN_VALUES_PER_FRAME) > MAX_TAKE_VALUES
     ):
-        message = f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
-        message += (
+        message = (
+            f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
             f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
-            "above "
+            "above the limit"
         )
-        message += "the limit"
         hint = f"lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.where)
@@ -239,11 +233,9 @@ def off_frame_keys_notice(
     worst_joint = int(distances.max(axis=0).argmax())
     message = (
         f"{len(off_frame_keys)} of {len(keys)} key times fall between the frames at "
-    )
-    message += (
         f"{rate_label(frames.fps)}: joints are up to {distances.max() * 1e3:.3g} mm "
+        f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     )
-    message += f"off there (joint {fbx_rig.rig.names[worst_joint]!r})"
     hint = f"set another rate with {argument('source.fps')}"
     path = str(scene.path)
     return [Fault("FBX110", message, path, (), hint, Severity.NOTE, where=take.where)]
@@ -271,9 +263,8 @@ def keys_outside_notice(
         return []
     message = (
         f"{outside_count} of {len(keys)} key times of take {take.name!r}, "
-        f"{codes[0]:.6g} to "
-        f"{codes[-1]:.6g}, lie outside its frames {frames.first} to {last}, which are "
-        "read"
+        f"{codes[0]:.6g} to {codes[-1]:.6g}, lie outside its frames {frames.first} to "
+        f"{last}, which are read"
     )
     hint = "if they belong to it, make the take longer in the program that wrote it"
     severity = Severity.WARNING if outside_count == len(keys) else Severity.NOTE

@@ -26,32 +26,20 @@ MAX_LISTED_OBJECTS = 6
 
 @dataclass(slots=True, eq=False)
 class FbxScene:
-    """The contents of an FBX file.
+    """The contents of an FBX file."""
 
-    Attributes:
-        file: Objects of the file.
-        settings: Unit, axes and rate.
-        models: Nodes, parents first.
-        meshes: Meshes by index of the node that shows them.
-        takes: Takes in file order.
-        ignored_contents: Labels of contents that are not read.
-        default_take: Index of the take read by default; -1 for none.
-        nodes: The node tree, one node per model.
-        skins: One per skinned mesh that a node shows.
-        mesh_bind_worlds: World transform of each skin's mesh at bind time.
-    """
-
-    file: FbxFile
-    settings: FbxSettings
-    models: list[Model]
-    meshes: dict[int, FbxGeometry]
-    takes: list[AnimTake]
-    default_take: int
-    nodes: tuple[Node, ...]
-    skins: tuple[SkinEntry, ...]
+    file: FbxFile  # objects of the file
+    settings: FbxSettings  # unit, axes and rate
+    models: list[Model]  # nodes, parents first
+    meshes: dict[int, FbxGeometry]  # meshes by index of the node that shows them
+    takes: list[AnimTake]  # takes in file order
+    default_take: int  # index of the take read by default; -1 for none
+    nodes: tuple[Node, ...]  # the node tree, one node per model
+    skins: tuple[SkinEntry, ...]  # one per skinned mesh that a node shows
+    # World transform of each skin's mesh at bind time.
     mesh_bind_worlds: list[FloatArray]
     scenes: list[list[int]]
-    ignored_contents: tuple[str, ...] = ()
+    ignored_contents: tuple[str, ...] = ()  # labels of contents that are not read
     default_scene: int = -1
 
     def bind_worlds(self) -> list[FloatArray]:
@@ -83,12 +71,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     }
     takes = read_takes(file)
     skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
-    skins_by_node = dict(
-        zip((i for i in meshes if meshes[i].clusters), skins, strict=True)
-    )
-    nodes = _build_nodes(
-        models, meshes, {i: skin_index for skin_index, i in enumerate(skins_by_node)}
-    )
+    nodes = _build_nodes(models, meshes)
     _add_driver_notice(file)
     default_index = find_default_take(file, takes)
     return FbxScene(
@@ -130,23 +113,23 @@ def _skin_entries(
 
 
 def _build_nodes(
-    models: list[Model], meshes: dict[int, FbxGeometry], skins: dict[int, int]
+    models: list[Model], meshes: dict[int, FbxGeometry]
 ) -> tuple[Node, ...]:
+    skinned_nodes = [i for i, mesh in meshes.items() if mesh.clusters]
+    skins = {node: skin for skin, node in enumerate(skinned_nodes)}
     children: list[list[int]] = [[] for _ in models]
     for i, model in enumerate(models):
         if model.parent >= 0:
             children[model.parent].append(i)
-    no_translation, unit_scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+    identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
     return tuple(
         Node(
             model.name,
             model.parent,
             tuple(children[i]),
-            no_translation,
-            (0.0, 0.0, 0.0, 1.0),
-            unit_scale,
-            i if i in meshes else -1,
-            skins.get(i, -1),
+            *identity,
+            mesh=i if i in meshes else -1,
+            skin=skins.get(i, -1),
         )
         for i, model in enumerate(models)
     )

@@ -46,22 +46,15 @@ CUSTOM_TIME_MODE = 14
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FbxSettings:
-    """Length unit, axes and time mode of a file.
+    """Length unit, axes and time mode of a file."""
 
-    Attributes:
-        meters: Size of the file's length unit [m].
-        up: Up axis after the roots are rotated by `basis`.
-        basis: Rotation of the roots ``(3, 3)``.
-        fps: Frames per second.
-    """
-
-    meters: float
-    up: UpAxis
-    basis: FloatArray
-    fps: Fraction
+    meters: float  # size of the file's length unit [m]
+    up: UpAxis  # up axis after the roots are rotated by `basis`
+    basis: FloatArray  # rotation of the roots ``(3, 3)``
+    fps: Fraction  # frames per second
 
 
-def read_settings(file: FbxFile, up: UpAxis | None = None) -> FbxSettings:
+def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
     """Return the global settings of a file.
 
     ``up`` is the up axis of the file; None is the stated axis.

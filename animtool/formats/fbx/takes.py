@@ -68,35 +68,21 @@ MAX_LAYERS = 1000
 
 @dataclass(slots=True, eq=False)
 class AnimTake:
-    """A take with its tracks.
+    """A take with its tracks."""
 
-    Attributes:
-        name: Name in the file.
-        where: Location of the take's element in the file.
-        start_ticks: Start of the take's span [tick].
-        end_ticks: End of the take's span [tick].
-        layers: Names of the take's layers, from bottom to top.
-        tracks: Tracks by object id and property name.
-        has_animated_visibility: Whether visibility is animated.
-    """
-
-    name: str
-    where: str
-    start_ticks: int
-    end_ticks: int
+    name: str  # name in the file
+    where: str  # location of the take's element in the file
+    start_ticks: int  # start of the take's span [tick]
+    end_ticks: int  # end of the take's span [tick]
+    # Names of the take's layers, from bottom to top.
     layers: list[str] = field(default_factory=list)
+    # Tracks by object id and property name.
     tracks: dict[tuple[ObjectId, str], PropertyTrack] = field(default_factory=dict)
-    has_animated_visibility: bool = False
+    has_animated_visibility: bool = False  # whether visibility is animated
 
     def curves(self) -> list[FbxCurve]:
         """Return all animation curves of the take."""
-        return [
-            curve
-            for track in self.tracks.values()
-            for layer_values in track.layers
-            for curve in layer_values.curves
-            if curve is not None
-        ]
+        return [curve for track in self.tracks.values() for curve in track.curves()]
 
     def key_times(self) -> IntArray:
         """Return all distinct key times of the take [ticks]."""
@@ -104,6 +90,13 @@ class AnimTake:
         return np.unique(
             np.concatenate([np.zeros(0, np.int64), *distinct_times.values()])
         )
+
+
+def find_track(
+    take: AnimTake | None, object_id: ObjectId, name: str
+) -> PropertyTrack | None:
+    """Return the track of an object's property; None if it is not animated."""
+    return None if take is None else take.tracks.get((object_id, name))
 
 
 def read_takes(file: FbxFile) -> list[AnimTake]:
@@ -126,16 +119,13 @@ def find_default_take(file: FbxFile, takes: list[AnimTake]) -> int:
     for takes_element in file.root.find_all("Takes"):
         current = takes_element.find("Current")
         name = current.text(0) if current is not None else name
-    animated_takes = [i for i, take in enumerate(takes) if take.tracks]
-    named_takes = [i for i, take in enumerate(takes) if take.name == name]
     if not takes:
         return -1
-    return [
-        *(i for i in named_takes if i in animated_takes),
-        *animated_takes,
-        *named_takes,
-        0,
-    ][0]
+    # An animated take of that name, else an animated one, else one of that name.
+    return max(
+        range(len(takes)),
+        key=lambda i: (bool(takes[i].tracks), takes[i].name == name, -i),
+    )
 
 
 class _StackReader:

@@ -71,10 +71,8 @@ class _TextParser:
 
     def parse(self) -> Element:
         root = self.stack[0]
-        offset, size = (
-            3 if self.content[:3] == b"\xef\xbb\xbf" else 0,
-            len(self.content),
-        )
+        offset = 3 if self.content[:3] == b"\xef\xbb\xbf" else 0
+        size = len(self.content)
         while offset < size:
             token = _TOKEN.match(self.content, offset)
             if token is None:

@@ -14,6 +14,7 @@ from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.buffers import Buffers
 from animtool.formats.gltf.container import Container
 from animtool.formats.gltf.json_items import JsonItem
+from animtool.formats.gltf.unused import UnusedIndices
 
 COMPONENT_TYPES: dict[int, np.dtype[Any]] = {
     5120: np.dtype("i1"),
@@ -99,9 +100,7 @@ class Accessors:
     container: Container
     folder: Path
     notes: FileNotices
-    ignored_accessors: frozenset[int]  # accessors that are never read
-    ignored_views: frozenset[int]
-    ignored_buffers: frozenset[int]
+    unused: UnusedIndices  # what is never read
     buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
     entries: list[Accessor | None] = field(default_factory=list)
@@ -114,13 +113,13 @@ class Accessors:
         root = self.container.root
         self.buffers = Buffers(self.container, self.folder, self.notes)
         for i in range(len(self.buffers)):
-            if i not in self.ignored_buffers:
+            if i not in self.unused.buffers:
                 self.buffers.check(i)
         for i, item in enumerate(root.children("bufferViews")):
-            self.views.append(self._read_view(item, i in self.ignored_views))
+            self.views.append(self._read_view(item, i in self.unused.views))
         for i, item in enumerate(root.children("accessors")):
             self.entries.append(
-                None if i in self.ignored_accessors else self._read_accessor(item)
+                None if i in self.unused.accessors else self._read_accessor(item)
             )
 
     def get(self, index: int) -> Accessor:
@@ -320,19 +319,15 @@ class Accessors:
         sparse = accessor.sparse
         if sparse is None:
             return
-        for index, offset, element_bytes, name in (
-            (sparse.index_view, sparse.index_offset, sparse.index_type.itemsize, "in"),
-            (
-                sparse.value_view,
-                sparse.value_offset,
-                accessor.width * dtype.itemsize,
-                "value",
-            ),
+        index_bytes = sparse.index_type.itemsize
+        value_bytes = accessor.width * dtype.itemsize
+        for key, view_index, offset, element_bytes in (
+            ("indices", sparse.index_view, sparse.index_offset, index_bytes),
+            ("values", sparse.value_view, sparse.value_offset, value_bytes),
         ):
-            sparse_view = self.views[index]
+            sparse_view = self.views[view_index]
             end = offset + sparse.count * element_bytes
             if sparse_view is not None and end > sparse_view.length:
-                key = "indices" if name == "in" else "values"
                 message = (
                     f"reads up to byte {end} of a bufferView of {sparse_view.length}"
                 )
@@ -349,19 +344,19 @@ class Accessors:
         component = indices.number("componentType")
         if component not in {5121, 5123, 5125}:
             indices.fail("componentType", "sparse indices must be unsigned integers")
-        views = [
+        index_view, value_view = (
             entry.index("bufferView", len(self.views), "bufferView")
             for entry in (indices, values)
-        ]
-        for entry, view in zip((indices, values), views, strict=True):
+        )
+        for entry, view in ((indices, index_view), (values, value_view)):
             if view < 0:
                 entry.fail_missing("bufferView")
         return SparseValues(
             sparse_count,
-            views[0],
+            index_view,
             indices.size("byteOffset", 0),
             COMPONENT_TYPES[component],
-            views[1],
+            value_view,
             values.size("byteOffset", 0),
         )
 

@@ -10,9 +10,7 @@ from animtool.core.errors import excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import (
-    MeshEntry,
-)
+from animtool.formats.gltf.meshes import MeshEntry
 from animtool.formats.gltf.nodes import VISIBILITY
 
 POINTER_EXTENSION = "KHR_animation_pointer"

@@ -14,7 +14,6 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Severity, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
-from animtool.formats.file_notices import FileNotices
 from animtool.formats.gltf.accessors import FLOAT_COMPONENT, Accessors, check_finite
 from animtool.formats.gltf.animation_targets import (
     ChannelTarget,
@@ -22,14 +21,7 @@ from animtool.formats.gltf.animation_targets import (
     read_channel_target,
 )
 from animtool.formats.gltf.json_items import JsonItem
-from animtool.formats.gltf.meshes import (
-    I8,
-    I16,
-    U8,
-    U16,
-    MeshEntry,
-    check_bounds,
-)
+from animtool.formats.gltf.meshes import I8, I16, U8, U16, MeshEntry, check_bounds
 from animtool.formats.gltf.nodes import UNIT_TOLERANCE
 from animtool.maths import so3
 
@@ -48,29 +40,19 @@ class SamplerInterpolation(StrEnum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfTrack:
-    """Keys of one animated property.
+    """Keys of one animated property."""
 
-    Attributes:
-        node: The animated node; -1 if a mesh is animated.
-        mesh: The mesh whose weights are animated, on all nodes; -1 if a node is
-            animated.
-        path: The animated property.
-        weight_index: Index of a single animated weight; -1 for all weights.
-        interpolation: Interpolation between keys.
-        times: Key times, ascending ``(K,)`` [s].
-        values: ``(K, W)``; in the stored type if floats.
-        ins: Slopes into each key of cubic splines ``(K, W)`` [1/s].
-        outs: Slopes out of each key of cubic splines ``(K, W)`` [1/s].
-    """
-
-    node: int
+    node: int  # the animated node; -1 if a mesh is animated
+    # The mesh whose weights are animated, on all nodes; -1 if a node is animated.
     mesh: int
-    path: TargetPath
-    weight_index: int
-    interpolation: SamplerInterpolation
-    times: FloatArray
-    values: FloatArray
+    path: TargetPath  # the animated property
+    weight_index: int  # index of a single animated weight; -1 for all weights
+    interpolation: SamplerInterpolation  # interpolation between keys
+    times: FloatArray  # key times, ascending ``(K,)`` [s]
+    values: FloatArray  # ``(K, W)``; in the stored type if floats
+    # Slopes into each key of cubic splines ``(K, W)`` [1/s].
     ins: FloatArray | None = None
+    # Slopes out of each key of cubic splines ``(K, W)`` [1/s].
     outs: FloatArray | None = None
 
     def sample(self, times: FloatArray) -> FloatArray:
@@ -86,10 +68,6 @@ class GltfTrack:
         segment = np.clip(
             np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
         )
-        return self.sample_segments(segment, times)
-
-    def sample_segments(self, segment: IntArray, times: FloatArray) -> FloatArray:
-        """Return values ``(F, W)`` at times, each interpolated in a given segment."""
         return interpolate_tracks([self], segment, times)[:, 0]
 
 
@@ -116,10 +94,8 @@ def interpolate_tracks(
         track_ins = [
             track.ins[segment + 1] for track in tracks if track.ins is not None
         ]
-        out_slopes, in_slopes = (
-            np.stack(track_outs, axis=1),
-            np.stack(track_ins, axis=1),
-        )
+        out_slopes = np.stack(track_outs, axis=1)
+        in_slopes = np.stack(track_ins, axis=1)
         return _normalize_rotations(
             _hermite(
                 start_values, out_slopes, in_slopes, end_values, fraction, duration
@@ -263,13 +239,12 @@ def _read_animation(
     times_by_accessor: dict[int, tuple[FloatArray, bool]] = {}
     ignored_targets: dict[str, None] = {}
     for channel in item.children("channels"):
-        resolved_target = read_channel_target(channel, nodes, meshes, ignored_targets)
+        target = read_channel_target(channel, nodes, meshes, ignored_targets)
         index = channel.index("sampler", len(samplers.items), "sampler")
         if index < 0:
             channel.fail_missing("sampler")
-        if resolved_target is None:
+        if target is None:
             continue
-        target = resolved_target
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
         if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
@@ -359,8 +334,6 @@ def _read_values(
         element_types = {"VEC3"}
     elif target.path is TargetPath.ROTATION:
         element_types, component_types = {"VEC4"}, {FLOAT_COMPONENT, *SMALL_INTEGERS}
-    elif target.path is TargetPath.WEIGHTS:
-        component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
     else:
         component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
     if (
@@ -435,7 +408,6 @@ def _check_unit_length(
         message = (
             f"rotation keys have lengths from {shortest**0.5:.6g} to {longest**0.5:.6g}"
         )
-        notes: FileNotices = samplers.items[index].notes
-        notes.warn(
+        channel.notes.warn(
             "GLT103", channel.pointer_to("sampler"), f"{message}: they are normalised"
         )

@@ -175,10 +175,8 @@ def _convert_cubic_keys(
     if not is_free or deviation > HANDLE_TOLERANCE * float(durations.max(initial=1.0)):
         return None
     third_duration = (np.diff(seconds) / 3)[:, None]
-    in_slopes, out_slopes = (
-        np.zeros(channel.values.shape),
-        np.zeros(channel.values.shape),
-    )
+    in_slopes = np.zeros(channel.values.shape)
+    out_slopes = np.zeros(channel.values.shape)
     out_slopes[:-1] = outs[:, 1:] / third_duration
     in_slopes[1:] = -ins[:, 1:] / third_duration
     return SamplerKeys(seconds, channel.values, "CUBICSPLINE", in_slopes, out_slopes)

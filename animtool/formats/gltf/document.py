@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import Severity, excerpt, listed
+from animtool.core.errors import excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node, SkinEntry, find_root_nodes
@@ -62,33 +62,19 @@ _IGNORED_LISTS = ("materials", "textures", "images", "samplers", "cameras")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Gltf:
-    """The contents of a glTF file.
+    """The contents of a glTF file."""
 
-    Attributes:
-        path: Path of the file.
-        nodes: Nodes in file order.
-        skins: Skins in file order.
-        meshes: Meshes in file order.
-        animations: Animations in file order.
-        scenes: Root nodes of each scene.
-        default_scene: Index of the default scene; -1 if there is none.
-        accessors: Accessors of the file.
-        root: The JSON.
-        notes: Collects warnings and notes.
-        ignored_contents: Labels of contents that are not read.
-    """
-
-    path: Path
-    nodes: tuple[Node, ...]
-    skins: tuple[SkinEntry, ...]
-    meshes: tuple[MeshEntry, ...]
-    animations: tuple[Animation, ...]
-    scenes: list[list[int]]
-    default_scene: int
-    accessors: Accessors
-    root: JsonItem
-    notes: FileNotices
-    ignored_contents: tuple[str, ...]
+    path: Path  # path of the file
+    nodes: tuple[Node, ...]  # nodes in file order
+    skins: tuple[SkinEntry, ...]  # skins in file order
+    meshes: tuple[MeshEntry, ...]  # meshes in file order
+    animations: tuple[Animation, ...]  # animations in file order
+    scenes: list[list[int]]  # root nodes of each scene
+    default_scene: int  # index of the default scene; -1 if there is none
+    accessors: Accessors  # accessors of the file
+    root: JsonItem  # the JSON
+    notes: FileNotices  # collects warnings and notes
+    ignored_contents: tuple[str, ...]  # labels of contents that are not read
 
 
 @expects_format("GLT001", "a glTF file")
@@ -100,7 +86,8 @@ def open_gltf(path: Path | str) -> Gltf:
     root = container.root
     _check_asset(root, notes)
     _check_extensions(container, notes, path)
-    accessors = _read_accessors(container, path, notes)
+    unused_indices = find_unused_indices(root.values)
+    accessors = Accessors(container, path.parent, notes, unused_indices)
     entry_counts = [_entry_count(root, key) for key in ("meshes", "skins")]
     nodes = read_nodes(root, notes, *entry_counts)
     scenes, default_scene = read_scenes(root, notes, nodes)
@@ -124,18 +111,6 @@ def open_gltf(path: Path | str) -> Gltf:
     )
     _check_skins(gltf)
     return gltf
-
-
-def _read_accessors(container: Container, path: Path, notes: FileNotices) -> Accessors:
-    unused_indices = find_unused_indices(container.root.values)
-    return Accessors(
-        container,
-        path.parent,
-        notes,
-        unused_indices.accessors,
-        unused_indices.views,
-        unused_indices.buffers,
-    )
 
 
 def _entry_count(root: JsonItem, key: str) -> int:
@@ -174,11 +149,7 @@ def _check_extensions(container: Container, notes: FileNotices, path: Path) -> N
         where = f"{root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
             notes.fail("GLT005", where, "the name of an extension must be text")
-        if (
-            name in SUPPORTED_EXTENSIONS
-            or name in APPEARANCE_EXTENSIONS
-            or name.startswith(APPEARANCE_PREFIXES)
-        ):
+        if _can_read_without(name):
             continue
         hint = "export the file without it"
         if name in UNPACK_COMMANDS:
@@ -218,16 +189,13 @@ def _find_ignored_contents(container: Container) -> tuple[str, ...]:
     names = _used_extensions(root) if container.may_have_extensions else {}
     if "KHR_lights_punctual" in names:
         labels.append("lights")
-    labels += [
-        name
-        for name in names
-        if not (
-            name in SUPPORTED_EXTENSIONS
-            or name in APPEARANCE_EXTENSIONS
-            or name.startswith(APPEARANCE_PREFIXES)
-        )
-    ]
-    return tuple(labels)
+    return (*labels, *(name for name in names if not _can_read_without(name)))
+
+
+def _can_read_without(extension: str) -> bool:
+    """Return whether an extension is supported, or affects only appearance."""
+    is_known = extension in SUPPORTED_EXTENSIONS | APPEARANCE_EXTENSIONS
+    return is_known or extension.startswith(APPEARANCE_PREFIXES)
 
 
 def _used_extensions(root: JsonItem) -> dict[str, str]:
@@ -282,10 +250,7 @@ def _check_skins(gltf: Gltf) -> None:
             gltf.notes.warn("GLT106", f"{skin.where}/skeleton", message)
         if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"
-            severity = Severity.WARNING
-            gltf.notes.warn(
-                "GLT106", f"{skin.where}/joints", message, severity=severity
-            )
+            gltf.notes.warn("GLT106", f"{skin.where}/joints", message)
 
 
 def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
@@ -307,12 +272,13 @@ def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
 
 def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
     """Read the accessors of a mesh primitive; raise if data is missing."""
-    accessor_indices = [primitive.position, primitive.indices, *primitive.joints]
-    accessor_indices += [
+    for index in (
+        primitive.position,
+        primitive.indices,
+        *primitive.joints,
         *primitive.weights,
         *(target.position for target in primitive.targets),
-    ]
-    for index in accessor_indices:
+    ):
         if index >= 0:
             accessors.numbers(index)
 
@@ -321,8 +287,3 @@ def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
     while node >= 0 and node != ancestor:
         node = gltf.nodes[node].parent
     return node == ancestor
-
-
-def ignored_contents_text(gltf: Gltf) -> str:
-    """Return a text that lists ignored contents; empty if there are none."""
-    return listed(gltf.ignored_contents)

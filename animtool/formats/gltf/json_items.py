@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from typing import Any, NoReturn
 
 from animtool.core.errors import excerpt
@@ -35,6 +34,11 @@ def is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
+def _is_integer(value: Any) -> bool:
+    """Return whether a JSON value is an integer, also if written as 1.0."""
+    return is_number(value) and math.isfinite(value) and value == int(value)
+
+
 @dataclass(frozen=True, slots=True)
 class JsonItem:
     """An object of the JSON with its pointer."""
@@ -61,7 +65,7 @@ class JsonItem:
         if key not in self.values:
             return None
         value = self.values[key]
-        if is_number(value) and math.isfinite(value) and value == int(value):
+        if _is_integer(value):
             return int(value)
         return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
 
@@ -81,30 +85,18 @@ class JsonItem:
         value = self.number(key)
         if value is None:
             return -1
-        self.check_index(key, value, count, noun)
-        return value
-
-    def check_index(self, key: str, value: int, count: int, noun: str) -> None:
-        """Raise for an index out of range."""
         if not 0 <= value < count:
             range_text = f"0 to {count - 1}" if count else "none"
-            self.fail(
-                key,
-                f"{noun} {value} does not exist; the file has {range_text}",
-                "GLT006",
-            )
+            message = f"{noun} {value} does not exist; the file has {range_text}"
+            self.fail(key, message, "GLT006")
+        return value
 
     def indices(self, key: str, count: int, noun: str) -> list[int]:
         """Return a list of indices; empty if missing."""
         entries = self.read_list(key)
         for i, value in enumerate(entries):
-            is_integer = (
-                is_number(value) and math.isfinite(value) and value == int(value)
-            )
-            if not is_integer:
-                self.fail(
-                    f"{key}", f"entry {i} is {excerpt(repr(value))}, not an integer"
-                )
+            if not _is_integer(value):
+                self.fail(key, f"entry {i} is {excerpt(repr(value))}, not an integer")
             if not 0 <= value < count:
                 message = f"{noun} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
@@ -167,15 +159,14 @@ class JsonItem:
 
     def children(self, key: str) -> list[JsonItem]:
         """Return a list of objects; empty if missing."""
-        return list(self._children(key))
-
-    def _children(self, key: str) -> Iterator[JsonItem]:
-        pointer = self.pointer_to(key)
+        items = []
         for i, value in enumerate(self.read_list(key)):
+            pointer = f"{self.pointer_to(key)}/{i}"
             if not isinstance(value, dict):
                 message = f"must be an object, not {excerpt(repr(value))}"
-                self.notes.fail("GLT005", f"{pointer}/{i}", message)
-            yield JsonItem(value, f"{pointer}/{i}", self.notes)
+                self.notes.fail("GLT005", pointer, message)
+            items.append(JsonItem(value, pointer, self.notes))
+        return items
 
     def extension(self, name: str) -> JsonItem | None:
         """Return an extension of the object; None if missing."""

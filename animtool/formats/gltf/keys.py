@@ -53,23 +53,17 @@ def build_clip(
                 continue
             channel, extra_keys = _track_channel(target, tracks[row], path, frames)
             channels.append(channel)
-            spline_count, added_key_count = (
-                spline_count + (extra_keys > 0),
-                added_key_count + extra_keys,
-            )
+            spline_count = spline_count + (extra_keys > 0)
+            added_key_count = added_key_count + extra_keys
     last_frame = frames.first + frames.count - 1
     clip = Clip(name, frames.fps, frames.first, last_frame, tuple(channels))
     if not spline_count:
         return clip, []
     message = (
         f"{counted(spline_count, 'rotation')} with cubic splines, which clips do not "
-        "have: "
+        f"have: {counted(added_key_count, 'key')} added between those of the file keep "
+        f"them within {np.degrees(SLERP_TOLERANCE):.2g} degrees"
     )
-    message += (
-        f"{counted(added_key_count, 'key')} added between those of the file keep them "
-        "within "
-    )
-    message += f"{np.degrees(SLERP_TOLERANCE):.2g} degrees"
     return clip, [Fault("GLT118", message, severity=Severity.NOTE)]
 
 
@@ -181,16 +175,12 @@ def _slerp_keys(
             ),
         )
         needs_split = errors > SLERP_TOLERANCE
-        starts, ends, middles = (
-            starts[needs_split],
-            ends[needs_split],
-            middles[needs_split],
-        )
+        starts = starts[needs_split]
+        ends = ends[needs_split]
+        middles = middles[needs_split]
         times.append(middles)
-        starts, ends = (
-            np.concatenate([starts, middles]),
-            np.concatenate([middles, ends]),
-        )
+        starts = np.concatenate([starts, middles])
+        ends = np.concatenate([middles, ends])
     all_times = np.unique(np.concatenate(times))
     values = so3.align_signs(track.sample(all_times))
     channel = _clip_channel(

@@ -12,7 +12,7 @@ from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
-from animtool.formats.gltf.document import Gltf, ignored_contents_text, open_gltf
+from animtool.formats.gltf.document import Gltf, open_gltf
 from animtool.formats.gltf.keys import build_clip
 from animtool.formats.gltf.rig import build_rig, scale_notice
 from animtool.formats.gltf.sampling import (
@@ -116,7 +116,7 @@ def take_names(path: Path) -> list[str]:
 
 def _ignored_contents_notice(gltf: Gltf, animation: Animation | None) -> list[Fault]:
     """Return a notice that lists contents that takes cannot store, if any."""
-    contents = [ignored_contents_text(gltf)] if gltf.ignored_contents else []
+    contents = [listed(gltf.ignored_contents)] if gltf.ignored_contents else []
     tracks = () if animation is None else animation.tracks
     if any(track.path is TargetPath.VISIBLE for track in tracks):
         contents.append("animated visibility")

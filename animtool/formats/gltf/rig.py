@@ -18,9 +18,8 @@ from animtool.formats.characters.names import joint_names, renamed_joints_notice
 from animtool.formats.characters.nodes import SCALE_TOLERANCE
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.document import Gltf
-from animtool.formats.gltf.surfaces import build_meshes, find_shape_names, mesh_names
+from animtool.formats.gltf.surfaces import build_meshes
 from animtool.formats.gltf.vrm import humanoid_bones
-from animtool.rig.parts import Mesh, Shape
 from animtool.rig.skeleton import Joint, Rig
 
 MAX_LISTED_JOINTS = 6
@@ -29,25 +28,16 @@ _CONTROL = re.compile(f"[{CONTROL}]")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class GltfRig:
-    """A rig with the nodes that its joints and shapes come from.
+    """A rig with the nodes that its joints and shapes come from."""
 
-    Attributes:
-        rig: J joints.
-        node_of_joint: Node of each joint; -1 for a joint that only carries a mesh.
-        joint_of_node: Joint of each node of the file; -1 for nodes that are not joints.
-        folded_scales: By node, the uniform scale folded into the lengths below it
-            ``(N,)`` [1].
-        remaining_scales: Scales at rest that are not folded ``(J, 3)`` [1].
-        shape_sources: Node and morph target of each shape.
-        notices: Warnings about data that rigs cannot store.
-    """
-
-    rig: Rig
-    node_of_joint: IntArray
+    rig: Rig  # J joints
+    # Joint of each node of the file; -1 for nodes that are not joints.
     joint_of_node: IntArray
+    # By node, the uniform scale folded into the lengths below it ``(N,)`` [1].
     folded_scales: FloatArray
-    remaining_scales: FloatArray
-    shape_sources: tuple[tuple[int, int], ...]
+    remaining_scales: FloatArray  # scales at rest that are not folded ``(J, 3)`` [1]
+    shape_sources: tuple[tuple[int, int], ...]  # node and morph target of each shape
+    # Warnings about data that rigs cannot store.
     notices: list[Fault] = field(default_factory=list)
 
 
@@ -57,16 +47,12 @@ def build_rig(
     name: str,
     meters_per_unit: float = 1.0,
     up: UpAxis = UpAxis.Y,
-    *,
-    read_surfaces: bool = True,
 ) -> GltfRig:
     """Return the rig of a character.
 
     Every node is a joint, except nodes of skinned meshes without children, whose
     transform has no effect. A uniform static scale is folded into the lengths below it;
     other scales remain in the takes.
-
-    ``read_surfaces`` selects whether to read meshes and shape offsets.
     """
     joint_nodes = [
         node
@@ -76,7 +62,8 @@ def build_rig(
     joint_nodes = joint_nodes or list(character.nodes)
     joint_of_node = np.full(len(gltf.nodes), -1, np.int64)
     joint_of_node[joint_nodes] = np.arange(len(joint_nodes))
-    folded_scales = _folded_scales(gltf, character)
+    is_folded = find_folded_nodes(gltf)
+    folded_scales = _folded_scales(gltf, character, is_folded)
     names, renamed = joint_names(
         [gltf.nodes[node] for node in joint_nodes], joint_nodes
     )
@@ -102,52 +89,24 @@ def build_rig(
     remaining_scales = np.array(
         [gltf.nodes[node].scale for node in joint_nodes], np.float64
     )
-    remaining_scales = np.where(
-        find_folded_nodes(gltf)[joint_nodes][:, None], 1.0, remaining_scales
-    )
+    remaining_scales = np.where(is_folded[joint_nodes][:, None], 1.0, remaining_scales)
     rig_without_meshes = Rig(name, tuple(rig_joints), meters_per_unit, up)
-    notices = renamed_joints_notice("GLT113", renamed, str(gltf.path))
-    meshes: tuple[Mesh, ...] = ()
-    shapes: tuple[Shape, ...] = ()
-    shape_sources: tuple[tuple[int, int], ...] = ()
-    rig, nodes = rig_without_meshes, np.array(joint_nodes, np.int64)
-    if read_surfaces:
-        binder = SkinBinder(
-            gltf, rig_without_meshes, joint_of_node, folded_scales, remaining_scales
-        )
-        meshes, shapes, shape_sources, mesh_notices = build_meshes(
-            gltf, character, binder
-        )
-        rig, nodes = binder.build_rig(meshes, shapes), binder.joint_nodes(nodes)
-        notices += [*mesh_notices, *binder.notices]
-        remaining_scales = np.concatenate(
-            [remaining_scales, np.ones((len(nodes) - len(remaining_scales), 3))]
-        )
-    else:
-        shape_sources, shapes = shape_keys(gltf, character)
-        rig = Rig(name, tuple(rig_joints), meters_per_unit, up, shapes=shapes)
+    binder = SkinBinder(gltf, rig_without_meshes, joint_of_node, folded_scales)
+    meshes, shapes, shape_sources, notices = build_meshes(gltf, character, binder)
+    rig = binder.build_rig(meshes, shapes)
+    helper_scales = np.ones((len(rig.joints) - len(remaining_scales), 3))
     return GltfRig(
         rig,
-        nodes,
         joint_of_node,
         folded_scales,
-        remaining_scales,
+        np.concatenate([remaining_scales, helper_scales]),
         shape_sources,
-        notices,
+        [
+            *renamed_joints_notice("GLT113", renamed, str(gltf.path)),
+            *notices,
+            *binder.notices,
+        ],
     )
-
-
-def shape_keys(
-    gltf: Gltf, character: CharacterNodes
-) -> tuple[tuple[tuple[int, int], ...], tuple[Shape, ...]]:
-    """Return node and morph target of each shape, and the shapes without offsets."""
-    shape_sources: list[tuple[int, int]] = []
-    meshes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
-    for node in meshes:
-        count = gltf.meshes[gltf.nodes[node].mesh].targets
-        shape_sources += [(node, target) for target in range(count)]
-    names = find_shape_names(gltf, shape_sources, mesh_names(gltf, meshes))
-    return tuple(shape_sources), tuple(Shape(name) for name in names)
 
 
 def _is_skinned_mesh_only(gltf: Gltf, node: int) -> bool:
@@ -201,9 +160,10 @@ def find_folded_nodes(gltf: Gltf) -> BoolArray:
     return np.asarray(is_uniform)
 
 
-def _folded_scales(gltf: Gltf, character: CharacterNodes) -> FloatArray:
+def _folded_scales(
+    gltf: Gltf, character: CharacterNodes, is_folded: BoolArray
+) -> FloatArray:
     """Return the product of uniform scales from the root to each node ``(N,)``."""
-    is_folded = find_folded_nodes(gltf)
     folded_scales = np.ones(len(gltf.nodes))
     for node in character.nodes:
         gltf_node = gltf.nodes[node]

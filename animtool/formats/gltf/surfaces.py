@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -35,39 +35,31 @@ def build_meshes(
     """Return meshes, shapes, the node and morph target of each shape, and notices."""
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
+    shape_keys = [
+        (node, target)
+        for node in nodes
+        for target in range(gltf.meshes[gltf.nodes[node].mesh].targets)
+    ]
+    remaining_names = iter(_shape_names(gltf, shape_keys, names))
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    shape_keys: list[ShapeKey] = []
     empty_meshes: list[str] = []
-    arrays_by_node: list[tuple[str, list[LoadedArray], list[LoadedArray | None]]] = []
     for node in nodes:
         mesh = _build_mesh(gltf, node, names[node], binder)
-        target_count = gltf.meshes[gltf.nodes[node].mesh].targets
         if mesh is None:
             empty_meshes.append(names[node])
-            deltas: list[LoadedArray] = []
-            normals: list[LoadedArray | None] = []
-            shape_keys += [(node, target) for target in range(target_count)]
-            arrays_by_node.append(("", deltas, normals))
+            target_count = gltf.meshes[gltf.nodes[node].mesh].targets
+            shapes += [Shape(next(remaining_names)) for _ in range(target_count)]
             continue
         meshes.append(mesh)
-        shape_keys += [(node, target) for target in range(target_count)]
-        arrays_by_node.append((names[node], *_morph_offsets(gltf, node)))
-    remaining_names = iter(find_shape_names(gltf, shape_keys, names))
-    target_arrays = iter(arrays_by_node)
-    for node in nodes:
-        name, deltas, normals = next(target_arrays)
-        for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-            shape = next(remaining_names)
-            arrays = (deltas[target], normals[target]) if name else (None, None)
-            shapes.append(Shape(shape, name, *arrays))
+        for deltas, normals in _morph_offsets(gltf, node):
+            shapes.append(Shape(next(remaining_names), mesh.name, deltas, normals))
     notices = []
     if empty_meshes:
         message = (
             f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
-            "lines, "
+            f"lines, or with no geometry, skipped: {listed(empty_meshes)}"
         )
-        message += f"or with no geometry, skipped: {listed(empty_meshes)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
@@ -83,7 +75,7 @@ def mesh_names(gltf: Gltf, nodes: Sequence[int]) -> dict[int, str]:
     return dict(zip(nodes, numbered_names(names), strict=True))
 
 
-def find_shape_names(
+def _shape_names(
     gltf: Gltf, keys: Sequence[ShapeKey], name_of_mesh: dict[int, str]
 ) -> list[str]:
     """Return unique shape names, prefixed with the mesh if ambiguous."""
@@ -139,14 +131,15 @@ def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | 
     ]
     skin, geometry = _build_skin(gltf, node, vertex_sets, binder)
     bind = tuple(geometry.ravel().tolist())
+    normals = _vertex_normals(gltf, vertex_sets)
     return Mesh(
         name,
         LoadedArray(np.concatenate(points)),
         LoadedArray(np.concatenate(faces).astype(np.float64)),
-        _vertex_normals(gltf, vertex_sets),
+        normals,
         None if (geometry == np.eye(4)).all() else bind,
         skin,
-        None if _vertex_normals(gltf, vertex_sets) is not None else Subdivision.NONE,
+        Subdivision.NONE if normals is None else None,
     )
 
 
@@ -199,29 +192,25 @@ def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:
 
 def _morph_offsets(
     gltf: Gltf, node: int
-) -> tuple[list[LoadedArray], list[LoadedArray | None]]:
-    """Return point and normal offsets of each morph target."""
+) -> Iterator[tuple[LoadedArray, LoadedArray | None]]:
+    """Yield point and normal offsets of each morph target."""
     vertex_sets = _shared_vertices(gltf, node)
-    deltas: list[LoadedArray] = []
-    normals: list[LoadedArray | None] = []
-    has_normals = _vertex_normals(gltf, vertex_sets) is not None
+    has_normals = all(vertices.primitive.normal >= 0 for vertices in vertex_sets)
     for target in range(gltf.meshes[gltf.nodes[node].mesh].targets):
-        point_rows: list[FloatArray] = []
-        normal_rows: list[FloatArray] = []
-        for vertices in vertex_sets:
-            morph = vertices.primitive.targets[target]
-            for index, rows in (
-                (morph.position, point_rows),
-                (morph.normal, normal_rows),
-            ):
-                is_stored = index >= 0
-                zeros = np.zeros((vertices.count, 3))
-                rows.append(gltf.accessors.floats(index) if is_stored else zeros)
-        deltas.append(LoadedArray(np.concatenate(point_rows)))
-        normal_offsets = np.concatenate(normal_rows)
-        normals.append(
-            LoadedArray(normal_offsets)
-            if has_normals and normal_offsets.any()
-            else None
+        targets = [vertices.primitive.targets[target] for vertices in vertex_sets]
+        deltas, normals = (
+            np.concatenate(
+                [
+                    np.zeros((vertices.count, 3))
+                    if index < 0
+                    else gltf.accessors.floats(index)
+                    for index, vertices in zip(indices, vertex_sets, strict=True)
+                ]
+            )
+            for indices in (
+                [target.position for target in targets],
+                [target.normal for target in targets],
+            )
         )
-    return deltas, normals
+        has_normal_offsets = has_normals and normals.any()
+        yield LoadedArray(deltas), LoadedArray(normals) if has_normal_offsets else None

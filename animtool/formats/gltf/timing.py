@@ -15,6 +15,7 @@ from animtool.core.clock import MAX_FRAMES
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
+from animtool.formats.characters.names import unique_take_names
 from animtool.formats.gltf.animations import Animation
 
 # Candidate rates in order: the first with all keys on frames is used.
@@ -132,9 +133,8 @@ def _off_frame_fault(
     is_off_frame = _frame_distances(times, rate) > FRAME_TOLERANCE
     message = (
         f"{int(is_off_frame.sum())} of {len(times)} key times fall between the frames "
-        "at "
+        f"at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     )
-    message += f"{rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
     return Fault(
         "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where
@@ -156,10 +156,4 @@ def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]
 
 def unique_clip_names(animations: Iterable[Animation]) -> list[str]:
     """Return a unique name for each animation; unnamed ones are numbered."""
-    from animtool.core.names import numbered_names
-
-    names = [
-        "".join(c if c.isprintable() else "_" for c in animation.name or "").strip()
-        for animation in animations
-    ]
-    return numbered_names(name or f"clip_{i + 1}" for i, name in enumerate(names))
+    return unique_take_names((animation.name or "" for animation in animations), "clip")

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
 from animtool.core.units import UpAxis
 from animtool.formats.gltf.glb import GlbBuilder
@@ -44,16 +41,9 @@ def build_gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         notices += write_clip(
             builder, written_take, name, written_rig, scales, options.tolerance
         )
-    clock = take.clock
-    frame_span = FrameSpan(clock.span.first, clock.span.last, clock.span.fps)
-    contents = {path: _output_chunks(builder, path)}
-    return TakeFiles(contents, frame_span, len(rig.joints), notices)
-
-
-def _output_chunks(builder: GlbBuilder, path: Path) -> Any:
-    if path.suffix.lower() == ".gltf":
-        return builder.gltf_chunks()
-    return builder.glb_chunks()
+    is_gltf = path.suffix.lower() == ".gltf"
+    contents = {path: builder.gltf_chunks() if is_gltf else builder.glb_chunks()}
+    return TakeFiles(contents, take.clock.span, len(rig.joints), notices)
 
 
 def _rotate_to_y_up(take: Take) -> Take:
@@ -76,7 +66,7 @@ def _rest_scales(take: Take) -> FloatArray:
 
 def _rest_weights(take: Take) -> dict[str, float]:
     weights = take.motion.weights
-    names: Sequence[str] = [shape.name for shape in take.rig.shapes]
+    names = [shape.name for shape in take.rig.shapes]
     if weights is None:
         return {}
     rest = weights.rest.copy()

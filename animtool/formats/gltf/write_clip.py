@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import field
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -24,6 +23,7 @@ from animtool.formats.gltf.sampling import NativeKeys
 from animtool.formats.gltf.write_rig import RigIndices
 from animtool.motion.motion import Channel
 from animtool.motion.take import Take
+from animtool.rig.skeleton import Rig
 
 # A static value this close to that of the node needs no channel.
 STATIC_TOLERANCE = 1e-9
@@ -36,6 +36,7 @@ class _AnimationBuilder:
     builder: GlbBuilder
     samplers: list[dict[str, Any]] = field(default_factory=list)
     channels: list[dict[str, Any]] = field(default_factory=list)
+    # Node, path and keys of each animated property.
     tracks: list[tuple[int, str, SamplerKeys]] = field(default_factory=list)
     # By the id of times: the times, which keeps the id unique, and their accessor.
     inputs: dict[int, tuple[FloatArray, int]] = field(default_factory=dict)
@@ -49,10 +50,6 @@ class _AnimationBuilder:
                 self.builder.add_accessor(rows, with_bounds=True),
             )
         return self.inputs[id(times)][1]
-
-    def add(self, node: int, path: str, keys: SamplerKeys) -> None:
-        """Add the keys of one animated property of a node."""
-        self.tracks.append((node, path, keys))
 
     def lasts_until(self, end: float) -> bool:
         """Return whether keys last until a time [s]; extend a static track to it."""
@@ -69,19 +66,17 @@ class _AnimationBuilder:
     def write(self) -> None:
         """Write the samplers and channels of all added keys."""
         for node, path, keys in self.tracks:
-            self._write(node, path, keys)
-
-    def _write(self, node: int, path: str, keys: SamplerKeys) -> None:
-        rows = keys.accessor_rows(scalars=path == "weights")
-        sampler: dict[str, Any] = {
-            "input": self.input(keys.times),
-            "output": self.builder.add_accessor(rows.astype(np.float32, copy=False)),
-        }
-        if keys.interpolation != "LINEAR":
-            sampler["interpolation"] = keys.interpolation
-        target = {"node": node, "path": path}
-        self.channels.append({"sampler": len(self.samplers), "target": target})
-        self.samplers.append(sampler)
+            rows = keys.accessor_rows(scalars=path == "weights")
+            rows = rows.astype(np.float32, copy=False)
+            sampler: dict[str, Any] = {
+                "input": self.input(keys.times),
+                "output": self.builder.add_accessor(rows),
+            }
+            if keys.interpolation != "LINEAR":
+                sampler["interpolation"] = keys.interpolation
+            target = {"node": node, "path": path}
+            self.channels.append({"sampler": len(self.samplers), "target": target})
+            self.samplers.append(sampler)
 
 
 def write_clip(
@@ -111,9 +106,7 @@ def write_clip(
     seconds = (clock.times - float(clock.start)) / float(clock.fps)
     animation = _AnimationBuilder(builder)
     source_keys = {} if tolerance is not None else _source_keys(take)
-    position_bounds = None
-    if tolerance is not None:
-        position_bounds = joint_bounds(take.rig, tolerance, {})
+    tolerances = {} if tolerance is None else _key_tolerances(take.rig, tolerance)
     motion, rig = take.motion, take.rig
     channels: list[tuple[str, Channel | None, FloatArray]] = [
         ("translation", motion.translations, rig.rest_translations),
@@ -123,19 +116,17 @@ def write_clip(
     for path, channel, rest in channels:
         if channel is None:
             continue
-        samples = _samples_by_row(channel, as_float32=position_bounds is None)
+        samples = _samples_by_row(channel, as_float32=tolerance is None)
         for j in range(len(rig.joints)):
             values = samples.get(j, channel.rest[j][None])
             keys = _joint_keys(path, values, rest[j], seconds)
             if keys is not None and len(keys.times) > 1:
                 if (j, path) in source_keys:
                     keys = source_keys[j, path]
-                elif position_bounds is not None:
-                    keys = reduce_keys(
-                        keys, _key_tolerance(path, j, position_bounds, take)
-                    )
+                elif tolerances:
+                    keys = reduce_keys(keys, float(tolerances[path][j]))
             if keys is not None:
-                animation.add(rig_indices.joints[j], path, keys)
+                animation.tracks.append((rig_indices.joints[j], path, keys))
     lost_notices = _write_weights(
         animation, take, rig_indices, seconds, source_keys, tolerance
     )
@@ -152,7 +143,8 @@ def write_clip(
         "name": name,
         "channels": animation.channels,
         "samplers": animation.samplers,
-        "extras": {"animtool": _timing_extras(clock.fps, clock.start)},
+        # The reader restores the frames from these.
+        "extras": {"animtool": {"fps": str(clock.fps), "start": str(clock.start)}},
     }
     builder.add("animations", entry)
     return lost_notices
@@ -180,15 +172,11 @@ def _add_static_key(
     for path, rest in rests.items():
         for node, row in zip(rig_indices.joints, rest, strict=True):
             if (node, path) not in keyed_paths:
-                animation.add(node, path, _single_key(row, times))
+                animation.tracks.append((node, path, _single_key(row, times)))
                 return
     if not rig.joints:
-        animation.add(0, "translation", _single_key(np.zeros(3), times))
-
-
-def _timing_extras(fps: Fraction, start: Fraction) -> dict[str, Any]:
-    """Return the extras from which the reader restores the frames."""
-    return {"fps": str(fps), "start": str(start)}
+        key = _single_key(np.zeros(3), times)
+        animation.tracks.append((0, "translation", key))
 
 
 def _single_key(row: FloatArray, times: FloatArray) -> SamplerKeys:
@@ -240,19 +228,19 @@ def _joint_keys(
     return None if difference <= STATIC_TOLERANCE else _single_key(first_value, seconds)
 
 
-def _key_tolerance(
-    path: str, joint: int, position_bounds: FloatArray, take: Take
-) -> float:
-    """Return the key tolerance of a joint: [m], [rad] or [1]."""
-    bound = float(position_bounds[joint])
-    if path == "translation":
-        return bound
-    return bound / max(SHELL_DISTANCE, float(_joint_reaches(take)[joint]))
+def _key_tolerances(rig: Rig, tolerance: float) -> dict[str, FloatArray]:
+    """Return the key tolerances of all joints ``(J,)`` by path: [m], [rad] or [1]."""
+    bounds = joint_bounds(rig, tolerance, {})
+    bounds_per_reach = bounds / np.maximum(SHELL_DISTANCE, _joint_reaches(rig))
+    return {
+        "translation": bounds,
+        "rotation": bounds_per_reach,
+        "scale": bounds_per_reach,
+    }
 
 
-def _joint_reaches(take: Take) -> FloatArray:
+def _joint_reaches(rig: Rig) -> FloatArray:
     """Return the length of the longest joint chain below each joint ``(J,)`` [m]."""
-    rig = take.rig
     reaches = np.zeros(len(rig.joints))
     lengths = np.linalg.norm(rig.rest_translations, axis=1)
     for j in range(len(rig.joints) - 1, -1, -1):
@@ -283,7 +271,8 @@ def _write_weights(
         mesh = document["meshes"][document["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
             if np.abs(values[0] - mesh["weights"]).max() > STATIC_TOLERANCE:
-                animation.add(node, "weights", _static_weight_keys(values[:1], seconds))
+                key = _single_key(values[0], seconds)
+                animation.tracks.append((node, "weights", key))
             continue
         keys = SamplerKeys(seconds, values)
         if tolerance is not None:
@@ -291,7 +280,7 @@ def _write_weights(
         track_keys = _combine_weights(
             [source_keys.get((row, "weight")) for row in shape_rows], values
         )
-        animation.add(node, "weights", keys if track_keys is None else track_keys)
+        animation.tracks.append((node, "weights", track_keys or keys))
     unwritten_names = [
         names[row]
         for row in weights.animated.tolist()
@@ -304,10 +293,6 @@ def _write_weights(
 
 
 WEIGHT_TOLERANCE = 1e-3
-
-
-def _static_weight_keys(values: FloatArray, seconds: FloatArray) -> SamplerKeys:
-    return SamplerKeys(seconds[:1], values)
 
 
 def _have_same_times(first: SamplerKeys, second: SamplerKeys) -> bool:
@@ -349,21 +334,15 @@ def _combine_weights(
     ``samples`` ``(F, S)`` are the weights over frames; static weights use the key times
     of the others.
     """
-    first_track = next(
-        (each_keys for each_keys in tracks if each_keys is not None), None
-    )
+    first_track = next((keys for keys in tracks if keys is not None), None)
     if first_track is None:
         return None
-    static = (samples == samples[:1]).all(axis=0).tolist()
-    tracks = [
-        _static_keys(first_track, float(samples[0, k]))
-        if each_keys is None and static[k]
-        else each_keys
-        for k, each_keys in enumerate(tracks)
-    ]
-    all_keys = [each_keys for each_keys in tracks if each_keys is not None]
-    if len(all_keys) < len(tracks):
-        return None
+    is_static = (samples == samples[:1]).all(axis=0).tolist()
+    all_keys = []
+    for k, keys in enumerate(tracks):
+        if keys is None and not is_static[k]:
+            return None
+        all_keys.append(keys or _static_keys(first_track, float(samples[0, k])))
     if not all(_have_same_times(track, first_track) for track in all_keys):
         return _merge_weights(all_keys)
 

@@ -34,10 +34,7 @@ class RigIndices:
 
 
 def write_rig(
-    builder: GlbBuilder,
-    rig: Rig,
-    scales: FloatArray,
-    weights: dict[str, float],
+    builder: GlbBuilder, rig: Rig, scales: FloatArray, weights: dict[str, float]
 ) -> RigIndices:
     """Write a rig with Y up, in metres.
 
@@ -225,11 +222,7 @@ def _carrier_joint(
 
 
 def _write_skin(
-    builder: GlbBuilder,
-    rig: Rig,
-    surface: Surface,
-    skin: SurfaceSkin,
-    bind: FloatArray,
+    builder: GlbBuilder, rig: Rig, surface: Surface, skin: SurfaceSkin, bind: FloatArray
 ) -> int:
     """Write the skin of a mesh and return its index; equal skins are shared."""
     joints = [rig.index(name) for name in skin.joints]
@@ -324,10 +317,8 @@ def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     padded = np.zeros((len(indices), width), np.int64)
     padded_weights = np.zeros((len(indices), width))
     kept_width = min(width, indices.shape[1])
-    padded[:, :kept_width], padded_weights[:, :kept_width] = (
-        indices[:, :kept_width],
-        weights[:, :kept_width],
-    )
+    padded[:, :kept_width] = indices[:, :kept_width]
+    padded_weights[:, :kept_width] = weights[:, :kept_width]
     weight_sums = padded_weights.sum(axis=1, keepdims=True)
     padded_weights = np.where(
         weight_sums > 0,

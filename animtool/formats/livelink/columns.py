@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field, replace
+from dataclasses import field
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt,
 from animtool.core.files.reading import read_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
+from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE
 from animtool.rig.shapes import ARKIT_SHAPES, arkit_name
 
 # Names as written by the app; they are read case-insensitively.
@@ -20,6 +21,7 @@ TIMECODE_COLUMN, COUNT_COLUMN = "Timecode", "BlendShapeCount"
 # Rotations about the axes of the face: up, left, and forward.
 ANGLE_AXES = ("Yaw", "Pitch", "Roll")
 FACE_PARTS = ("Head", "LeftEye", "RightEye")
+JOINTS_BY_PART = dict(zip(FACE_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 ANGLE_COLUMNS = tuple(part + axis for part in FACE_PARTS for axis in ANGLE_AXES)
 # Shapes in the order of the app.
 APP_SHAPES = (
@@ -56,7 +58,6 @@ APP_SHAPES = (
 MAX_COLUMNS = 4096
 MAX_BYTES = 1_000_000_000
 MAX_FAULTS = 100
-MAX_LISTED_COLUMNS = 12
 # Weights are about 1 and angles a few radians; larger values are missing.
 MAX_ABS_VALUE = 1e18
 _DELIMITERS = ",;\t"
@@ -65,27 +66,18 @@ _ANGLES_BY_LOWERCASE = {name.lower(): name for name in ANGLE_COLUMNS}
 
 @dataclass(slots=True)
 class Recording:
-    """The rows of a recording, in file order.
+    """The rows of a recording, in file order."""
 
-    Attributes:
-        path: Path of the file.
-        shapes: Name of each weight column, in ARKit's spelling if it is an ARKit shape.
-        angles: The `ANGLE_COLUMNS` in the file, in the order of ``rotations``.
-        labels: Time code of each row, as written.
-        lines: 1-based line number of each row ``(R,)``.
-        weights: Weights of the shapes ``(R, S)``; NaN if missing.
-        rotations: Angles [rad] ``(R, A)``; NaN if missing.
-        notices: Warnings about the file.
-    """
-
-    path: Path
+    path: Path  # path of the file
+    # Name of each weight column, in ARKit's spelling if it is an ARKit shape.
     shapes: tuple[str, ...]
+    # The `ANGLE_COLUMNS` in the file, in the order of ``rotations``.
     angles: tuple[str, ...]
-    labels: list[str]
-    lines: IntArray
-    weights: FloatArray
-    rotations: FloatArray
-    notices: list[Fault] = field(default_factory=list)
+    labels: list[str]  # time code of each row, as written
+    lines: IntArray  # 1-based line number of each row ``(R,)``
+    weights: FloatArray  # weights of the shapes ``(R, S)``; NaN if missing
+    rotations: FloatArray  # angles [rad] ``(R, A)``; NaN if missing
+    notices: list[Fault] = field(default_factory=list)  # warnings about the file
 
 
 @expects_format("LLF001", "a Live Link Face recording")
@@ -180,23 +172,13 @@ class _RecordingTable:
         if cells and len(cells[-1][1]) < column_count:
             number, row = cells.pop()
             message = f"the last row ends at column {len(row)}: skipped"
-            notices.append(
-                Fault(
-                    *("LLF103", message, str(self.path), (number,)),
-                    severity=Severity.WARNING,
-                )
-            )
-        faults = [
-            Fault(
-                "LLF003",
-                f"has {counted(len(row), 'column')}, but the header names "
-                f"{column_count}",
-                str(self.path),
-                (number,),
-            )
-            for number, row in cells
-            if len(row) != column_count
-        ]
+            notices.append(self._warning("LLF103", message, number))
+        faults = []
+        for number, row in cells:
+            if len(row) != column_count:
+                message = f"has {counted(len(row), 'column')}, but the header names "
+                message += str(column_count)
+                faults.append(Fault("LLF003", message, str(self.path), (number,)))
         if faults:
             raise FormatError(faults[:MAX_FAULTS])
         if not cells:
@@ -263,10 +245,8 @@ class _RecordingTable:
         message = (
             f"{COUNT_COLUMN} is {stated_counts[row]:g}, but the row has {values_text}"
         )
-        where = int(lines[row])
-        notice = Fault("LLF106", message, str(self.path), (where,))
-        return [_as_warning(notice)]
+        return [self._warning("LLF106", message, int(lines[row]))]
 
-
-def _as_warning(fault: Fault) -> Fault:
-    return replace(fault, severity=Severity.WARNING)
+    def _warning(self, code: str, message: str, line: int) -> Fault:
+        path, warning = str(self.path), Severity.WARNING
+        return Fault(code, message, path, (line,), severity=warning)

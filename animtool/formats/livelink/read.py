@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Literal, TypeAlias
@@ -24,6 +23,7 @@ from animtool.core.units import unit_name
 from animtool.formats.livelink.columns import (
     ANGLE_AXES,
     FACE_PARTS,
+    JOINTS_BY_PART,
     Recording,
     read_recording,
 )
@@ -41,7 +41,6 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 DroppedFrames: TypeAlias = Literal["interpolate", "hold", "close"]
 DROPPED_FRAME_OPTIONS: tuple[DroppedFrames, ...] = ("interpolate", "hold", "close")
 MAX_LISTED_SHAPES = 12
-_JOINTS_BY_PART = dict(zip(FACE_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
 # Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _DEFAULT_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
@@ -110,13 +109,7 @@ def read_livelink(
         details["rig"] = str(rig)
         notices = [*target_rig.notices, *notices]
     return TakeStream(
-        target_rig,
-        frames.rate,
-        None,
-        Fraction(1),
-        iter([motion]),
-        notices,
-        details,
+        target_rig, frames.rate, None, Fraction(1), iter([motion]), notices, details
     )
 
 
@@ -127,15 +120,11 @@ def read_livelink_rig(path: Path) -> Rig:
 
 def face_rig(recording: Recording) -> Rig:
     """Return the default rig of a recording: shapes without meshes, head, eyes."""
-    parts = [
-        part
-        for part in FACE_PARTS
-        if part == "Head" or part in _rotated_parts(recording)
-    ]
+    parts = ["Head", *(part for part in _rotated_parts(recording) if part != "Head")]
     joints = tuple(
         Joint(_JOINT_NAMES[joint], -1 if joint == HEAD else 0, JointType.BALL,
               _DEFAULT_POSITIONS[joint])
-        for joint in (_JOINTS_BY_PART[part] for part in parts)
+        for joint in (JOINTS_BY_PART[part] for part in parts)
     )  # fmt: skip
     shapes = tuple(Shape(name) for name in recording.shapes)
     return Rig(recording.path.stem, joints, shapes=shapes)
@@ -156,7 +145,7 @@ def _part_angles(recording: Recording) -> dict[str, FloatArray]:
     for part in _rotated_parts(recording):
         columns = [recording.angles.index(part + axis) for axis in ANGLE_AXES]
         angles = np.degrees(recording.rotations[:, columns])
-        angles_by_joint[_JOINTS_BY_PART[part]] = angles
+        angles_by_joint[JOINTS_BY_PART[part]] = angles
     return angles_by_joint
 
 
@@ -256,8 +245,8 @@ def _recording_notices(
             message = (
                 f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"
             )
-            fault = Fault("LLF102", message, path, tuple(lines[:MAX_LISTED_SHAPES]))
-            notices.append(replace(fault, severity=Severity.WARNING))
+            rows, warning = tuple(lines[:MAX_LISTED_SHAPES]), Severity.WARNING
+            notices.append(Fault("LLF102", message, path, rows, severity=warning))
     # Values are kept: some rigs exceed 1, and percentages are detected.
     with np.errstate(invalid="ignore"):
         out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)

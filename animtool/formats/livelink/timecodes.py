@@ -34,21 +34,13 @@ _LABEL = re.compile(r"(\d\d?):(\d\d):(\d\d)([:;])(\d\d\d?)(\.\d{1,9})?")
 
 @dataclass(frozen=True, slots=True)
 class TimecodeFrames:
-    """Frame rate, and the frame of each row.
+    """Frame rate, and the frame of each row."""
 
-    Attributes:
-        clock: Labels per second, exact.
-        step: Labels per frame.
-        rows: Indices of the rows that are used, sorted by time ``(N,)``.
-        frames: Frame of each used row, from 0, ascending ``(N,)``.
-        notices: Warnings about the timecodes.
-    """
-
-    clock: Fraction
-    step: int
-    rows: IntArray
-    frames: IntArray
-    notices: tuple[Fault, ...] = ()
+    clock: Fraction  # labels per second, exact
+    step: int  # labels per frame
+    rows: IntArray  # indices of the rows that are used, sorted by time ``(N,)``
+    frames: IntArray  # frame of each used row, from 0, ascending ``(N,)``
+    notices: tuple[Fault, ...] = ()  # warnings about the timecodes
 
     @property
     def rate(self) -> Fraction:
@@ -69,10 +61,7 @@ class TimecodeFrames:
 
 
 def row_frames(
-    labels: Sequence[str],
-    lines: IntArray,
-    path: str,
-    clock: Fraction | None = None,
+    labels: Sequence[str], lines: IntArray, path: str, clock: Fraction | None = None
 ) -> TimecodeFrames:
     """Return the frames of rows with timecodes ``HH:MM:SS:FF.mmm``.
 
@@ -91,11 +80,7 @@ def row_frames(
     is_drop_frame = any(";" in label for label in labels)
     if clock is not None:
         _check_stated_rate(fields, lines, path, clock, is_drop_frame)
-    rate = (
-        clock
-        if clock is not None
-        else _fit_timecode_rate(fields, is_drop_frame, path, notices)
-    )
+    rate = clock or _fit_timecode_rate(fields, is_drop_frame, path, notices)
     label_counts, fractions = _label_numbers(labels, rate, lines, path)
     labels_per_day = day_frames(rate, drop=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
@@ -233,15 +218,12 @@ def _frames_of_labels(times: IntArray, fractions: FloatArray) -> tuple[int, IntA
         if regular >= REGULAR_FRACTION:
             step = interval
             break
-    if (
-        _is_step_multiple(exact, step).mean() >= REGULAR_FRACTION
-        and np.ptp(fractions) > 0
-    ):
+    is_regular = _is_step_multiple(exact, step).mean() >= REGULAR_FRACTION
+    if is_regular and np.ptp(fractions) > 0:
         step_counts = np.round(exact / step)
-    else:
-        # The label is the frame, whatever fraction follows it.
-        return step, np.round(times / step).astype(np.int64)
-    return step, np.concatenate([[0], np.cumsum(step_counts)]).astype(np.int64)
+        return step, np.concatenate([[0], np.cumsum(step_counts)]).astype(np.int64)
+    # The label is the frame, whatever fraction follows it.
+    return step, np.round(times / step).astype(np.int64)
 
 
 def _is_step_multiple(exact: FloatArray, step: int) -> BoolArray:
@@ -258,22 +240,12 @@ def _unsorted_notice(order: IntArray, lines: IntArray, path: str) -> list[Fault]
         return []
     late_lines = lines[order[out_of_order + 1]].tolist()
     message = f"{counted(len(late_lines), 'row')} not in order of time: sorted"
-    notice = Fault(
-        "LLF104",
-        message,
-        path,
-        tuple(late_lines[:MAX_LISTED_LINES]),
-        None,
-        Severity.WARNING,
-    )
-    return [notice]
+    rows = tuple(late_lines[:MAX_LISTED_LINES])
+    return [Fault("LLF104", message, path, rows, None, Severity.WARNING)]
 
 
 def _repeated_notice(
-    is_first: BoolArray,
-    order: IntArray,
-    lines: IntArray,
-    path: str,
+    is_first: BoolArray, order: IntArray, lines: IntArray, path: str
 ) -> list[Fault]:
     repeats = sorted(lines[order[~is_first]].tolist())
     if not repeats:
@@ -282,13 +254,5 @@ def _repeated_notice(
         f"{counted(len(repeats), 'row')} for a frame that already has one: skipped, "
         f"lines {listed(repeats, MAX_LISTED_LINES)}"
     )
-    return [
-        Fault(
-            "LLF105",
-            message,
-            path,
-            tuple(repeats[:MAX_LISTED_LINES]),
-            None,
-            Severity.WARNING,
-        )
-    ]
+    rows = tuple(repeats[:MAX_LISTED_LINES])
+    return [Fault("LLF105", message, path, rows, None, Severity.WARNING)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from fractions import Fraction
-from pathlib import Path
 
 import numpy as np
 
@@ -17,34 +16,18 @@ from animtool.formats.livelink.columns import (
     APP_SHAPES,
     COUNT_COLUMN,
     FACE_PARTS,
+    JOINTS_BY_PART,
     TIMECODE_COLUMN,
 )
-from animtool.formats.take_text import TakeText, write_text
+from animtool.formats.take_text import TakeText
 from animtool.maths.euler import from_quaternion
 from animtool.maths.so3 import align_signs
 from animtool.motion.take import Take
-from animtool.rig.head import HEAD, LEFT_EYE, RIGHT_EYE, face_rotations, head_joints
+from animtool.rig.head import face_rotations, head_joints
 from animtool.rig.shapes import arkit_name
 
 # Decimals, as in files of the app.
 WEIGHT_DECIMALS = 10
-_JOINTS_BY_PART = dict(zip(FACE_PARTS, (HEAD, LEFT_EYE, RIGHT_EYE), strict=True))
-
-
-def write_livelink(
-    take: Take, path: Path | str, *, overwrite: bool = False
-) -> list[Fault]:
-    """Write a take as a Live Link Face recording; see `build_livelink_text`.
-
-    Args:
-        take: The take.
-        path: Path of the file, ``.csv``.
-        overwrite: Replace an existing file.
-
-    Returns:
-        Warnings about data that the format cannot store.
-    """
-    return write_text(take, path, build_livelink_text, overwrite=overwrite)
 
 
 def build_livelink_text(take: Take) -> TakeText:
@@ -99,7 +82,7 @@ def _head_and_eye_angles(take: Take) -> FloatArray:
     angles = np.zeros((take.clock.count, len(ANGLE_COLUMNS)))
     joints = head_joints(take.rig)
     for k, part in enumerate(FACE_PARTS):
-        joint = joints.get(_JOINTS_BY_PART[part])
+        joint = joints.get(JOINTS_BY_PART[part])
         if joint is None:
             continue
         local = take.motion.rotations.gather(np.array([joint]))[:, 0]

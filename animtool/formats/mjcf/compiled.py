@@ -162,11 +162,9 @@ def _build_link(
         link.joints.append(
             _build_joint(model, joint, translation, rotation, equalities)
         )
-        position, rotation, pivot = (
-            np.zeros(3),
-            np.array(IDENTITY_ROTATION),
-            joint_pivot,
-        )
+        position = np.zeros(3)
+        rotation = np.array(IDENTITY_ROTATION)
+        pivot = joint_pivot
     if link.joints:
         link.offset = float_vector(-pivot)
     else:

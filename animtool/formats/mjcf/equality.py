@@ -35,10 +35,8 @@ class JointEqualities:
             if not model.eq_active0[constraint]:
                 notes.leave_out(["equality that is not active"])
                 continue
-            follower, leader = (
-                int(model.eq_obj1id[constraint]),
-                int(model.eq_obj2id[constraint]),
-            )
+            follower = int(model.eq_obj1id[constraint])
+            leader = int(model.eq_obj2id[constraint])
             name = model.joint(follower).name
             if follower in rows:
                 message = f"joint {excerpt(name)} is tied to two others by equality"

@@ -58,23 +58,15 @@ MIN_MASS, MIN_INERTIA = 1e-9, 1e-13
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReducedModel:
-    """A model of only bodies, joints and simple shapes.
+    """A model of only bodies, joints and simple shapes."""
 
-    Attributes:
-        text: The XML.
-        elements: Source element of each line.
-        bodies: Body of each line; empty outside bodies.
-        with_unknown_mass: Bodies whose mass depends on meshes, which are not read.
-        idle: Whether there are actuators, and each acts on a joint.
-        actuated: Joints with actuators.
-    """
-
-    text: str
-    elements: list[XmlElement]
-    bodies: list[str]
+    text: str  # the XML
+    elements: list[XmlElement]  # source element of each line
+    bodies: list[str]  # body of each line; empty outside bodies
+    # Bodies whose mass depends on meshes, which are not read.
     with_unknown_mass: frozenset[str]
-    idle: bool
-    actuated: frozenset[str]
+    idle: bool  # whether there are actuators, and each acts on a joint
+    actuated: frozenset[str]  # joints with actuators
 
 
 def reduce_model(

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import euler
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.joints import coordinate_slices, rest_coordinates
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Rotation order of ball and free joints about rotating axes: R = Rx · Ry · Rz from the
@@ -93,10 +93,8 @@ def _dotted_name(rig: Rig, coordinate: Coordinate) -> str:
 
 def _short_name(rig: Rig, coordinate: Coordinate) -> str:
     name, axis = rig.joints[coordinate.joint_index].name, "xyz"[coordinate.axis]
-    suffix = {"rotation": f"_{axis}", "translation": f"_t{axis}"}.get(
-        coordinate.component, ""
-    )
-    return f"{name}{suffix}"
+    suffixes = {"rotation": f"_{axis}", "translation": f"_t{axis}"}
+    return name + suffixes.get(coordinate.component, "")
 
 
 def parse_coordinate_name(column: str) -> str | None:
@@ -144,23 +142,15 @@ def convert_columns_to_coordinates(
     Coordinates without a column are at rest.
     """
     slices = coordinate_slices(rig)
-    coordinates = np.zeros((len(values), slices[-1].stop if slices else 0))
+    coordinates = rest_coordinates(rig, len(values))
     rotations: dict[int, FloatArray] = {}
-    for joint, joint_slice in zip(rig.joints, slices, strict=True):
-        if joint.type in (JointType.BALL, JointType.FREE):
-            coordinates[:, joint_slice.stop - 1] = 1.0
     for coordinate, column in zip(columns, values.T, strict=True):
-        joint_slice = slices[coordinate.joint_index]
+        j = coordinate.joint_index
         if coordinate.component == "rotation":
-            angles = rotations.setdefault(
-                coordinate.joint_index, np.zeros((len(values), 3))
-            )
+            angles = rotations.setdefault(j, np.zeros((len(values), 3)))
             angles[:, coordinate.axis] = column
         else:
-            index = joint_slice.start + (
-                coordinate.axis if coordinate.component == "translation" else 0
-            )
-            coordinates[:, index] = (
+            coordinates[:, slices[j].start + coordinate.axis] = (
                 np.radians(column) if coordinate.is_angle else column
             )
     for j, angles in rotations.items():
@@ -177,21 +167,13 @@ def convert_coordinates_to_columns(
     values = np.zeros((len(coordinates), len(columns)))
     rotations: dict[int, FloatArray] = {}
     for c, coordinate in enumerate(columns):
-        joint_slice = slices[coordinate.joint_index]
+        j = coordinate.joint_index
         if coordinate.component == "rotation":
-            if coordinate.joint_index not in rotations:
-                quaternions = coordinates[:, joint_slice.stop - 4 : joint_slice.stop]
-                rotations[coordinate.joint_index] = euler.from_quaternion(
-                    quaternions, ROTATION_ORDER
-                )
-            values[:, c] = rotations[coordinate.joint_index][:, coordinate.axis]
+            if j not in rotations:
+                quaternions = coordinates[:, slices[j].stop - 4 : slices[j].stop]
+                rotations[j] = euler.from_quaternion(quaternions, ROTATION_ORDER)
+            values[:, c] = rotations[j][:, coordinate.axis]
         else:
-            index = joint_slice.start + (
-                coordinate.axis if coordinate.component == "translation" else 0
-            )
-            values[:, c] = (
-                np.degrees(coordinates[:, index])
-                if coordinate.is_angle
-                else coordinates[:, index]
-            )
+            column = coordinates[:, slices[j].start + coordinate.axis]
+            values[:, c] = np.degrees(column) if coordinate.is_angle else column
     return values

@@ -54,10 +54,7 @@ MAX_RADIANS = 4 * np.pi
 
 
 def read_mot(
-    path: Path | str,
-    *,
-    rig: Path | str | None = None,
-    fps: FractionLike | None = None,
+    path: Path | str, *, rig: Path | str | None = None, fps: FractionLike | None = None
 ) -> TakeStream:
     """Open an OpenSim motion file (MOT, STO) as a take.
 
@@ -201,10 +198,8 @@ def _resample_rows(
     if requested_rate is not None:
         return requested_rate, values, []
     if len(times) == 1:
-        message, hint = (
-            "has one row, which gives no rate",
-            f"set the rate with {argument('source.fps')}",
-        )
+        message = "has one row, which gives no rate"
+        hint = f"set the rate with {argument('source.fps')}"
         raise FormatError(Fault("MOF006", message, path, (), hint))
     duration = float(times[-1] - times[0])
     rounding = rounding_error(table.decimals)

@@ -20,11 +20,11 @@ from animtool.formats.delimited import (
     read_lines,
     split_cells,
 )
+from animtool.formats.trajectories import FLOAT32_MAX
 
 # OpenSim headers have about ten lines; those of results may have a page of remarks.
 MAX_HEADER_LINES = 1000
 MAX_COLUMNS = 10_000
-FLOAT32_MAX = float(np.finfo(np.float32).max)
 # OpenSim data types with one number per cell.
 _NUMBER_TYPES = {"", "double", "float", "real"}
 _UNSUPPORTED_TYPES = {
@@ -52,29 +52,17 @@ _BOOLEAN_WORDS = {
 
 @dataclass(frozen=True, slots=True)
 class MotionTable:
-    """Header, times and columns of a motion file.
+    """Header, times and columns of a motion file."""
 
-    Attributes:
-        path: Path of the file.
-        names: Names of the C columns, without the time.
-        values: ``(R, C)``, NaN if a cell is empty or not a finite number.
-        times: Times of the rows ``(R,)`` [s], ascending.
-        decimals: Largest number of decimals of the times.
-        lines: 1-based line number of each row ``(R,)``.
-        degrees: Whether angles are degrees; None if not stated.
-        in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
-        notices: Warnings about the file.
-    """
-
-    path: Path
-    names: tuple[str, ...]
-    values: FloatArray
-    times: FloatArray
-    decimals: int
-    lines: IntArray
-    degrees: bool | None
-    in_degrees: str
-    notices: tuple[Fault, ...]
+    path: Path  # path of the file
+    names: tuple[str, ...]  # names of the C columns, without the time
+    values: FloatArray  # ``(R, C)``, NaN if a cell is empty or not a finite number
+    times: FloatArray  # times of the rows ``(R,)`` [s], ascending
+    decimals: int  # largest number of decimals of the times
+    lines: IntArray  # 1-based line number of each row ``(R,)``
+    degrees: bool | None  # whether angles are degrees; None if not stated
+    in_degrees: str  # the value of inDegrees if it is neither yes nor no; else empty
+    notices: tuple[Fault, ...]  # warnings about the file
 
 
 @expects_format("MOF001", "an OpenSim motion file")
@@ -126,27 +114,16 @@ def _table_error(
 
 @dataclass(frozen=True, slots=True)
 class MotHeader:
-    """Header values above the rows.
+    """Header values above the rows."""
 
-    Attributes:
-        names: Names of the C columns, without the time.
-        counts: ``rows`` and ``columns``, and ``rate`` [1/s], if stated.
-        degrees: Whether angles are degrees; None if not stated.
-        in_degrees: The value of inDegrees if it is neither yes nor no; else empty.
-        kind: DataType; empty if not stated.
-        unit: Units; None if not stated.
-        separator: Separator of cells.
-        begin: Index of the first line below the column names.
-    """
-
-    names: tuple[str, ...]
-    counts: dict[str, float]
-    degrees: bool | None
-    in_degrees: str
-    kind: str
-    unit: str | None
-    separator: bytes
-    begin: int
+    names: tuple[str, ...]  # names of the C columns, without the time
+    counts: dict[str, float]  # ``rows`` and ``columns``, and ``rate`` [1/s], if stated
+    degrees: bool | None  # whether angles are degrees; None if not stated
+    in_degrees: str  # the value of inDegrees if it is neither yes nor no; else empty
+    kind: str  # DataType; empty if not stated
+    unit: str | None  # Units; None if not stated
+    separator: bytes  # separator of cells
+    begin: int  # index of the first line below the column names
 
     @property
     def has_points(self) -> bool:
@@ -320,10 +297,8 @@ def read_rows(
         if not len(bad_rows):
             break
         row = int(bad_rows[0])
-        line, is_short = (
-            int(rows.line_numbers[row]),
-            rows.cell_counts[row] < column_count,
-        )
+        line = int(rows.line_numbers[row])
+        is_short = rows.cell_counts[row] < column_count
         count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
         message = f"has {count} values instead of {column_count}"
         # The last row of a truncated file has no line end.

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from animtool.core.array_types import FloatArray
@@ -15,7 +13,7 @@ from animtool.formats.mot.coordinates import (
     convert_coordinates_to_columns,
     list_coordinates,
 )
-from animtool.formats.take_text import TakeText, format_rows, write_text
+from animtool.formats.take_text import TakeText, format_rows
 from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.rig.joints import (
@@ -30,20 +28,6 @@ VALUE_DECIMALS = 9
 # Error of joints that is not reported [m, rad]: a micrometre, also on a bone of a
 # metre.
 LOSS_TOLERANCE = 1e-6
-
-
-def write_mot(take: Take, path: Path | str, *, overwrite: bool = False) -> list[Fault]:
-    """Write a take as an OpenSim motion file; see `build_mot_text`.
-
-    Args:
-        take: The take.
-        path: Path of the file, ``.mot`` or ``.sto``.
-        overwrite: Replace an existing file.
-
-    Returns:
-        Warnings about data that the format cannot store.
-    """
-    return write_text(take, path, build_mot_text, overwrite=overwrite)
 
 
 def build_mot_text(take: Take) -> TakeText:
@@ -63,22 +47,17 @@ def build_mot_text(take: Take) -> TakeText:
     local = LocalTransforms(translations, rotations)
     coordinates = project_to_coordinates(rig, local)
     values = convert_coordinates_to_columns(rig, columns, coordinates)
-    static_joints = {
-        j
-        for j in {
-            coordinate.joint_index
-            for coordinate in columns
-            if coordinate.component == "translation"
-        }
-        if not np.round(
-            values[:, _translation_columns(columns, j)], VALUE_DECIMALS
-        ).any()
+    translated_joints = {
+        coordinate.joint_index
+        for coordinate, column in zip(columns, values.T, strict=True)
+        if coordinate.component == "translation"
+        and np.round(column, VALUE_DECIMALS).any()
     }
     written_columns = [
         c
         for c, coordinate in enumerate(columns)
         if coordinate.component != "translation"
-        or coordinate.joint_index not in static_joints
+        or coordinate.joint_index in translated_joints
     ]
     columns = [columns[c] for c in written_columns]
     values = values[:, written_columns]
@@ -93,14 +72,6 @@ def build_mot_text(take: Take) -> TakeText:
         format_rows(rows, decimals, tabs=True),
         notices,
     )
-
-
-def _translation_columns(columns: list[Coordinate], joint: int) -> list[int]:
-    return [
-        c
-        for c, coordinate in enumerate(columns)
-        if coordinate.joint_index == joint and coordinate.component == "translation"
-    ]
 
 
 def _header_lines(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
@@ -135,12 +106,8 @@ def _loss_warnings(
     )
     difference = so3.multiply(so3.conjugate(read_back.rotations), local.rotations)
     rotation_errors = 2 * np.abs(difference[..., :3]).max(axis=(0, 2), initial=0)
-    inexact_joints = [
-        rig.joints[j].name
-        for j in np.flatnonzero(
-            np.maximum(translation_errors, rotation_errors) > LOSS_TOLERANCE
-        )
-    ]
+    is_inexact = np.maximum(translation_errors, rotation_errors) > LOSS_TOLERANCE
+    inexact_joints = [rig.names[j] for j in np.flatnonzero(is_inexact)]
     notices = []
     if inexact_joints:
         message = "motion that the joint types do not allow is skipped: "

@@ -21,20 +21,13 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(slots=True, eq=False)
 class XmlNotes:
-    """Faults and notices of a file.
+    """Faults and notices of a file."""
 
-    Attributes:
-        path: Path of the file.
-        number_code: Code of an attribute that is not a number.
-        faults: Errors, in the order found.
-        notices: Warnings and notes.
-        left_out: Labels of contents that are not read.
-    """
-
-    path: Path
-    number_code: str
-    faults: list[Fault] = field(default_factory=list)
-    notices: list[Fault] = field(default_factory=list)
+    path: Path  # path of the file
+    number_code: str  # code of an attribute that is not a number
+    faults: list[Fault] = field(default_factory=list)  # errors, in the order found
+    notices: list[Fault] = field(default_factory=list)  # warnings and notes
+    # Labels of contents that are not read.
     left_out: dict[str, None] = field(default_factory=dict)
 
     def add(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
 from pathlib import Path
 
 from animtool.core.config import project_roots
@@ -25,17 +24,11 @@ class OutsideError(ValueError):
 
 @dataclass(frozen=True, slots=True)
 class PackageFolders:
-    """Folders in which a robot may refer to files.
+    """Folders in which a robot may refer to files."""
 
-    Attributes:
-        folder: Folder of the file, to which names are relative.
-        roots: Folders that names may lead into.
-        packages: Folders of the packages that contain the file, by name.
-    """
-
-    folder: Path
-    roots: tuple[Path, ...]
-    packages: dict[str, Path]
+    folder: Path  # folder of the file, to which names are relative
+    roots: tuple[Path, ...]  # folders that names may lead into
+    packages: dict[str, Path]  # folders of the packages that contain the file, by name
 
     @staticmethod
     def of(path: Path, codes: XmlCodes) -> PackageFolders:
@@ -98,12 +91,9 @@ class PackageFolders:
         except (OSError, RuntimeError, ValueError) as error:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(real_path.is_relative_to(root) for root in self.roots):
-            raise OutsideError(f"it leads out of {_folder_list(self.roots)}")
+            roots = ", ".join(dict.fromkeys(map(str, self.roots)))
+            raise OutsideError(f"it leads out of {roots}")
         return real_path if exists(real_path) else None
-
-
-def _folder_list(roots: Sequence[Path]) -> str:
-    return ", ".join(dict.fromkeys(map(str, roots)))
 
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:

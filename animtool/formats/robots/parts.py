@@ -19,45 +19,30 @@ IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 @dataclass(frozen=True, slots=True)
 class RobotJoint:
-    """A rig joint: all or part of a joint of the file.
+    """A rig joint: all or part of a joint of the file."""
 
-    Attributes:
-        name: Name of the joint in the file; empty without one.
-        type: Joint type.
-        translation: Position in the frame of the previous joint [m].
-        rotation: Rotation in the frame of the previous joint.
-        axis: Unit axis of a pin or prismatic joint.
-        limits: Limits of the coordinate; None is unlimited.
-        mimic: Joint of the file that this joint follows linearly.
-        driver: Driver of the coordinate; joint names are those of the file.
-    """
-
-    name: str
-    type: JointType
-    translation: Vector = ORIGIN
+    name: str  # name of the joint in the file; empty without one
+    type: JointType  # joint type
+    translation: Vector = ORIGIN  # position in the frame of the previous joint [m]
+    # Rotation in the frame of the previous joint.
     rotation: Quaternion = IDENTITY_ROTATION
-    axis: Vector = (0.0, 0.0, 1.0)
-    limits: RangeLimit | None = None
-    mimic: Mimic | None = None
+    axis: Vector = (0.0, 0.0, 1.0)  # unit axis of a pin or prismatic joint
+    limits: RangeLimit | None = None  # limits of the coordinate; None is unlimited
+    mimic: Mimic | None = None  # joint of the file that this joint follows linearly
+    # Driver of the coordinate; joint names are those of the file.
     driver: Driver | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class SimpleShape:
-    """A primitive shape in the frame of its link.
+    """A primitive shape in the frame of its link."""
 
-    Attributes:
-        kind: ``box``, ``sphere``, ``cylinder`` or ``capsule``; the last two along z.
-        size: Three sides of a box; radius; or radius and length, for a capsule without
-            its ends [m].
-        position: Position of the shape's centre [m].
-        rotation: Rotation in the frame of the link.
-    """
-
-    kind: str
+    kind: str  # ``box``, ``sphere``, ``cylinder`` or ``capsule``; the last two along z
+    # Three sides of a box; radius; or radius and length, for a capsule without its ends
+    # [m].
     size: tuple[float, ...]
-    position: Vector = ORIGIN
-    rotation: Quaternion = IDENTITY_ROTATION
+    position: Vector = ORIGIN  # position of the shape's centre [m]
+    rotation: Quaternion = IDENTITY_ROTATION  # rotation in the frame of the link
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,40 +64,26 @@ class LinkMass:
 
 @dataclass(slots=True, eq=False)
 class Link:
-    """A link or body with the joints that move it.
+    """A link or body with the joints that move it."""
 
-    Attributes:
-        name: Name in the file.
-        parent: Index of the parent link, -1 for none; less than its own.
-        joints: Joints between parent and link, in order.
-        offset: Offset from the last joint to the link [m].
-        solids: Shapes that collide.
-        surfaces: Visible surfaces.
-        weight: Mass and inertia; None if not stated.
-        sites: Named poses on the link.
-    """
-
-    name: str
-    parent: int
+    name: str  # name in the file
+    parent: int  # index of the parent link, -1 for none; less than its own
+    # Joints between parent and link, in order.
     joints: list[RobotJoint] = field(default_factory=list)
-    offset: Vector = ORIGIN
-    solids: list[SimpleShape] = field(default_factory=list)
-    surfaces: list[Triangles] = field(default_factory=list)
-    weight: LinkMass | None = None
+    offset: Vector = ORIGIN  # offset from the last joint to the link [m]
+    solids: list[SimpleShape] = field(default_factory=list)  # shapes that collide
+    surfaces: list[Triangles] = field(default_factory=list)  # visible surfaces
+    weight: LinkMass | None = None  # mass and inertia; None if not stated
+    # Named poses on the link.
     sites: list[tuple[str, Vector, Quaternion]] = field(default_factory=list)
 
 
 @dataclass(slots=True, eq=False)
 class Robot:
-    """A tree of links.
+    """A tree of links."""
 
-    Attributes:
-        name: Name of the robot.
-        links: Links, parents before children.
-    """
-
-    name: str
-    links: list[Link]
+    name: str  # name of the robot
+    links: list[Link]  # links, parents before children
 
 
 def float_vector(values: FloatArray) -> Vector:

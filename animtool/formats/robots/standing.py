@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from fractions import Fraction
 
-import numpy as np
-
 from animtool.core.array_types import FloatArray
 from animtool.ik.sub_rig import with_mimics
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.rig.joints import coordinate_slices, local_from_coordinates
+from animtool.rig.joints import (
+    coordinate_slices,
+    local_from_coordinates,
+    rest_coordinates,
+)
 from animtool.rig.limits import RangeLimit
-from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.skeleton import Rig
 
 # Arbitrary: one frame has no rate.
 POSE_RATE = Fraction(24)
@@ -23,15 +25,10 @@ def zero_coordinates(rig: Rig) -> FloatArray:
 
     Mimic joints follow their leaders.
     """
-    slices = coordinate_slices(rig)
-    coordinates = np.zeros((1, slices[-1].stop if slices else 0))
-    for joint, joint_slice in zip(rig.joints, slices, strict=True):
-        if joint.type in {JointType.FREE, JointType.BALL}:
-            coordinates[0, joint_slice.stop - 1] = 1.0
-        elif isinstance(joint.limits, RangeLimit):
-            coordinates[0, joint_slice] = joint.limits.clamped(
-                coordinates[0, joint_slice]
-            )
+    coordinates = rest_coordinates(rig, 1)
+    for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True):
+        if isinstance(joint.limits, RangeLimit):
+            coordinates[0, columns] = joint.limits.clamped(coordinates[0, columns])
     return with_mimics(rig, coordinates, rig.names)
 
 

@@ -55,8 +55,8 @@ def _box_faces(size: FloatArray) -> Triangles:
     return merge_surfaces(sides)
 
 
-def _circle_points(count: int = CIRCLE_CORNERS) -> FloatArray:
-    angles = 2 * math.pi * np.arange(count) / count
+def _circle_points() -> FloatArray:
+    angles = 2 * math.pi * np.arange(CIRCLE_CORNERS) / CIRCLE_CORNERS
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 

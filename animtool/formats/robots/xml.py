@@ -23,25 +23,16 @@ MAX_TEXT_LENGTH = 1000
 
 @dataclass(slots=True, eq=False)
 class XmlElement:
-    """An element of a file.
+    """An element of a file."""
 
-    Attributes:
-        tag: Tag name, as written.
-        attributes: Attribute values by name.
-        path: Path of the file.
-        line: 1-based line number.
-        column: 1-based column number.
-        children: Child elements in file order.
-        text: Text content, without that of children.
-    """
-
-    tag: str
-    attributes: dict[str, str]
-    path: Path
-    line: int
-    column: int
+    tag: str  # tag name, as written
+    attributes: dict[str, str]  # attribute values by name
+    path: Path  # path of the file
+    line: int  # 1-based line number
+    column: int  # 1-based column number
+    # Child elements in file order.
     children: list[XmlElement] = field(default_factory=list)
-    text: str = ""
+    text: str = ""  # text content, without that of children
 
     def all(self, tag: str) -> list[XmlElement]:
         """Return the children with a tag."""
@@ -153,10 +144,7 @@ class _TreeBuilder:
         self, code: str, message: str, hint: str, at: tuple[int, int] | None = None
     ) -> NoReturn:
         parser = self._parser
-        line, column = at or (
-            parser.CurrentLineNumber,
-            parser.CurrentColumnNumber + 1,
-        )
+        line, column = at or (parser.CurrentLineNumber, parser.CurrentColumnNumber + 1)
         line += self._skipped_lines
         fault = Fault(code, message, str(self._path), (line,), hint, column=column)
         raise FormatError(fault)

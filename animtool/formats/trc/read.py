@@ -29,8 +29,6 @@ from animtool.formats.trajectories import MAX_POSITIONS, MarkerFile
 from animtool.formats.trc.timing import find_row_frames
 from animtool.motion.markers import Markers
 
-# Header of a TRC file: its values and marker names.
-
 MAX_MARKERS = 10_000
 # Maximum header lines before the marker names.
 MAX_HEADER_LINES = 12
@@ -39,35 +37,22 @@ _NAMES_LINE = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class TrcHeader:
-    """The values of the header lines of a TRC file.
+    """The values of the header lines of a TRC file."""
 
-    Attributes:
-        rate: DataRate [1/s]; None without a number.
-        unit: Units; None if missing.
-        frames: NumFrames; None without a number.
-        markers: NumMarkers; None without a number.
-        names: Marker names in column order, empty for unnamed markers.
-        axes: Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
-        begin: Index of the first row.
-        separator: Separator of cells in rows.
-    """
-
-    rate: float | None
-    unit: str | None
-    frames: float | None
-    markers: float | None
-    names: list[str]
-    axes: int
-    begin: int
-    separator: bytes
+    rate: float | None  # DataRate [1/s]; None without a number
+    unit: str | None  # Units; None if missing
+    frames: float | None  # NumFrames; None without a number
+    markers: float | None  # NumMarkers; None without a number
+    names: list[str]  # marker names in column order, empty for unnamed markers
+    axes: int  # number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing
+    begin: int  # index of the first row
+    separator: bytes  # separator of cells in rows
 
 
 def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     """Return the values of the header lines."""
-    first_word = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))[
-        0
-    ].strip(b'"')
-    if first_word.lower() != b"pathfiletype":
+    words = re.split(rb"[\s,;]+", lines[0].strip(BLANK_CHARACTERS + b'"'))
+    if words[0].strip(b'"').lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
     name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
     names_index = next(
@@ -178,17 +163,12 @@ def match_columns(
     rows = max(0, -(-(cell_count - 2) // 3))
     names, stated_count = header.names, header.markers
     columns = max(rows, header.axes if header.axes == stated_count else 0)
-    if (
-        header.separator == b" "
-        and len(names) > columns > 0
-        and columns == stated_count
-    ):
-        message = f"the header has {len(names)} names, but rows have columns of "
-        message += counted(columns, "marker")
-        hint = "separate columns by tabs if names contain blanks: "
-        hint += excerpt(" ".join(names))
-        raise file.error("TRC001", message, hint)
     if len(names) > columns > 0 and columns == stated_count:
+        if header.separator == b" ":
+            message = f"the header has {len(names)} names, but rows have columns of "
+            message += counted(columns, "marker")
+            hint = "separate columns by tabs if names contain blanks: "
+            raise file.error("TRC001", message, hint + excerpt(" ".join(names)))
         message = f"the header names {len(names)} markers, but rows have columns of "
         file.warn("TRC101", f"{message}{columns}; the last names are ignored")
         names = names[:columns]
@@ -242,12 +222,8 @@ def read_trc(
     decimals = rows.decimals(1)
     values = rows.values(2 + 3 * len(names), build_error)
     if rows.has_decimal_commas:
-        message = "commas are read as decimal points"
-        file.note(
-            "TRC108",
-            message,
-            "export it with decimal points, which other programs need",
-        )
+        hint = "export it with decimal points, which other programs need"
+        file.note("TRC108", "commas are read as decimal points", hint)
     length_unit = file.unit(header.unit, unit, LengthUnit.MM)
     up_axis = file.up(None, up)
     if header.frames not in (None, len(values)):
@@ -270,9 +246,8 @@ def read_trc(
 def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[str]:
     """Return marker names for the rows' columns, empty for unnamed markers."""
     if not rows.texts:
-        if not header.names:
-            raise file.error("MKR013", "the file has no markers")
-        raise file.error("MKR013", "the file has no frames")
+        missing = "frames" if header.names else "markers"
+        raise file.error("MKR013", f"the file has no {missing}")
     max_cells = int(rows.value_counts.max())
     names, unnamed_count = match_columns(file, header, max_cells)
     if not names:
@@ -291,9 +266,8 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
         if len(bad_rows):
             message = (
                 f"the row has {int(rows.value_counts[row])} values, but frame, time "
-                "and "
+                f"and {counted(len(header.names), 'named marker')} take "
             )
-            message += f"{counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):

@@ -116,10 +116,8 @@ def _read_visible_surface(
     mesh = cache[path]
     if mesh is None:
         return None
-    position, rotation = (
-        np.array(visual.solid.position),
-        np.array(visual.solid.rotation),
-    )
+    position = np.array(visual.solid.position)
+    rotation = np.array(visual.solid.rotation)
     scale = np.array(visual.scale)
     points = so3.rotate(rotation, mesh.points * scale) + position
     # Mirroring reverses the orientation of faces.

@@ -74,12 +74,16 @@ def _links_depth_first(
         rig_joints = (
             [] if joint is None else _build_rig_joints(joint, mimics.get(joint.name))
         )
-        link_surfaces = surfaces.get(name, [])
-        link = Link(
-            name, parent, rig_joints, solids=source.solids, surfaces=link_surfaces
+        links.append(
+            Link(
+                name,
+                parent,
+                rig_joints,
+                solids=source.solids,
+                surfaces=surfaces.get(name, []),
+                weight=source.weight,
+            )
         )
-        link.weight = source.weight
-        links.append(link)
         index = len(links) - 1
         stack += [
             (next_joint.child, index, next_joint)
@@ -158,20 +162,14 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
             mimic.gain * end + mimic.offset
             for end in (leader.limits.low, leader.limits.high)
         ]
-        lower, upper = (
-            follower.limits.low - LIMIT_TOLERANCE,
-            follower.limits.high + LIMIT_TOLERANCE,
-        )
+        lower = follower.limits.low - LIMIT_TOLERANCE
+        upper = follower.limits.high + LIMIT_TOLERANCE
         if min(follower_range) < lower or max(follower_range) > upper:
             message = (
                 f"where it mimics {leader.where}, it goes from "
-                f"{min(follower_range):.4g} to "
+                f"{min(follower_range):.4g} to {max(follower_range):.4g}, beyond its "
+                f"limits {follower.limits.low:.4g} to {follower.limits.high:.4g}"
             )
-            message += (
-                f"{max(follower_range):.4g}, beyond its limits "
-                f"{follower.limits.low:.4g} to "
-            )
-            message += f"{follower.limits.high:.4g}"
             hint = (
                 "make its limits wider, or those of the joint that it mimics narrower"
             )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 from animtool.core.errors import cycle_text, excerpt, listed
 from animtool.core.names import nearest
 from animtool.formats.robots.notes import XmlNotes
@@ -24,12 +22,11 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
                 _add_fault(notes, "URD010", joint, message, hint)
         if joint.child in parents:
             first_joint = parents[joint.child]
-            message = f"link {excerpt(joint.child)} has two parents, "
-            message += (
+            message = (
+                f"link {excerpt(joint.child)} has two parents, "
                 f"{excerpt(first_joint.parent)} by joint {excerpt(first_joint.name)} "
-                "and "
+                f"and {excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             )
-            message += f"{excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             cycle = _cycle_through(joint, parents)
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
@@ -60,7 +57,8 @@ def _check_roots(
 ) -> None:
     roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
-        message = f"{len(roots)} links have no parent: {listed(_quoted_names(roots))}"
+        names_text = listed([excerpt(name) for name in roots])
+        message = f"{len(roots)} links have no parent: {names_text}"
         hint = "a robot has one root: join the others to it by joints"
         second_root = file.links[roots[1]].element
         notes.add("URD012", second_root, message, hint)
@@ -89,10 +87,6 @@ def _check_roots(
         if not roots:
             message += "; every link has a parent, so there is no root"
         _add_fault(notes, "URD011", first_joint, message, "remove one of these joints")
-
-
-def _quoted_names(names: Iterable[str]) -> list[str]:
-    return [excerpt(name) for name in names]
 
 
 def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:

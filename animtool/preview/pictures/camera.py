@@ -150,10 +150,8 @@ class CameraView:
     def _offset_to_camera(self, distance: float) -> FloatArray:
         """Return the offset from the target to the camera at a distance [m]."""
         horizontal_distance = math.cos(self.pitch) * distance
-        x, z = (
-            math.sin(self.yaw) * horizontal_distance,
-            math.cos(self.yaw) * horizontal_distance,
-        )
+        x = math.sin(self.yaw) * horizontal_distance
+        z = math.cos(self.yaw) * horizontal_distance
         return np.array([x, math.sin(self.pitch) * distance, z])
 
     @property

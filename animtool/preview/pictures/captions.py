@@ -96,10 +96,8 @@ def with_caption(
     """Return pixels with a caption at the top and a number at the bottom left."""
     if not (caption.lines or number):
         return pixels
-    image_module, draw_module = (
-        import_package("PIL.Image"),
-        import_package("PIL.ImageDraw"),
-    )
+    image_module = import_package("PIL.Image")
+    draw_module = import_package("PIL.ImageDraw")
     image = image_module.fromarray(np.ascontiguousarray(pixels))
     pen = draw_module.Draw(image)
     text_height = caption.font_size_

@@ -56,10 +56,8 @@ class TextureTable:
         if self.texture is None or row_cells > self._width or row_count > self._height:
             if self.texture is not None:
                 self.texture.release()
-            self._width, self._height = (
-                max(row_cells, self._width),
-                max(row_count, self._height),
-            )
+            self._width = max(row_cells, self._width)
+            self._height = max(row_count, self._height)
             size = self._width, self._height
             self.texture = self._device.gl.texture(size, 4, dtype="f4")
             nearest = self._device.module.NEAREST

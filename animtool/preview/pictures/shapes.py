@@ -235,10 +235,8 @@ class MeshRenderer:
         """
         if self.pose or self.is_prototype or self.record.get("cache") is not None:
             return False
-        low, high = (
-            self.geometry.rest_points.min(axis=0),
-            self.geometry.rest_points.max(axis=0),
-        )
+        low = self.geometry.rest_points.min(axis=0)
+        high = self.geometry.rest_points.max(axis=0)
         width = min(high[0] - low[0], high[2] - low[2])
         return bool(high[1] < GROUND_HEIGHT * radius or width > ROOM_WIDTH * radius)
 

@@ -28,10 +28,8 @@ def shader_source(module: str, name: str) -> str:
     >>> shader_source("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
     True
     """
-    shared_constants, texts = (
-        _shader_constants(SHARED_MODULE),
-        _shader_constants(module),
-    )
+    shared_constants = _shader_constants(SHARED_MODULE)
+    texts = _shader_constants(module)
     return _INSERTED_NAME.sub(lambda match: shared_constants[match[1]], texts[name])
 
 

@@ -79,9 +79,9 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
             rig, source_label = target.skeleton.rig, str(target.path)
             targets = read_target_meshes(target)
         else:
-            source_label, targets = (
-                str(source),
-                read_source_meshes(source, options.source.prim_path, options.placement),
+            source_label = str(source)
+            targets = read_source_meshes(
+                source, options.source.prim_path, options.placement
             )
         take.notices.extend(targets.notices)
         surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)

@@ -122,34 +122,25 @@ class FilePlan:
         if base is not None:
             same_suffix = base.suffix.lower() == plan.source.suffix.lower()
             base_take = _base_take(take, base, options.source if same_suffix else None)
+        other_streams = list(map(in_frames, self.others))
         write = WriteOptions(
-            options.reduce, dict(options.reduce_at), base_take, self.rig_file
+            options.reduce,
+            dict(options.reduce_at),
+            base_take,
+            self.rig_file,
+            others=tuple(other_stream.collect() for other_stream in other_streams),
+            names=self.names,
         )
-        other_streams = [in_frames(other_stream) for other_stream in self.others]
-        other_takes = tuple(other_stream.collect() for other_stream in other_streams)
-        write = replace(write, others=other_takes, names=self.names)
         writer = take_writer(path)
         mesh_notices: list[Fault] = []
         if "meshes" in writer.holds:
             take, mesh_notices = _with_meshes(take, plan)
         outputs = _take_files(writer, take, path, write)
-        take_notices = [
-            notice for notice in take.notices if notice not in stream.notices
-        ]
-        other_notices = [
-            notice for other_stream in other_streams for notice in other_stream.notices
-        ]
-        notices = list(
-            dict.fromkeys(
-                [
-                    *stream.notices,
-                    *other_notices,
-                    *take_notices,
-                    *mesh_notices,
-                    *outputs.notices,
-                ]
-            )
-        )
+        notices = list(stream.notices)
+        for other_stream in other_streams:
+            notices += other_stream.notices
+        notices += [*take.notices, *mesh_notices, *outputs.notices]
+        notices = list(dict.fromkeys(notices))
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]
         check_outputs(files, inputs, overwrite=options.overwrite)

@@ -110,14 +110,11 @@ def _interpolation_notices(
 ) -> list[Fault]:
     """Return notices of interpolation errors that no pass has reported before."""
     reported_codes = {notice.code for notice in plan.stream.notices}
-    sample_times = FramePositions(times.frames, times.fractions)
+    positions = FramePositions(times.frames, times.fractions)
+    hint = f"{argument('keep_samples', True)} keeps the frames as is"
     return [
-        replace(notice, path=str(plan.source))
-        for notice in interpolation_notices(
-            interpolation,
-            sample_times,
-            f"{argument('keep_samples', True)} keeps the frames as is",
-        )
+        notice.in_file(plan.source)
+        for notice in interpolation_notices(interpolation, positions, hint)
         if notice.code not in reported_codes
     ]
 
@@ -154,22 +151,20 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
             times = replace(times, first=first, last=last)
     if options.start is None and options.shot is None:
         source = plan.stream.start, plan.stream.fps
-        start_warning = start_notice(*source, plan.start, plan.fps, times.first)
-        notices += [replace(notice, path=str(plan.source)) for notice in start_warning]
+        notices += start_notice(*source, plan.start, plan.fps, times.first)
     if options.fps is not None:
-        rate_fault = rate_warning(options.fps)
-        notices += [replace(notice, path=str(plan.source)) for notice in rate_fault]
+        notices += rate_warning(options.fps)
     if frame_range is None or frame_range.first != frame_range.last:
-        single = single_frame_warning(times, clock, plan.fps)
-        notices += [replace(notice, path=str(plan.source)) for notice in single]
-    plan.notices.extend([*notices, *_end_notices(plan, times)])
+        notices += single_frame_warning(times, clock, plan.fps)
+    notices += _end_notices(plan, times)
+    plan.notices.extend(notice.in_file(plan.source) for notice in notices)
     return times
 
 
 def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
     """Return a hint on how to number the take so that it contains a frame range."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
-    origin = Fraction(1) if plan.stream.start is None else plan.stream.start
+    origin = plan.stream.first_frame
     offset = plan.start - origin
     start = argument("start", frame_label(plan.start))
     if offset and 0 <= frames.first - origin <= span:
@@ -232,9 +227,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         if frames:
             message = (
                 f"{prefix}the take does not have {description} "
-                f"{frame_spans(frames, frame_range.step)}"
+                f"{frame_spans(frames, frame_range.step)}; the nearest pose is held"
             )
-            message += "; the nearest pose is held"
             warning = Severity.WARNING
             cut_key = None if shot.places_media else key
             remedy = f"{hint}; change {key.partition('.')[2]}, or export longer media"
@@ -249,7 +243,7 @@ def _sample_curve(
     plan: TakePlan, stream: TakeStream, curve: Callable[[FloatArray], Motion]
 ) -> TimedTake:
     """Evaluate a source that is a function of time at the output's sample times."""
-    first = Fraction(1) if stream.start is None else stream.start
+    first = stream.first_frame
     clock = Clock(stream.fps, first, stream.step, stream.count)
     times = _sample_times(plan, clock)
     # Samples on the source's frames are exact; those before its first or after its last
@@ -293,26 +287,20 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if times.first == frame_range.first and times.last == last:
         return []
     message = (
-        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} "
-        f"extends beyond the take; {float(times.first):g} to {float(times.last):g} "
-        "are written"
+        f"{argument('frame_range', f'{frame_range.first}-{frame_range.last}')} extends "
+        f"beyond the take; {float(times.first):g} to {float(times.last):g} are written"
     )
-    return [Fault("SCN202", message, str(plan.source), severity=Severity.WARNING)]
+    return [Fault("SCN202", message, severity=Severity.WARNING)]
 
 
 def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Return notices if the take's last frame or an end of a range is not written."""
-    source_path, frame_range = str(plan.source), plan.options.frame_range
+    frame_range = plan.options.frame_range
     notices = []
     if times.dropped_at_end:
-        faults = dropped_notice(times.dropped_at_end, plan.fps, times.last)
-        notices.append(
-            replace(
-                faults,
-                path=source_path,
-                hint=f"{argument('keep_samples', True)} writes it",
-            )
-        )
+        note = dropped_notice(times.dropped_at_end, plan.fps, times.last)
+        hint = f"{argument('keep_samples', True)} writes it"
+        notices.append(replace(note, hint=hint))
     if frame_range is None or plan.options.shot is not None:
         return notices
     written_range = f"{frame_label(times.first)} to {frame_label(times.last)}"
@@ -325,7 +313,7 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
             f"{argument('frame_range', text)} has no sample at its ends; "
             f"{written_range} are written"
         )
-        notices.append(Fault("CLI105", message, source_path, severity=Severity.NOTE))
+        notices.append(Fault("CLI105", message, severity=Severity.NOTE))
     return notices
 
 

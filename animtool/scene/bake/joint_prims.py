@@ -151,7 +151,7 @@ class _JointTake:
         timed_take = self._run.open()
         blocks, frames = timed_take.blocks, timed_take.frames
         plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
-        is_mapped_joint = None
+        joint_mask = None
         if joint_map is not None:
             rig_mapping = joint_map
             blocks = (
@@ -159,21 +159,15 @@ class _JointTake:
                 for codes, motion in blocks
             )
             if (joint_map.source_joints < 0).any():
-                is_mapped_joint = joint_map.source_joints >= 0
+                joint_mask = joint_map.source_joints >= 0
         if options.sparse:
             all_blocks = list(blocks)
-            is_moving_joint = moving_joints(
-                plan, rig, [motion for _, motion in all_blocks]
-            )
-            is_written_joint = (
-                is_moving_joint
-                if is_mapped_joint is None
-                else is_moving_joint & is_mapped_joint
-            )
-            is_mapped_joint, blocks = (
-                is_written_joint if is_written_joint.any() else is_mapped_joint,
-                iter(all_blocks),
-            )
+            blocks = iter(all_blocks)
+            is_written = moving_joints(plan, rig, [motion for _, motion in all_blocks])
+            if joint_mask is not None:
+                is_written &= joint_mask
+            if is_written.any():
+                joint_mask = is_written
         step = plan.stream.step * plan.fps / plan.stream.fps
         if options.reduce is not None:
             blocks, self._reduce_samples, frames = _reduce_samples(
@@ -184,7 +178,7 @@ class _JointTake:
             plan.start,
             step,
             frames=frames,
-            joint_mask=is_mapped_joint,
+            joint_mask=joint_mask,
             shapes=_shape_names(plan),
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
@@ -260,7 +254,7 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
         plan.notices.append(
             Fault("SCN208", message, str(plan.source), (), hint, Severity.WARNING)
         )
-    first_code = float(Fraction(1) if stream.start is None else stream.start)
+    first_code = float(stream.first_frame)
     ratio = float(plan.fps / stream.fps)
     return {
         name: curves.with_linear_time(first_code, ratio, float(plan.start))

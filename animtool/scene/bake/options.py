@@ -87,8 +87,7 @@ class BakeOptions:
         "text",
         not_for=("file",),
         scene=Key(
-            "With `as: library`: name of the take. Default: name of the scene.",
-            "walk",
+            "With `as: library`: name of the take. Default: name of the scene.", "walk"
         ),
     )
     prim_path: str | None = option(
@@ -351,10 +350,11 @@ class BakeOptions:
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
         start: Any = self.start
+        frame_range: Any = self.frame_range
         if not isinstance(start, Fraction | None):
             object.__setattr__(self, "start", _frame_option(start))
-        if self.frame_range is not None:
-            object.__setattr__(self, "frame_range", _range_option(self.frame_range))
+        if not isinstance(frame_range, FrameRange | None):
+            object.__setattr__(self, "frame_range", _range_option(frame_range))
         if self.shot is not None:
             if self.frame_range is None:
                 frames = FrameRange(self.shot.start, self.shot.end)

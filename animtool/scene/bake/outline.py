@@ -43,9 +43,8 @@ class OutputEntry:
     # The scene that names it, with only the systems of this output; None without a
     # scene.
     scene: Scene | None = None
-    location: EntryLocation | None = (
-        None  # of the entry, where the scene names the file
-    )
+    # Of the entry, where the scene names the file.
+    location: EntryLocation | None = None
     # For a clip: the base take of an additive take, and the rig file.
     base: Path | None = None
     rig_file: Path | None = None
@@ -197,8 +196,7 @@ def check_outline(outline: Outline) -> None:
     for entry in outline.outputs:
         if has_several and entry.path == STDOUT:
             message = "an output has no file"
-            fault = Fault("DOC021", message)
-            raise OptionError(entry.location.locate(fault) if entry.location else fault)
+            raise OptionError(entry.locate(Fault("DOC021", message)))
         try:
             check_entry(entry, source_set.inputs, source_set.files[0])
         except AnimtoolError as error:

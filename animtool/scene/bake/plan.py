@@ -165,7 +165,8 @@ def _planned_file(
     from animtool.scene.bake.files import FilePlan
 
     options, omitted_items = entry.options, []
-    notices += tolerance_notices(options.reduce, stream.rig, str(source))
+    if options.reduce is not None:
+        notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         names = listed([system.name for system in entry.scene.systems], MAX_NAMED)
         omitted_items.append(f"simulated systems: {names}")
@@ -175,7 +176,7 @@ def _planned_file(
     for text in omitted_items:
         message = f"a {writer.name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
-        notices.append(note if entry.location is None else entry.location.locate(note))
+        notices.append(entry.locate(note))
     fps = options.fps or stream.fps
     if options.shot is not None:
         options = replace(options, shot=replace(options.shot, fps=fps))
@@ -228,9 +229,7 @@ def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
         format_name = take_writer(entry.path).name
         message = f"a {format_name} file cannot hold simulated systems"
         fault = Fault("OUT004", message, hint="write .usdc")
-        raise OptionError(
-            fault if entry.location is None else entry.location.locate(fault)
-        )
+        raise OptionError(entry.locate(fault))
     systems = plan_systems(entry.scene, entry.options)
     return BakePlan(
         (),
@@ -301,7 +300,8 @@ def plan_takes(
     notices += _rate_warning(target, fps)
     notices += _unwritten_points_warning(streams, options)
     rig = streams[0].rig
-    notices += tolerance_notices(options.reduce, rig, str(sources[0]))
+    if options.reduce is not None:
+        notices += tolerance_notices(options.reduce, rig, str(sources[0]))
     notices += _namespace_warning(streams, options)
     start = start_of(options, target, streams[0], sources[0])
     takes = tuple(
@@ -370,11 +370,15 @@ def _reorient_to_stage(
     """Return takes rotated to one up axis, with their placement kept or dropped."""
     keeps_placement = options.placement != "drop"
     for source, stream in zip(sources, streams, strict=True):
-        notices += placement_notice(stream.rig, str(source), is_kept=keeps_placement)
+        rig = stream.rig
+        if rig.placement is not None or rig.has_animated_parents:
+            notices += placement_notice(rig, str(source), is_kept=keeps_placement)
     if not keeps_placement:
         streams = [remove_placement(stream) for stream in streams]
     up = options.to_up or streams[0].rig.up
-    return [reorient(stream, up) for stream in streams]
+    return [
+        stream if stream.rig.up is up else reorient(stream, up) for stream in streams
+    ]
 
 
 def _map_to_rig_layer(
@@ -463,7 +467,7 @@ def start_of(
     if options.start is not None:
         return options.start
     if options.shot is not None and options.shot.places_media:
-        return Fraction(1) if stream.start is None else stream.start
+        return stream.first_frame
     if target is not None and target.start is not None:
         return target.start
     if stream.start is not None:

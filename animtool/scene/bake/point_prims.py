@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import field
 from fractions import Fraction
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -51,9 +51,6 @@ from animtool.usd.layers.sdf import layer_span
 from animtool.usd.props.placement import build_prop_placements
 from animtool.usd.props.writer import author_props
 from animtool.usd.rigs.skeleton import STRAND_WIDTH
-
-if TYPE_CHECKING:
-    pass
 
 
 @dataclass
@@ -116,10 +113,8 @@ class PointStream:
         frames_done = 0
         start_time = time.perf_counter()
         for deformed_block in deformed_blocks:
-            first, last = (
-                max(written_frames.start - frames_done, 0),
-                max(written_frames.stop - frames_done, 0),
-            )
+            first = max(written_frames.start - frames_done, 0)
+            last = max(written_frames.stop - frames_done, 0)
             written_block = deformed_block.select(slice(first, last))
             block_codes = codes[
                 frames_done + first : frames_done + first + len(written_block.points)
@@ -218,9 +213,7 @@ class PointPrims:
                 chunked_cache = write_chunks(job, blocks, plan.options.chunk)
                 layer, meshes = chunked_cache.layer, chunked_cache.reports
                 result = _result(layer, meshes, run)
-
                 draft.layer, draft.files = layer, ChunkFiles(chunked_cache, result)
-
         if run.props is not None:
             result.takes[0].props = _author_props(
                 layer, plan, job, run, character.rig.up

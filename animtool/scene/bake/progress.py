@@ -24,26 +24,16 @@ Item = TypeVar("Item")
 Progress: TypeAlias = Callable[[float], None] | None
 
 
-def _unit_weight(_: object) -> int:
-    """Return 1, the weight of every item."""
-    return 1
-
-
 def with_progress(
-    items: Iterator[Item],
-    count: int,
-    progress: Progress,
-    size: Callable[[Item], int] = _unit_weight,
-) -> Iterator[Item]:
-    """Yield items, and report the fraction of them that has been yielded."""
-    finished_size = 0
-    if progress is not None:
-        progress(0.0)
-    for item in items:
-        yield item
-        finished_size += size(item)
-        if progress is not None and count:
-            progress(min(finished_size / count, 1.0))
+    blocks: Iterator[Motion], frames: int, progress: Callable[[float], None]
+) -> Iterator[Motion]:
+    """Yield blocks, and report the fraction of all frames that has been yielded."""
+    frames_done = 0
+    progress(0.0)
+    for block in blocks:
+        yield block
+        frames_done += block.frames
+        progress(min(frames_done / frames, 1.0))
 
 
 def timed(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -188,110 +188,83 @@ def check_options(
         simulated: Whether systems are written.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
-    option_clashes = _layer_clashes(options, form)
-    if form == "library":
-        option_clashes += _library_clashes(options, to_stdout=to_stdout)
-    option_clashes.append(
-        (
-            form == "split" and to_stdout,
-            f"{argument('form', 'split')} writes three files, not stdout",
-        )
-    )
-    option_clashes += [(True, message) for message in clash_messages(options)]
-    option_clashes += _shot_clashes(options, form)
-    option_clashes += _deform_clashes(options, form)
-    option_clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    keeps_without_systems = options.keep_stopped and not simulated
-    option_clashes.append(
-        (
-            keeps_without_systems,
-            f"{argument('keep_stopped', True)} needs a scene with systems",
-        )
-    )
-    faults = [
-        Fault("CLI002", message) for applies, message in option_clashes if applies
+    clashes = [
+        *_layer_clashes(options, form),
+        *(_library_clashes(options, to_stdout=to_stdout) if form == "library" else ()),
     ]
-    if faults:
-        raise OptionError(faults)
+    if form == "split" and to_stdout:
+        clashes.append(f"{argument('form', 'split')} writes three files, not stdout")
+    clashes += clash_messages(options)
+    clashes += _shot_clashes(options, form)
+    clashes += _deform_clashes(options, form)
+    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
+    if options.keep_stopped and not simulated:
+        clashes.append(f"{argument('keep_stopped', True)} needs a scene with systems")
+    if clashes:
+        raise OptionError([Fault("CLI002", message) for message in clashes])
 
 
-def _layer_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return conflicts of options with a rig layer: whether each occurs, and text."""
-    reasons = (option.over_layer for option in changed_options(options).values())
-    return [
-        (
-            form == "layer" and options.rig_layer is None,
-            f"{argument('form', 'layer')} needs {argument('rig_layer')}",
-        ),
-        (
-            form != "layer" and options.rig_layer is not None,
-            f"{argument('rig_layer')} needs {argument('form', 'layer')}",
-        ),
-        *((form == "layer", reason) for reason in dict.fromkeys(filter(None, reasons))),
-    ]
+def _layer_clashes(options: BakeOptions, form: str) -> Iterator[str]:
+    """Yield messages about options that clash with a rig layer."""
+    if form == "layer" and options.rig_layer is None:
+        yield f"{argument('form', 'layer')} needs {argument('rig_layer')}"
+    if form != "layer" and options.rig_layer is not None:
+        yield f"{argument('rig_layer')} needs {argument('form', 'layer')}"
+    if form == "layer":
+        reasons = (option.over_layer for option in changed_options(options).values())
+        yield from dict.fromkeys(filter(None, reasons))
 
 
-def _library_clashes(
-    options: BakeOptions, *, to_stdout: bool
-) -> list[tuple[bool, str]]:
-    """Return conflicts of options with a library: whether each occurs, and text."""
+def _library_clashes(options: BakeOptions, *, to_stdout: bool) -> Iterator[str]:
+    """Yield messages about options that a take of a library cannot use."""
     flags = [argument("output", "-")] if to_stdout else []
-    flags += refused_options(options, "library")
-    return [(True, f"a take of a library cannot use {flag}") for flag in flags]
+    for flag in (*flags, *refused_options(options, "library")):
+        yield f"a take of a library cannot use {flag}"
 
 
-def _shot_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return conflicts of options with a placed shot: whether each occurs, and text."""
+def _shot_clashes(options: BakeOptions, form: str) -> Iterator[str]:
+    """Yield messages about options that clash with a placed shot."""
     shot = options.shot
     if shot is None or not shot.places_media or shot.fps is None:
-        return []
+        return
     shot_name = f"shot {shot.name}" if shot.name else "the shot"
-    return [
-        (
-            options.fps != shot.fps,
+    if options.fps != shot.fps:
+        yield (
             f"{argument('fps', options.fps)} differs from the rate of {shot_name}, "
-            f"{rate_label(shot.fps)}",
-        ),
-        (
-            options.start is not None,
+            f"{rate_label(shot.fps)}"
+        )
+    if options.start is not None:
+        yield (
             f"{argument('start')}: {shot_name} begins at {shot.start}, as its timeline "
-            "states",
-        ),
-        (form == "library", f"{shot_name} is not a take of a library"),
-    ]
+            "states"
+        )
+    if form == "library":
+        yield f"{shot_name} is not a take of a library"
 
 
 def _chunk_clashes(
     options: BakeOptions, *, to_stdout: bool, simulated: bool
-) -> list[tuple[bool, str]]:
-    """Return conflicts of options with chunks: whether each occurs, and text."""
+) -> Iterator[str]:
+    """Yield messages about options that clash with chunks."""
+    chunk = argument("chunk")
     if options.chunk is None:
-        return []
+        return
     if not (options.deform or simulated):
-        return [
-            (
-                True,
-                f"{argument('chunk')} needs {argument('deform', True)}, or a scene "
-                "with systems",
-            )
-        ]
-    message = (
-        f"{argument('chunk')} needs at least 1 sample per file, not {options.chunk}"
-    )
-    return [
-        (to_stdout, f"{argument('chunk')} writes several files, not stdout"),
-        (options.chunk < 1, message),
-    ]
+        yield f"{chunk} needs {argument('deform', True)}, or a scene with systems"
+        return
+    if to_stdout:
+        yield f"{chunk} writes several files, not stdout"
+    if options.chunk < 1:
+        yield f"{chunk} needs at least 1 sample per file, not {options.chunk}"
 
 
-def _deform_clashes(options: BakeOptions, form: str) -> list[tuple[bool, str]]:
-    """Return conflicts of options with caches: whether each occurs, and text."""
+def _deform_clashes(options: BakeOptions, form: str) -> Iterator[str]:
+    """Yield messages about options that clash with point caches."""
     if not options.deform:
-        return []
-    joints = f"{argument('deform', True)} writes points, not joints"
+        return
     flags = [argument("form", "split")] if form == "split" else []
-    flags += refused_options(options, "deform")
-    return [(True, f"{joints}: no {flag}") for flag in flags]
+    for flag in (*flags, *refused_options(options, "deform")):
+        yield f"{argument('deform', True)} writes points, not joints: no {flag}"
 
 
 def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None:

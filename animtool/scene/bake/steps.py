@@ -22,11 +22,7 @@ from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, OutputEntry, check_outline
 from animtool.scene.bake.reading import form_of
-from animtool.scene.file.entries import (
-    ScenePass,
-    SceneProp,
-    SceneSystem,
-)
+from animtool.scene.file.entries import ScenePass, SceneProp, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import fitting_options, open_source
 from animtool.usd.layers.jobs import LayerForm

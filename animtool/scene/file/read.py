@@ -45,7 +45,7 @@ from animtool.scene.file.tracks import TrackNames
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import SourceOptions, is_usd, supports_option
 from animtool.scene.systems.links import check_colliders, check_links
-from animtool.scene.systems.suspicions import warn_of_sizes
+from animtool.scene.systems.suspicions import warn_of_rotations, warn_of_sizes
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.scene.systems.suspicious_times import SceneTimes, warn_of_times
 from animtool.systems.framework.conversion import SceneUnits
@@ -406,7 +406,10 @@ class _PassReader:
         converted_values = self.units.convert_pass_options(name, values)
         options, faults = record_of_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            document.add(fault.code, (*location, *key), fault.message, fault.hint)
+            at_key = fault.code == "SCN001"
+            document.add(
+                fault.code, (*location, *key), fault.message, fault.hint, at_key=at_key
+            )
         if options is None:
             return None
         options, files = self._with_colliders(location, options)
@@ -420,8 +423,6 @@ class _PassReader:
         if name in {"simulate", "ragdoll"}:
             warn_of_sizes(document, location, converted_values)
             warn_of_forces(document, location, converted_values)
-            from animtool.scene.systems.suspicious_angles import warn_of_rotations
-
             warn_of_rotations(document, location, converted_values)
         return ScenePass(pass_, options, entry_location(document, location), files)
 

@@ -10,14 +10,7 @@ from functools import cache
 from typing import Annotated, Any, Literal, TypeVar
 
 from annotated_types import Ge, Len
-from pydantic import (
-    AfterValidator,
-    BaseModel,
-    Discriminator,
-    Field,
-    Tag,
-    create_model,
-)
+from pydantic import AfterValidator, BaseModel, Discriminator, Field, Tag, create_model
 
 from animtool.core.options import key
 from animtool.core.plugins import load_object

@@ -58,11 +58,7 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.writing import SolvedOutput
 from animtool.scene.sources.onto_rig import map_names, open_rig
-from animtool.scene.sources.open import (
-    SourceOptions,
-    open_source,
-    supports_option,
-)
+from animtool.scene.sources.open import SourceOptions, open_source, supports_option
 
 if TYPE_CHECKING:
     from animtool.clip.key_report import ChannelError
@@ -111,11 +107,10 @@ class IkReport:
     # Report of the written file; None if nothing was written.
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
-        "'ik' targets=solved.tracks.path outputs frames=solved.frames "
-        "first=span.first last=span.last fps=span.fps# "
-        "solved=solved.take.clock.span{first last fps#} joints=solved.problem.joints "
-        "degrees_of_freedom=solved.problem.degrees conditions=solved.problem.rows "
-        "statuses=solved.status_counts "
+        "'ik' targets=solved.tracks.path outputs frames=solved.frames first=span.first "
+        "last=span.last fps=span.fps# solved=solved.take.clock.span{first last fps#} "
+        "joints=solved.problem.joints degrees_of_freedom=solved.problem.degrees "
+        "conditions=solved.problem.rows statuses=solved.status_counts "
         "iterations=solved{mean=mean_iterations max=max_iterations} "
         "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
         "goals{effector=name joint residuals missed=spans} "
@@ -320,11 +315,9 @@ def _with_goal_tolerances(job: IkJob) -> TakeOptions:
 
 def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     """Return the errors above which a goal counts as missed [m], [rad]."""
-    options, position_tolerance, angle_tolerance = (
-        job.options,
-        job.tolerance,
-        job.angle_tolerance,
-    )
+    options = job.options
+    position_tolerance = job.tolerance
+    angle_tolerance = job.angle_tolerance
     return (
         max(MISSED_LENGTH, options.tolerance)
         if position_tolerance is None
@@ -360,7 +353,9 @@ def open_start(
     """
     if options.rig is None and supports_option(path, "rig"):
         options = replace(options, rig=rig_path)
-    stream = reorient(open_source(path, options, progress=progress), rig.up)
+    stream = open_source(path, options, progress=progress)
+    if stream.rig.up is not rig.up:
+        stream = reorient(stream, rig.up)
     # What its blocks notice is known when all are read.
     take = _crop_to_shot(stream.collect(), options.shot)
     if take.rig.names == rig.names and take.rig.controls == rig.controls:
@@ -410,9 +405,8 @@ def _map_motion(
     if common < MIN_COMMON * min(len(rig.names), len(take.rig.names)):
         shared = [name for name in rig.names if name not in missing_joints]
         message = (
-            f"is a take of another skeleton: it has {common} of the "
-            f"{len(rig.names)} joints of {rig.name!r} ({listed(shared, 3)}); the "
-            "others stay at rest"
+            f"is a take of another skeleton: it has {common} of the {len(rig.names)} "
+            f"joints of {rig.name!r} ({listed(shared, 3)}); the others stay at rest"
         )
         severity = Severity.WARNING
         notices.append(Fault("TGT102", message, str(path), (), transfer_hint, severity))

@@ -61,10 +61,8 @@ class MocapSolveJob:
     @property
     def target(self) -> SolvedOutput:
         """The output and the subject's files, without the arrays of a rig."""
-        subject_files, rig = (
-            (self.write_rig, self.write_template),
-            self.write_rig or self.rig,
-        )
+        subject_files = (self.write_rig, self.write_template)
+        rig = self.write_rig or self.rig
         return SolvedOutput.of(self.output, self.source, self.bake, rig, subject_files)
 
 

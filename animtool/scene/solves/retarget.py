@@ -9,11 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.errors import Fault, OptionError, faults_in
-from animtool.core.files.output import (
-    atomic_outputs,
-    protect_inputs,
-    write_parts,
-)
+from animtool.core.files.output import atomic_outputs, protect_inputs, write_parts
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
@@ -227,6 +223,6 @@ def _retarget(
     result = RetargetResult(
         job.source, job.rig, retargeting, joint_map, stream.rig, rig, notices, seconds
     )
-    result.start = Fraction(1) if stream.start is None else stream.start
+    result.start = stream.first_frame
     result.rate = stream.fps / stream.step
     return drive_stream(solved_stream), result

@@ -54,8 +54,6 @@ def range_distance(
     take_range = f"{clock.label(take_seconds[0])} to {clock.label(take_seconds[1])}"
     message = (
         f"the range shows {shot_range}, but the take is {take_range}: the range is "
-    )
-    message += (
         f"{_distance(shot_seconds[0])} {'after' if shot_seconds[0] > 0 else 'before'} "
         "it"
     )
@@ -63,8 +61,8 @@ def range_distance(
     hint = (
         "if the first timecode of the take is different, set it: "
         f"{argument('first_timecode', code)}"
+        ", or `first_timecode` under [timeline] in animtool.toml or in "
     )
-    hint += ", or `first_timecode` under [timeline] in animtool.toml or in "
     hint += "metadata.animtool of the clip"
     return message, hint
 

@@ -244,10 +244,6 @@ class _JoinedTake:
     def _rate(self) -> Fraction:
         return self.base.fps / self.base.step
 
-    @property
-    def _start(self) -> Fraction:
-        return Fraction(1) if self.base.start is None else self.base.start
-
     def _blocks(self) -> Iterator[Motion]:
         frames_read = 0
         for block in self.base.blocks:
@@ -264,7 +260,7 @@ class _JoinedTake:
 
     def _curve(self, times: FloatArray) -> Motion:
         motion = self._base_at(times)
-        seconds = (times - float(self._start)) / float(self.base.fps)
+        seconds = (times - float(self.base.first_frame)) / float(self.base.fps)
         for layer in self.layers:
             motion = with_tracks(
                 self.base.rig, motion, layer.sample(seconds), layer.tracks
@@ -283,7 +279,7 @@ class _JoinedTake:
         for layer in self.layers:
             clock, curves = layer.take.clock, layer.source.stream.control_curves
             ratio = float(self.base.fps / clock.fps)
-            begin = float(self._start + layer.delay * self.base.fps)
+            begin = float(self.base.first_frame + layer.delay * self.base.fps)
             for i in layer.tracks.controls.tolist():
                 name = self.base.rig.controls[i].name
                 merged_curves.pop(name, None)
@@ -336,7 +332,7 @@ class _JoinedTake:
 
     def _span(self, first: Fraction, last: Fraction) -> str:
         labels = [
-            f"{float(self._start + frame * self.base.step):.10g}"
+            f"{float(self.base.first_frame + frame * self.base.step):.10g}"
             for frame in (first, last)
         ]
         return " to ".join(dict.fromkeys(labels))

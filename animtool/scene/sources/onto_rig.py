@@ -144,8 +144,8 @@ def on_rig(stream: TakeStream, rig: Rig, note: Notify) -> tuple[TakeStream, Name
         message = f"has no joint, shape or control of {rig.name!r}"
         hint = (
             f"its joints are {listed(stream.rig.names, MAX_NAMED)}; animtool retarget "
+            "moves a take to another rig"
         )
-        hint += "moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
     source_blocks, curve = stream.blocks, stream.curve
     control_names = {control.name for control in rig.controls}

@@ -72,12 +72,10 @@ class SourceOptions:
         "axis",
         reason=_UNIT_REASON,
         scene=Key(
-            "Up axis of a BVH, glTF or FBX. Default: Y; as stated in an FBX.",
-            "Z",
+            "Up axis of a BVH, glTF or FBX. Default: Y; as stated in an FBX.", "Z"
         ),
         batch=Key(
-            "Up axis of BVH, glTF and FBX files. Default: Y; as stated in FBX.",
-            "Z",
+            "Up axis of BVH, glTF and FBX files. Default: Y; as stated in FBX.", "Z"
         ),
         help="Up axis of the source.  [default: as stated; Y for a BVH or glTF]",
     )
@@ -296,10 +294,7 @@ def fitting_options(
 
 
 def open_source(
-    path: Path | str,
-    options: SourceOptions | None = None,
-    *,
-    progress: Progress = None,
+    path: Path | str, options: SourceOptions | None = None, *, progress: Progress = None
 ) -> TakeStream:
     """Open a BVH, a USD file or a clip as a stream of blocks.
 

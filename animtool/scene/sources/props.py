@@ -82,7 +82,7 @@ def with_props(
     ``first`` is the number of the first frame; None is the take's own, or 1. ``fps`` is
     the output's rate; None is the take's. ``dropped`` is as in `TakeStream`.
     """
-    start = Fraction(1) if stream.start is None else stream.start
+    start = stream.first_frame
     props = [
         _TimedProp(
             prop,
@@ -149,7 +149,7 @@ class _TimedProp:
         track = self.open_prop.track
         if dropped is None or not track.follows_placement:
             return track
-        start = Fraction(1) if stream.start is None else stream.start
+        start = stream.first_frame
         rate = stream.step / self.step
 
         def inverse_placement(times: FloatArray) -> Placement:
@@ -189,10 +189,6 @@ class _PropStream:
     stream: TakeStream
     props: Sequence[_TimedProp]
 
-    @property
-    def _start(self) -> Fraction:
-        return Fraction(1) if self.stream.start is None else self.stream.start
-
     def blocks(self) -> Iterator[Motion]:
         frames_read = 0
         for block in self.stream.blocks:
@@ -208,7 +204,7 @@ class _PropStream:
 
     def times_at(self, times: FloatArray) -> FloatArray:
         """Return the time codes of every prop ``(F, N)`` at time codes of the take."""
-        frames = (times - float(self._start)) / float(self.stream.step)
+        frames = (times - float(self.stream.first_frame)) / float(self.stream.step)
         begin_codes = np.array([float(prop.begin) for prop in self.props])
         steps = np.array([float(prop.step) for prop in self.props])
         return np.asarray(begin_codes + frames[:, None] * steps)

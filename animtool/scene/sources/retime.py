@@ -42,7 +42,7 @@ def with_preroll(stream: TakeStream, count: int) -> TakeStream:
     The take's own frames keep their time codes.
     """
     source_blocks, curve = stream.blocks, stream.curve
-    start = Fraction(1) if stream.start is None else stream.start
+    start = stream.first_frame
     first = float(start)
 
     def first_pose(times: FloatArray) -> Motion:
@@ -105,7 +105,7 @@ def _retime_stream(
     """Return a take with new frame numbers, and its curves retimed to match."""
     assert shot.fps is not None
     ratio = stream.fps * shot.speed / shot.fps
-    curve, first_code = stream.curve, float(1 if stream.start is None else stream.start)
+    curve, first_code = stream.curve, float(stream.first_frame)
     origin = float(shot.frame_at(0))
 
     def sample_shifted(times: FloatArray) -> Motion:

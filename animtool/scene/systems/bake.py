@@ -120,11 +120,7 @@ class SystemPrims:
 
         draft.layer, draft.files = layer, OneFile(layer, plan.output, result)
         report = TakeReport(
-            self.scene.path,
-            take,
-            len(self.codes),
-            metadata.span.fps,
-            "",
+            self.scene.path, take, len(self.codes), metadata.span.fps, ""
         )
         draft.report = plan.report(
             [report],

@@ -131,8 +131,6 @@ class OnPrim:
 
 def keyed_poses(model: PlacedModel, entry_poses: Poses) -> Poses:
     """Return the poses of an entry, moved by its translation and rotation keys."""
-    if not model.moves and not model.turns:
-        return entry_poses
     translation_keys = np.array(model.moves or [[0.0] * 4])
     rotation_keys = np.array(model.turns or [[0.0, 1.0, 0.0, 0.0, 0.0]])
     origins = np.zeros((len(rotation_keys), 3))

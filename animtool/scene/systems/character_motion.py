@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import field, replace
-from fractions import Fraction
 from functools import lru_cache
 from pathlib import Path
 
@@ -248,18 +247,15 @@ class CharacterRecorder:
         if stream is None:
             return None
         motion = self._complete(stream)
-        start = Fraction(1) if stream.start is None else stream.start
-        clock = Clock(stream.fps, start, stream.step, motion.frames)
+        clock = Clock(stream.fps, stream.first_frame, stream.step, motion.frames)
         return motion_of(path, Take(stream.rig, clock, motion))
 
     def _complete(self, stream: TakeStream) -> Motion:
         if self._blocks:
             return Motion.concatenate(self._blocks)
         assert stream.curve is not None
-        start = Fraction(1) if stream.start is None else stream.start
-        return _joints_and_shapes(
-            stream.curve(time_codes(start, stream.step, stream.count))
-        )
+        times = time_codes(stream.first_frame, stream.step, stream.count)
+        return _joints_and_shapes(stream.curve(times))
 
     def _record_blocks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:

@@ -5,14 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import (
-    TYPE_CHECKING,
-    Annotated,
-    Any,
-    TypeAlias,
-    get_args,
-    get_origin,
-)
+from typing import TYPE_CHECKING, Annotated, Any, TypeAlias, get_args, get_origin
 
 import numpy as np
 
@@ -30,8 +23,12 @@ from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import POSE_KEYS, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
-from animtool.scene.systems.suspicions import shape_volume, warn_of_sizes
-from animtool.scene.systems.suspicious_angles import warn_of_radians, warn_of_rotations
+from animtool.scene.systems.suspicions import (
+    shape_volume,
+    warn_of_radians,
+    warn_of_rotations,
+    warn_of_sizes,
+)
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.conversion import METRES, SceneUnits
 from animtool.systems.framework.fields import (
@@ -127,10 +124,7 @@ class SpecPartReader(EntryReader):
     """
 
     def __init__(
-        self,
-        document: Document,
-        roots: Sequence[Path],
-        units: SceneUnits = METRES,
+        self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
     ) -> None:
         super().__init__(document, roots, units)
         self.carriers: list[Path] = []

@@ -14,11 +14,7 @@ from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.names import nearest
 from animtool.core.options import ENTRY_RANGE_MESSAGE, Checked, range_faults
 from animtool.documents.arrays import load_array
-from animtool.documents.check import (
-    FileModel,
-    record_of_options,
-    unknown_options,
-)
+from animtool.documents.check import FileModel, record_of_options, unknown_options
 from animtool.documents.document import Document, Location
 from animtool.documents.fields import MAX_NUMBER, record_of
 from animtool.documents.model_faults import LocatedFaults
@@ -66,10 +62,7 @@ class EntryReader:
     """
 
     def __init__(
-        self,
-        document: Document,
-        roots: Sequence[Path],
-        units: SceneUnits = METRES,
+        self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
     ) -> None:
         self.document, self.roots, self.units = document, tuple(roots), units
         self.sound = True
@@ -78,7 +71,10 @@ class EntryReader:
     def note(self, location: Location, fault: Fault) -> None:
         """Record a fault at a location."""
         self.sound = False
-        self.document.add(fault.code, location, fault.message, fault.hint)
+        at_key = fault.code == "SCN001"
+        self.document.add(
+            fault.code, location, fault.message, fault.hint, at_key=at_key
+        )
 
     def note_all(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
@@ -221,7 +217,8 @@ class EntryReader:
         """
         w, x, y, z = model.rotate
         entry_poses = Poses.fixed(model.at, (x, y, z, w))
-        if entry_poses.faults():
+        has_keys = model.moves or model.turns or model.prim is not None
+        if not has_keys or entry_poses.faults():
             return entry_poses
         if model.prim is not None:
             return self._prim_poses(location, model, entry_poses, code)
@@ -241,11 +238,7 @@ class EntryReader:
         return keyed_poses(model, entry_poses) if is_valid else None
 
     def _prim_poses(
-        self,
-        location: Location,
-        model: PlacedModel,
-        entry_poses: Poses,
-        code: str,
+        self, location: Location, model: PlacedModel, entry_poses: Poses, code: str
     ) -> Poses | None:
         """Return the poses of an entry that follows a prim."""
         assert model.prim is not None

@@ -95,10 +95,8 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
             tied_first.setdefault(name, i) for name in system.setup.around.carriers
         ]
         for other_index in joined_indices:
-            old_group, new_group = (
-                max(group_of[i], group_of[other_index]),
-                min(group_of[i], group_of[other_index]),
-            )
+            old_group = max(group_of[i], group_of[other_index])
+            new_group = min(group_of[i], group_of[other_index])
             group_of = [
                 new_group if member == old_group else member for member in group_of
             ]
@@ -115,19 +113,19 @@ def check_links(
     valid_systems = len(systems) == len(names)
     for system in systems:
         setup = system.setup
-        for name, location in setup.joined:
+        named_systems = [
+            *((*entry, "weldable") for entry in setup.joined),
+            *((*entry, "surface") for entry in setup.around.needs),
+        ]
+        for name, location, capability in named_systems:
             valid_systems &= _check_name(
-                document, location, name, system, systems, names, "weldable"
+                document, system, systems, names, name, location, capability
             )
-        for name, location in setup.around.needs:
+        for entry in setup.around.pushes if valid_systems else ():
             valid_systems &= _check_name(
-                document, location, name, system, systems, names, "surface"
+                document, system, systems, names, *entry, "rigid"
             )
-        for name, location in setup.around.pushes if valid_systems else ():
-            valid_systems &= _check_name(
-                document, location, name, system, systems, names, "rigid"
-            )
-        for tie in system.setup.around.tied if valid_systems else ():
+        for tie in setup.around.tied if valid_systems else ():
             valid_systems &= _check_body(document, system, systems, *tie)
     valid_systems = valid_systems and _check_cycles(document, systems)
     for group in simulation_order(systems) if valid_systems else ():
@@ -158,15 +156,8 @@ def check_colliders(
             if not isinstance(character, SystemSurfaceModel):
                 continue
             key_location = (*location, "systems", i)
-            _check_name(
-                document,
-                (*key_location, "system"),
-                character.system,
-                None,
-                systems,
-                names,
-                "surface",
-            )
+            name, name_location = character.system, (*key_location, "system")
+            _check_name(document, None, systems, names, name, name_location, "surface")
             if character.two_way:
                 message = "what a pass simulates does not push bodies of systems"
                 hint = "remove two_way, or simulate it as a system"
@@ -262,11 +253,11 @@ def check_names(
 
 def _check_name(
     document: Document,
-    location: Location,
-    name: str,
     system: SceneSystem | None,
     systems: Sequence[SceneSystem],
     names: Sequence[str],
+    name: str,
+    location: Location,
     capability: str,
 ) -> bool:
     """Record a fault unless a name is that of a suitable other system."""

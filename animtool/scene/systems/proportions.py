@@ -94,10 +94,8 @@ def _out_of_scale(
     rotation = up_from_up(UpAxis.Y, rig.up)
     if rotation is not None:
         joint_positions = so3.rotate(rotation, joint_positions)
-    distance, extent = (
-        _bounds_distance(points, joint_positions),
-        float(np.ptp(points, axis=0).max()),
-    )
+    distance = _bounds_distance(points, joint_positions)
+    extent = float(np.ptp(points, axis=0).max())
     fits_in_rig_unit = (
         _bounds_distance(points * scale, joint_positions) <= NEAR_RATIO * bounds_size
     )
@@ -175,9 +173,8 @@ def _pin_warnings(
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
     message = (
-        f"the pinned end is {plain_number(distance, 4)} m from {description}, "
-        "but the joints "
-        f"of {rig.name!r} span {plain_number(joint_size)} m"
+        f"the pinned end is {plain_number(distance, 4)} m from {description}, but the "
+        f"joints of {rig.name!r} span {plain_number(joint_size)} m"
     )
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:

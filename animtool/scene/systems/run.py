@@ -26,9 +26,10 @@ from animtool.scene.systems.simulation import (
     SystemProgress,
     located_systems,
     open_systems,
+    state_clock,
 )
 from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, ReachedState
-from animtool.systems.framework.saved import StateClock, write_states
+from animtool.systems.framework.saved import write_states
 from animtool.systems.framework.simulation import NeedsFinalState
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.names import distinct_names, legal_name
@@ -296,9 +297,8 @@ class SystemRun:
         """Write the states to save into the scene's folder."""
         for i, (_, state) in self._saved_states.items():
             system, run = self.systems[i], self._entry_runs[i].run
-            clocked_system = StateClock(system.kind, run.begin, run.step_length)
             for name in system.setup.writes:
-                write_states(folder / name, {"": (clocked_system, state)})
+                write_states(folder / name, {"": (state_clock(system, run), state)})
 
     def _row(self, i: int, t: float) -> Any:
         start_time = time.perf_counter()
@@ -384,8 +384,8 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
         if seconds / step > MAX_STEPS:
             message = (
                 f"{plain_number(seconds)} s in steps of {plain_number(step)} s are "
+                f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             )
-            message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))
     if faults:

@@ -195,7 +195,8 @@ def open_systems(
     """
     context = BuildContext(last, characters_with(character), progress=progress)
     built_systems = build_systems(systems, context)
-    if warnings is not None:
+    has_characters = main_rig is not None or context.characters.by_path
+    if warnings is not None and has_characters:
         warnings += placement_warnings(systems, context.characters, main_rig)
     return built_systems
 

@@ -204,7 +204,10 @@ class Surroundings:
             characters: Characters in motion.
             run_by_name: Runs of the scene's systems, including those it depends on.
         """
-        capsules, skins = character_colliders(self.characters, characters)
+        capsules: list[Collider] = []
+        skins: list[Sheet] = []
+        if self.characters:
+            capsules, skins = character_colliders(self.characters, characters)
         sheets: list[Sheet] = []
         bodies: list[BodyColliders] = []
         for surface_entry in self.systems:

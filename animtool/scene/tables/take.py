@@ -109,9 +109,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
             notices=outside_notices,
         ),
         _key_trial(
-            path,
-            take if step == 1 else resampled(take, rate),
-            dict(options.reduce_at),
+            path, take if step == 1 else resampled(take, rate), dict(options.reduce_at)
         ),
     ]
 

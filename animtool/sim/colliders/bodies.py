@@ -67,15 +67,10 @@ class MovingBodies(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Wrenches:
-    """Impulses on bodies ``(count, 6)``: [N s], then angular, about the origin [N m s].
+    """Impulses on bodies ``(count, 6)``: [N s], then about the origin [N m s]."""
 
-    Attributes:
-        impulses: Sum of the impulses.
-        delayed: Sum of the impulses times the time since they were applied.
-    """
-
-    impulses: FloatArray
-    delayed: FloatArray
+    impulses: FloatArray  # sum of the impulses
+    delayed: FloatArray  # sum of the impulses times the time since they were applied
 
     @staticmethod
     def none(count: int) -> Wrenches:
@@ -123,9 +118,8 @@ def pushable_rows(bodies: Sequence[MovingBodies], t0: float, t1: float) -> Float
             end_centres, _ = system.inertias(t1)
             inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             masses = 1 / system.masses[:, None]
-            body_rows.append(
-                np.concatenate([masses, inertia_rows, centres, end_centres], axis=1)
-            )
+            columns = [masses, inertia_rows, centres, end_centres]
+            body_rows.append(np.concatenate(columns, axis=1))
     return np.concatenate(body_rows)
 
 
@@ -173,30 +167,22 @@ def exchange_impulses(
     wrenches = Wrenches.none(bodies.count)
     if not len(touching_rows):
         return with_contacts, wrenches
-    owners, velocity_change, speed_change = (
-        owners[touching_rows],
-        velocity_change[touching_rows],
-        speed_change[touching_rows],
-    )
-    directions, displacement = (
-        velocity_change / speed_change[:, None],
-        with_contacts[0, touching_rows] - without_contacts[0, touching_rows],
-    )
+    owners = owners[touching_rows]
+    velocity_change = velocity_change[touching_rows]
+    speed_change = speed_change[touching_rows]
+    directions = velocity_change / speed_change[:, None]
+    displacement = with_contacts[0, touching_rows] - without_contacts[0, touching_rows]
     elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
-    points = (
-        with_contacts[0, touching_rows]
-        - elapsed[:, None] * with_contacts[1, touching_rows]
-    )
+    end_points, end_velocities = with_contacts[:, touching_rows]
+    points = end_points - elapsed[:, None] * end_velocities
     contact_counts = np.bincount(owners, minlength=bodies.count)[owners]
     inverse_masses = 1.0 / masses[touching_rows]
     body_inverse_masses = bodies.inverse_masses(t, owners, points, directions)
-    fraction = (
-        inverse_masses / (inverse_masses + contact_counts * body_inverse_masses)
-    )[:, None]
+    sums = inverse_masses + contact_counts * body_inverse_masses
+    fraction = (inverse_masses / sums)[:, None]
+    changes = fraction * np.stack([displacement, velocity_change])
     new_state = with_contacts.copy()
-    new_state[:, touching_rows] = without_contacts[
-        :, touching_rows
-    ] + fraction * np.stack([displacement, velocity_change])
+    new_state[:, touching_rows] = without_contacts[:, touching_rows] + changes
     impulses = -masses[touching_rows, None] * fraction * velocity_change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.impulses, owners, pushes)

@@ -48,6 +48,11 @@ class Poses:
         """Times as an array ``(T,)`` [s]."""
         return np.asarray(self.times, np.float64)
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether there is a single pose."""
+        return len(self.sample_times) == 1
+
     @cached_property
     def rows(self) -> FloatArray:
         """Origins and unit quaternions ``(T, 7)``."""
@@ -74,9 +79,8 @@ class Poses:
         i = key_indices[is_between]
         if len(i):
             before, after = rows[i], rows[i + 1]
-            fraction = (times[is_between] - key_times[i]) / (
-                key_times[i + 1] - key_times[i]
-            )
+            durations = key_times[i + 1] - key_times[i]
+            fraction = (times[is_between] - key_times[i]) / durations
             displacement = (after[:, :3] - before[:, :3]) * fraction[:, None]
             poses[is_between, :3] = before[:, :3] + displacement
             poses[is_between, 3:] = so3.slerp(before[:, 3:], after[:, 3:], fraction)
@@ -90,9 +94,8 @@ class Poses:
     def teleports(self, points: FloatArray, limit: float) -> BoolArray:
         """Return a mask of intervals in which points exceed a speed ``(T - 1,)``."""
         distances = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
-        return np.asarray(
-            distances.max(axis=1) > limit * np.diff(self.sample_times), np.bool_
-        )
+        max_distances = limit * np.diff(self.sample_times)
+        return np.asarray(distances.max(axis=1) > max_distances, np.bool_)
 
     def faults(self) -> list[str]:
         """Return a message for each invalid value."""
@@ -143,9 +146,8 @@ class Collider(Contact, Checked):
     def speed(self) -> float:
         """Maximum speed of the collider, teleports excluded [m/s]."""
         positions = self.poses.to_world(self.shape.anchors())
-        distances = np.linalg.norm(np.diff(positions, axis=0), axis=2).max(
-            axis=1, initial=0.0
-        )
+        distances = np.linalg.norm(np.diff(positions, axis=0), axis=2)
+        distances = distances.max(axis=1, initial=0.0)
         speeds = distances / np.diff(self.poses.sample_times)
         return float(speeds[~self.teleports].max(initial=0.0))
 

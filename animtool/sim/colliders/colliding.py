@@ -17,13 +17,13 @@ from animtool.core.array_types import (
     IntArray,
     as_floats,
 )
-from animtool.core.errors import Fault, OptionError, warning
+from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
-from animtool.sim.colliders.sheets import Sheet, collide_with_sheet
-from animtool.sim.colliders.surfaces import Surfaces
+from animtool.sim.colliders.sheets import Sheet, states_at_sheet
+from animtool.sim.colliders.surfaces import Surfaces, teleport_warning
 
 _SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
 _SIZE_COUNT = 7
@@ -91,18 +91,12 @@ class Collided:
 
 @dataclass(frozen=True, slots=True)
 class ColliderSamples:
-    """Distances, normals and velocities of C colliders at N points.
+    """Distances, normals and velocities of C colliders at N points."""
 
-    Attributes:
-        distances: Distances from the surfaces minus the margins, negative inside
-            ``(C, N)`` [m].
-        normals: Unit normals out of the colliders ``(C, N, 3)``.
-        velocities: Velocities of the surfaces ``(C, N, 3)`` [m/s].
-    """
-
+    # Distances from the surfaces minus the margins, negative inside (C, N) [m].
     distances: FloatArray
-    normals: FloatArray
-    velocities: FloatArray
+    normals: FloatArray  # unit normals out of the colliders (C, N, 3)
+    velocities: FloatArray  # velocities of the surfaces (C, N, 3) [m/s]
 
 
 class Colliders(Sequence[Collider]):
@@ -127,10 +121,8 @@ class Colliders(Sequence[Collider]):
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
         # All rigid colliders, in the kernels' numbering.
-        rigid = [
-            *self._colliders,
-            *(collider for system in bodies for collider in system.colliders),
-        ]
+        rigid = list(self._colliders)
+        rigid += [collider for system in bodies for collider in system.colliders]
         self.rigid = len(rigid)
         self.surfaces = Surfaces(self.sheets)
         faults = [
@@ -143,24 +135,20 @@ class Colliders(Sequence[Collider]):
         if faults:
             raise OptionError(faults)
         self._meshes, roots = _mesh_arrays([c.shape for c in rigid])
-        self._kinds = np.array(
-            [
-                (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
-                for c, root in zip(rigid, roots, strict=True)
-            ],
-            np.int64,
-        ).reshape(-1, 3)
+        kinds = [
+            (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
+            for c, root in zip(rigid, roots, strict=True)
+        ]
+        self._kinds = np.array(kinds, np.int64).reshape(-1, 3)
         self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
         for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes
         self._materials = np.array([c.material for c in rigid]).reshape(-1, 4)
-        self._poses = np.array(
-            [np.stack([c.poses.rows[0]] * 2) for c in rigid]
-        ).reshape(-1, 2, 7)
-        self._moving = [
-            i for i, c in enumerate(self._colliders) if len(c.poses.sample_times) > 1
-        ]
+        first_poses = [[c.poses.rows[0]] * 2 for c in rigid]
+        self._poses = np.array(first_poses).reshape(-1, 2, 7)
+        moves = [not collider.poses.is_fixed for collider in self._colliders]
+        self._moving = np.flatnonzero(moves).tolist()
 
     def __len__(self) -> int:
         """Return the number of colliders."""
@@ -234,10 +222,11 @@ class Colliders(Sequence[Collider]):
 
     def _teleport_warnings(self) -> list[Fault]:
         """Return a warning for each teleport of a rigid collider."""
+        hint = "raise its speed limit if it should collide on its way"
         return [
-            _teleport_warning(collider, collider.name or f"colliders[{i}]", k)
-            for i, collider in enumerate(self._colliders)
-            for k in np.flatnonzero(collider.teleports).tolist()
+            teleport_warning(one.speed_limit, t, one.name or f"colliders[{i}]", hint)
+            for i, one in enumerate(self._colliders)
+            for t in one.poses.sample_times[1:][one.teleports].tolist()
         ]
 
 
@@ -246,17 +235,6 @@ def _active_side(collider: Collider) -> int:
     if collider.container:
         return 1
     return 2 if isinstance(collider.shape, Mesh) and not collider.shape.closed else 0
-
-
-def _teleport_warning(collider: Collider, where: str, k: int) -> Fault:
-    """Return a warning about a collider's teleport in sample interval ``k``."""
-    speed, end_time = collider.speed_limit, collider.poses.sample_times[k + 1]
-    message = (
-        f"it moves faster than {speed:g} m/s until {end_time:g} s: it collides with "
-    )
-    message += "nothing"
-    hint = "raise its speed limit if it should collide on its way"
-    return warning("SIM120", message, hint, where)
 
 
 def collide(
@@ -297,20 +275,15 @@ def collide(
     >>> result.points.tolist(), result.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
-    collider_set = (
-        colliders if isinstance(colliders, Colliders) else Colliders(colliders)
-    )
+    is_prepared = isinstance(colliders, Colliders)
+    collider_set = colliders if is_prepared else Colliders(colliders)
     positions = as_floats(points, ("N", 3), "points")
-    end_state = np.stack(
-        [positions, as_floats(velocities, (len(positions), 3), "velocities")]
-    )
-    start_state = as_floats(before, (2, len(positions), 3), "before")
-    radius_array = np.ascontiguousarray(
-        np.broadcast_to(radii, len(positions)), np.float64
-    )
-    spawn_times = (
-        np.zeros(len(positions)) if begins is None else np.subtract(begins, t0)
-    )
+    count = len(positions)
+    end_velocities = as_floats(velocities, (count, 3), "velocities")
+    end_state = np.stack([positions, end_velocities])
+    start_state = as_floats(before, (2, count, 3), "before")
+    radius_array = np.ascontiguousarray(np.broadcast_to(radii, count), np.float64)
+    spawn_times = np.zeros(count) if begins is None else np.subtract(begins, t0)
     sheet_contacts = _stop_at_sheets(
         collider_set, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
@@ -324,10 +297,8 @@ def collide(
     )
     for rows, kinds, sheet_normals in sheet_contacts:
         is_untouched = touches[rows, 0] < 0
-        touches[rows[is_untouched]], normals[rows[is_untouched]] = (
-            kinds[is_untouched],
-            sheet_normals[is_untouched],
-        )
+        touches[rows[is_untouched]] = kinds[is_untouched]
+        normals[rows[is_untouched]] = sheet_normals[is_untouched]
     collider_indices, kinds = touches.T.copy()
     return Collided(state[0], state[1], Contacts(collider_indices, kinds, normals))
 
@@ -344,29 +315,25 @@ def _stop_at_sheets(
 
     Rigid colliders are applied afterwards, so that they win over sheets.
     """
-    step, contacts = interval[1] - interval[0], []
-
-    def collide_static(
-        collider: Collider,
-        relative_start: FloatArray,
-        relative_end: FloatArray,
-        radii: FloatArray,
-        spawn_times: FloatArray,
-    ) -> Any:
-        arrays = Colliders([collider]).arrays(*interval)
-        return _kernels.collide_particles(
-            arrays, relative_start, relative_end, radii, spawn_times, step
+    (t0, t1), contacts = interval, []
+    for i, sheet in enumerate(collider_set.sheets if t1 > t0 else ()):
+        relative = states_at_sheet(
+            sheet, start_state, end_state, interval, radii, spawn_times
         )
-
-    for i, sheet in enumerate(collider_set.sheets if step > 0 else ()):
-        result = collide_with_sheet(
-            sheet, start_state, end_state, interval, radii, spawn_times, collide_static
-        )
-        if result is None:
+        if relative is None:
             continue
-        near_particles, (state, touches, normals) = result
+        rows = relative.rows
+        state, touches, normals = _kernels.collide_particles(
+            Colliders([relative.collider]).arrays(t0, t1),
+            relative.start,
+            relative.end,
+            radii[rows],
+            spawn_times[rows],
+            t1 - t0,
+        )
+        state[1] += relative.velocity
         is_touching = touches[:, 0] >= 0
-        rows = near_particles[is_touching]
+        rows = rows[is_touching]
         end_state[:, rows] = state[:, is_touching]
         touches[is_touching, 0] = collider_set.rigid + i
         contacts.append((rows, touches[is_touching], normals[is_touching]))
@@ -395,14 +362,7 @@ def _offset_mesh(
         points, corners
     )
     is_leaf = tree[:, :1] < 0
-    tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset).astype(
-        np.int32
-    )
-    return (
-        points,
-        sorted_triangles + np.int32(point_offset),
-        by_corner,
-        by_edge,
-        bounds,
-        tree,
-    )
+    tree = np.where(is_leaf, tree - [triangle_offset, 0], tree + node_offset)
+    tree = tree.astype(np.int32)
+    triangles = sorted_triangles + np.int32(point_offset)
+    return points, triangles, by_corner, by_edge, bounds, tree

@@ -17,36 +17,27 @@ from animtool.sim.colliders.shapes import Capsule
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointCapsules:
-    """C capsules attached to joints.
+    """C capsules attached to joints."""
 
-    Attributes:
-        joints: Index of the joint of each capsule ``(C,)``.
-        ends: Both ends of the axes, in the frames of the joints ``(C, 2, 3)`` [m].
-        radii: Radii ``(C,)`` [m].
-    """
-
-    joints: IntArray
-    ends: FloatArray
-    radii: FloatArray
+    joints: IntArray  # index of the joint of each capsule (C,)
+    ends: FloatArray  # both ends of the axes, in the frames of the joints (C, 2, 3) [m]
+    radii: FloatArray  # radii (C,) [m]
 
     @staticmethod
     def of(rig: Rig) -> JointCapsules:
         """Return the capsules of a rig."""
-        ends = []
+        joints, ends, radii = [], [], []
         for collider in rig.colliders:
             capsule = collider.capsule
+            offset = np.array(capsule.offset)
             half_axis = np.array(capsule.axis) * (capsule.length / 2)
-            ends.append(
-                [np.array(capsule.offset) + side * half_axis for side in (-1, 1)]
-            )
+            joints.append(rig.index(collider.joint))
+            ends.append([offset - half_axis, offset + half_axis])
+            radii.append(capsule.radius)
         return JointCapsules(
-            np.array(
-                [rig.index(collider.joint) for collider in rig.colliders], np.int64
-            ),
+            np.array(joints, np.int64),
             np.array(ends, np.float64).reshape(-1, 2, 3),
-            np.array(
-                [collider.capsule.radius for collider in rig.colliders], np.float64
-            ),
+            np.array(radii, np.float64),
         )
 
     @staticmethod
@@ -120,11 +111,9 @@ def rig_colliders(
         length = float(np.linalg.norm(b - a))
         axis = (b - a) / length if length else rig_collider.capsule.axis
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
-        poses = Poses(
-            times, joint_rows[:, capsule_index, :3], joint_rows[:, capsule_index, 3:]
-        )
-        material_source = Collider(shape) if template is None else template
-        colliders.append(
-            replace(material_source, shape=shape, poses=poses, name=rig_collider.joint)
-        )
+        rows = joint_rows[:, capsule_index]
+        poses = Poses(times, rows[:, :3], rows[:, 3:])
+        base = Collider(shape) if template is None else template
+        name = rig_collider.joint
+        colliders.append(replace(base, shape=shape, poses=poses, name=name))
     return colliders

@@ -233,9 +233,8 @@ class HeightField:
         shape = np.shape(heights)
         if len(shape) == 2 and min(shape) >= 2:
             return []
-        return [
-            f"its heights must have at least two rows and columns, not shape {shape}"
-        ]
+        message = "its heights must have at least two rows and columns, not shape"
+        return [f"{message} {shape}"]
 
 
 Shape: TypeAlias = Plane | Sphere | Capsule | Box | Mesh

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Annotated, Any, ClassVar, Protocol, TypeAlias
+from typing import Annotated, ClassVar, Protocol
 
 import numpy as np
 
@@ -62,12 +61,7 @@ class Sheet(Material, Checked):
         return [fault for fault in faults if fault[0] == "radius"] or faults
 
     def collider(self, points: FloatArray, triangles: IntArray) -> Collider:
-        """Return the sheet with its current points as a static collider.
-
-        Args:
-            points: ``(N, 3)`` [m].
-            triangles: ``(T, 3)``.
-        """
+        """Return a static collider of points ``(N, 3)`` and triangles ``(T, 3)``."""
         shape = Mesh(points, triangles, closed=True)
         if not self.closed:
             shape = hull(points, triangles, self.radius)
@@ -94,11 +88,8 @@ def hull(points: FloatArray, triangles: IntArray, radius: float) -> Mesh:
     >>> len(mesh.points), len(mesh.triangles)
     (6, 8)
     """
-    return Mesh(
-        hull_points(points, triangles, radius),
-        hull_faces(triangles, len(points)),
-        closed=True,
-    )
+    faces = hull_faces(triangles, len(points))
+    return Mesh(hull_points(points, triangles, radius), faces, closed=True)
 
 
 def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> FloatArray:
@@ -127,27 +118,29 @@ def hull_faces(triangles: IntArray, count: int) -> IntArray:
     return np.concatenate([triangles, back_faces, *rim])
 
 
-# Maps static colliders, start and end states ``(2, N, 3)``, radii and spawn times
-# within the step to end states, contact kinds ``(N,)`` and normals ``(N, 3)``.
-StaticCollision: TypeAlias = Callable[
-    [Collider, FloatArray, FloatArray, FloatArray, FloatArray], Any
-]
+@dataclass(frozen=True, slots=True, eq=False)
+class RelativeStates:
+    """Particles near a sheet, in the frame in which the sheet is at rest."""
+
+    collider: Collider  # the sheet in its final shape
+    rows: IntArray  # indices of the particles (K,)
+    start: FloatArray  # positions and velocities at the start of a step (2, K, 3)
+    end: FloatArray  # the same at the end of the step, without contacts (2, K, 3)
+    velocity: FloatArray  # velocity of the frame of each particle (K, 3) [m/s]
 
 
-def collide_with_sheet(
+def states_at_sheet(
     sheet: Sheet,
     before: FloatArray,
     after: FloatArray,
     interval: tuple[float, float],
     radii: FloatArray,
     spawn_times: FloatArray,
-    collide_static: StaticCollision,
-) -> tuple[IntArray, Any] | None:
-    """Return the particles near a sheet and their end states; None if none are near.
+) -> RelativeStates | None:
+    """Return the states of particles relative to a sheet; None if none are near.
 
-    Each particle is simulated in the moving frame of the nearest point of the sheet,
-    whose path in the step is straight: in this frame the sheet is at rest in its final
-    shape.
+    Each particle is in the moving frame of the nearest point of the sheet, whose path
+    in the step is straight: in this frame the sheet is at rest in its final shape.
 
     Limits of the method: if a sheet rotates by a large angle in one step, positions of
     particles have an error of this angle times their distance from the nearest point.
@@ -160,39 +153,26 @@ def collide_with_sheet(
         radii: Radii of the particles ``(N,)`` [m].
         spawn_times: Times at which particles spawn, from the start of the step ``(N,)``
             [s].
-        collide_static: Function that ends a step with contacts of static colliders.
     """
     t0, t1 = interval
     sheet.motion.forget(t0)
     start_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
     triangles = sheet.motion.triangles(t1)
-    near_particles = np.flatnonzero(
-        _is_near_sheet(
-            start_points, end_points, before[0], after[0], radii + sheet.radius
-        )
+    is_near = _is_near_sheet(
+        start_points, end_points, before[0], after[0], radii + sheet.radius
     )
-    if not len(near_particles) or not len(triangles):
+    rows = np.flatnonzero(is_near)
+    if not len(rows) or not len(triangles):
         return None
-    velocity = _displacement(
-        before[0, near_particles], start_points, end_points - start_points, triangles
-    ) / (t1 - t0)
-    start_state, end_state = (
-        before[:, near_particles].copy(),
-        after[:, near_particles].copy(),
-    )
-    start_state[0] += velocity * (t1 - t0 - spawn_times[near_particles])[:, None]
+    motion = end_points - start_points
+    displacement = _displacement(before[0, rows], start_points, motion, triangles)
+    velocity = displacement / (t1 - t0)
+    start_state, end_state = before[:, rows].copy(), after[:, rows].copy()
+    start_state[0] += velocity * (t1 - t0 - spawn_times[rows])[:, None]
     start_state[1] -= velocity
     end_state[1] -= velocity
     collider = sheet.collider(end_points, triangles)
-    state, touches, normals = collide_static(
-        collider,
-        start_state,
-        end_state,
-        radii[near_particles],
-        spawn_times[near_particles],
-    )
-    state[1] += velocity
-    return near_particles, (state, touches, normals)
+    return RelativeStates(collider, rows, start_state, end_state, velocity)
 
 
 def _is_near_sheet(
@@ -206,9 +186,8 @@ def _is_near_sheet(
     low = np.minimum(start_points.min(axis=0), end_points.min(axis=0))
     high = np.maximum(start_points.max(axis=0), end_points.max(axis=0))
     # A path is a parabola: it leaves the box of its end points by at most its length.
-    margin = radius[:, None] + np.linalg.norm(
-        path_ends - path_starts, axis=1, keepdims=True
-    )
+    path_lengths = np.linalg.norm(path_ends - path_starts, axis=1, keepdims=True)
+    margin = radius[:, None] + path_lengths
     above_low = np.maximum(path_starts, path_ends) + margin >= low
     below_high = np.minimum(path_starts, path_ends) - margin <= high
     return np.asarray((above_low & below_high).all(axis=1))
@@ -243,9 +222,8 @@ def _triangles_by_point(triangles: IntArray, count: int) -> IntArray:
     sorted_corners, sorted_faces = triangles.ravel()[order], order // 3
     starts = np.searchsorted(sorted_corners, np.arange(count + 1))
     neighbours = np.full((count, max(int(np.diff(starts).max()), 1)), -1)
-    neighbours[
-        sorted_corners, np.arange(len(sorted_corners)) - starts[sorted_corners]
-    ] = sorted_faces
+    columns = np.arange(len(sorted_corners)) - starts[sorted_corners]
+    neighbours[sorted_corners, columns] = sorted_faces
     return neighbours
 
 

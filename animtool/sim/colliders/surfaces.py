@@ -63,9 +63,8 @@ class Surfaces:
         for sheet_index, sheet in enumerate(self._prepared):
             points = np.stack([sheet.points(t) for t in knots.tolist()])
             self._record_speed(sheet_index, sheet.sheet, points, knots)
-            arrays.append(
-                (sheet.kernel, points, sheet.material, cells_per_knot, offset)
-            )
+            kernel, material = sheet.kernel, sheet.material
+            arrays.append((kernel, points, material, cells_per_knot, offset))
         return arrays
 
     def _record_speed(
@@ -77,15 +76,21 @@ class Surfaces:
         is_teleport = speeds > SPEED_LIMIT
         self.fastest = max(self.fastest, float(speeds[~is_teleport].max(initial=0.0)))
         for time in knots[1:][is_teleport].tolist():
-            message = f"it moves faster than {SPEED_LIMIT:g} m/s until {time:g} s: it "
-            message += "collides with nothing"
             label = sheet.name or f"sheets[{sheet_index}]"
-            fault = warning("SIM120", message, where=label)
+            fault = teleport_warning(SPEED_LIMIT, time, label)
             self._teleports[sheet_index, time] = fault
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport so far (SIM120)."""
         return list(self._teleports.values())
+
+
+def teleport_warning(
+    limit: float, end_time: float, where: str, hint: str | None = None
+) -> Fault:
+    """Return a warning about motion above a speed limit [m/s] (SIM120)."""
+    message = f"it moves faster than {limit:g} m/s until {end_time:g} s: it collides "
+    return warning("SIM120", f"{message}with nothing", hint, where)
 
 
 class _PreparedSheet:

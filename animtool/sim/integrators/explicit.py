@@ -49,9 +49,8 @@ class Tableau:
         state = stage if self.first_as_last else _add_rates(y, h, self.weights, rates)
         if not self.errors:
             return StepResult(state)
-        return StepResult(
-            state, error=_add_rates(np.zeros_like(y), h, self.errors, rates)
-        )
+        error = _add_rates(np.zeros_like(y), h, self.errors, rates)
+        return StepResult(state, error=error)
 
     @property
     def first_as_last(self) -> bool:

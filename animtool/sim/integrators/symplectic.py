@@ -59,10 +59,8 @@ def velocity_verlet(
     x_end = x + h * v_half
     second_acceleration = equations.acceleration(t + h, x_end, v_half)
     state = np.array((x_end, v_half + (0.5 * h) * second_acceleration))
-    is_reusable = (
-        equations.second_order is not None
-        and not equations.second_order.velocity_dependent
-    )
+    system = equations.second_order
+    is_reusable = system is not None and not system.velocity_dependent
     return StepResult(state, second_acceleration if is_reusable else None)
 
 

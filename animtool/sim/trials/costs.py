@@ -28,11 +28,9 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
     >>> pareto_optimal([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
     """
-    sorted_costs = sorted(
-        (cost.value, cost.error, i) for i, cost in enumerate(costs) if cost
-    )
+    rows = [(cost.value, cost.error, i) for i, cost in enumerate(costs) if cost]
     optimal, min_error = [], float("inf")
-    for _, error, i in sorted_costs:
+    for _, error, i in sorted(rows):
         if error < min_error:
             optimal.append(i)
             min_error = error
@@ -51,14 +49,12 @@ def recommended_index(
     1
     """
     chosen_cost = costs[chosen]
-    # Equal error after equal work is the same run; the timing is noise.
-    chosen_work = None if chosen_cost is None else (chosen_cost.error, chosen_cost.work)
-    max_error = (
-        accepted_error if chosen_cost is None else chosen_cost.error * EQUAL_ERROR
-    )
-    max_cost = (
-        float("inf") if chosen_cost is None else chosen_cost.value * MAX_WORTHWHILE_COST
-    )
+    max_error, max_cost, chosen_work = accepted_error, float("inf"), None
+    if chosen_cost is not None:
+        max_error = chosen_cost.error * EQUAL_ERROR
+        max_cost = chosen_cost.value * MAX_WORTHWHILE_COST
+        # Equal error after equal work is the same run; the timing is noise.
+        chosen_work = chosen_cost.error, chosen_cost.work
     candidates = [
         (cost.value, i)
         for i, cost in enumerate(costs)
@@ -68,9 +64,7 @@ def recommended_index(
         and (not cost.work or (cost.error, cost.work) != chosen_work)
     ]
     if not candidates and chosen_cost is None:
-        candidates = [
-            (cost.error, i) for i, cost in enumerate(costs) if cost is not None
-        ]
+        candidates = [(cost.error, i) for i, cost in enumerate(costs) if cost]
     return min(candidates)[1] if candidates else None
 
 
@@ -82,9 +76,7 @@ def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
     >>> cheapest_index([Cost(1.1, 0.01, 50), Cost(1.0, 0.01, 80), Cost(0.2, 0.3)], 0.1)
     0
     """
-    candidates = [
-        (c, i) for i, c in enumerate(costs) if c is not None and c.error <= budget
-    ]
+    candidates = [(c, i) for i, c in enumerate(costs) if c and c.error <= budget]
     if not candidates:
         return None
     lowest_cost = min(cost.value for cost, _ in candidates)

@@ -74,14 +74,8 @@ def measure(
     runs = _RunCache(trial, count, progress)
     reference, reference_outcome = _find_reference(trial, runs)
     rows = _trial_rows(trial, runs, settings, reference_outcome)
-    extent = (
-        0.0 if reference_outcome is None else points_extent(reference_outcome.snapshots)
-    )
-    instance_extent = (
-        0.0
-        if reference_outcome is None
-        else max_instance_extent(reference_outcome.snapshots)
-    )
+    snapshots = () if reference_outcome is None else reference_outcome.snapshots
+    extent, instance_extent = points_extent(snapshots), max_instance_extent(snapshots)
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
@@ -94,10 +88,8 @@ def measure(
         trial.name,
         trial.kind,
         trial.span,
-        0 if reference_outcome is None else len(reference_outcome.snapshots),
-        0
-        if reference_outcome is None
-        else max(len(snapshot.points) for snapshot in reference_outcome.snapshots),
+        len(snapshots),
+        max((len(snapshot.points) for snapshot in snapshots), default=0),
         extent,
         reference,
         rows,
@@ -140,12 +132,8 @@ class _RunCache:
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            is_repeated = self._trial.cost is CostMeasure.SECONDS
-            while (
-                is_repeated
-                and len(timings) < MAX_REPEATS
-                and sum(timings) < REPEAT_TIME
-            ):
+            max_runs = MAX_REPEATS if self._trial.cost is CostMeasure.SECONDS else 1
+            while len(timings) < max_runs and sum(timings) < REPEAT_TIME:
                 timings.append(self._trial.run(setting).seconds)
         return replace(outcome, seconds=min(timings))
 
@@ -179,21 +167,14 @@ def _build_reference(
         for coarse_run, fine_run in pairwise(outcomes)
     ]
     instance_extent = max_instance_extent(outcomes[-1].snapshots)
-    coarse_error, fine_error = (
-        distances.error(measure, instance_extent)
-        for distances in (differences[0], differences[-1])
-    )
+    coarse_error = differences[0].error(measure, instance_extent)
+    fine_error = differences[-1].error(measure, instance_extent)
     extent = points_extent(outcomes[-1].snapshots) + instance_extent
-    order = (
-        observed_order(coarse_error, fine_error)
-        if fine_error > ROUNDING * extent
-        else None
-    )
-    is_sensitive = (
-        order is not None
-        and order < MIN_ORDER
-        and fine_error > INVISIBLE_ERROR * extent
-    )
+    order = None
+    if fine_error > ROUNDING * extent:
+        order = observed_order(coarse_error, fine_error)
+    is_chaotic = order is not None and order < MIN_ORDER
+    is_sensitive = is_chaotic and fine_error > INVISIBLE_ERROR * extent
     factor = 1.0 if order is None else max(2**order - 1, 1.0)
     return Reference(setting, differences[-1].scaled(1 / factor), order, is_sensitive)
 
@@ -209,21 +190,17 @@ def _trial_rows(
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
     is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
-    limit = (
-        SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
-        if reference_outcome and is_timed
-        else None
-    )
+    limit = None
+    if reference_outcome and is_timed:
+        limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
     for setting in settings:
         row = slow_rows.get(setting.method)
         if row is not None and setting != trial.chosen and not runs.is_done(setting):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
-        row = replace(
-            _trial_row(trial, runs, setting, reference_outcome),
-            chosen=setting == trial.chosen,
-        )
+        row = _trial_row(trial, runs, setting, reference_outcome)
+        row = replace(row, chosen=setting == trial.chosen)
         if limit is not None and row.seconds > limit:
             slow_rows[setting.method] = row
         rows.append(row)
@@ -252,9 +229,8 @@ def _trial_row(
     )
     if outcome.status is not Status.OK:
         return row
-    completed_row = replace(
-        row, energy_drift=_energy_drift(outcome.energies), figures=outcome.figures
-    )
+    drift = _energy_drift(outcome.energies)
+    completed_row = replace(row, energy_drift=drift, figures=outcome.figures)
     if outcome.error is not None:
         return replace(completed_row, error=outcome.error, worst=outcome.worst)
     if reference_outcome is None:
@@ -262,9 +238,8 @@ def _trial_row(
     error = run_distances(reference_outcome.snapshots, outcome.snapshots)
     reason = _failure_reason(error, points_extent(reference_outcome.snapshots))
     if reason:
-        return replace(
-            row, status=Status.UNSTABLE, reason=reason, stable_step=outcome.stable_step
-        )
+        failed_row = replace(row, status=Status.UNSTABLE, reason=reason)
+        return replace(failed_row, stable_step=outcome.stable_step)
     worst = "" if trial.where is None or error.at is None else trial.where(*error.at)
     return replace(completed_row, error=error, worst=worst)
 
@@ -321,14 +296,13 @@ def _mark_recommended(
     # Errors below the error estimate of the reference count as equal.
     extent += instance_extent
     floor = max(reference.error.error(trial.error, instance_extent), ROUNDING * extent)
-    costs = [
-        None
-        if row.error is None
-        else _row_cost(
-            row, trial.cost, max(row.error.error(trial.error, instance_extent), floor)
-        )
-        for row in rows
-    ]
+    costs: list[Cost | None] = []
+    for row in rows:
+        cost = None
+        if row.error is not None:
+            error = row.error.error(trial.error, instance_extent)
+            cost = _row_cost(row, trial.cost, max(error, floor))
+        costs.append(cost)
     optimal = pareto_optimal(costs)
     chosen = next(i for i, row in enumerate(rows) if row.chosen)
     if budget is None:
@@ -349,9 +323,8 @@ def _rank_by_figures(
     The error of a row is the largest excess of one of its figures over that of the
     reference, relative to the figure's tolerance. Errors below 1 count as equal.
     """
-    reference_figures = _relative_figures(
-        _energy_drift(reference_outcome.energies), reference_outcome.figures
-    )
+    drift = _energy_drift(reference_outcome.energies)
+    reference_figures = _relative_figures(drift, reference_outcome.figures)
     if not reference_figures:
         return rows
     costs: list[Cost | None] = []
@@ -360,10 +333,8 @@ def _rank_by_figures(
         if row.status is not Status.OK or figures.keys() != reference_figures.keys():
             costs.append(None)
             continue
-        excesses = [
-            max(0.0, figures[name] - reference_figures[name])
-            for name in reference_figures
-        ]
+        names = reference_figures.keys()
+        excesses = [max(0.0, figures[name] - reference_figures[name]) for name in names]
         costs.append(_row_cost(row, measure, max(1.0, *excesses)))
     optimal = pareto_optimal(costs)
     return [replace(row, best=i in optimal) for i, row in enumerate(rows)]

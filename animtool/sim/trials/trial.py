@@ -166,10 +166,8 @@ def step_settings(
     method: str, step: float, factors: Sequence[float] = STEP_FACTORS
 ) -> list[Setting]:
     """Return settings of a method with multiples of a step [s]."""
-    return [
-        Setting.of(method, step=multiple)
-        for multiple in rounded_multiples(step, factors)
-    ]
+    steps = rounded_multiples(step, factors)
+    return [Setting.of(method, step=multiple) for multiple in steps]
 
 
 @dataclass(frozen=True, slots=True)
@@ -240,10 +238,8 @@ def run_distances(
         point_distances = np.linalg.norm(b - a, axis=1)
         if len(point_distances) and point_distances.max() > largest_distance:
             farthest = int(point_distances.argmax())
-            largest_distance, location = (
-                float(point_distances[farthest]),
-                (k, int(points[farthest])),
-            )
+            largest_distance = float(point_distances[farthest])
+            location = (k, int(points[farthest]))
         distance_arrays.append(point_distances)
         if true_rotations is not None and rotations is not None:
             angles.append(so3.angle_between(true_rotations, rotations))

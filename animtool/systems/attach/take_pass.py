@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -262,7 +262,7 @@ def simulate(
         stream, world = build_colliders(
             stream, options, prepended_frames * frame_duration
         )
-    start = Fraction(1) if stream.start is None else stream.start
+    start = stream.first_frame
     simulation = AttachSimulation(
         stream.rig,
         bodies,

@@ -49,32 +49,22 @@ OVERLAP_TOLERANCE = 0.004
 
 @dataclass(frozen=True)
 class Agents(Groups):
-    """N agents of several populations, in the frame of the ground.
-
-    Attributes:
-        starts: Start positions, x and z ``(N, 2)`` [m].
-        speeds: Preferred speeds ``(N,)`` [m/s].
-        max_speeds: Maximum speeds ``(N,)`` [m/s].
-        yielding: Weight with which an agent yields to those it touches ``(N,)`` [1].
-        delays: Time from the start until they begin to walk ``(N,)`` [s].
-        groups: Index of the group, -1 for none ``(N,)``.
-        lateral_offsets: Position in the group, to the left of its centre ``(N,)`` [m].
-        goal_offsets: Target position in goals, relative to their radius ``(N, 2)``.
-        sizes: Body size relative to the rig ``(N,)``.
-        clip_phases: Phase at which clips start, 0 to 1 ``(N,)``.
-    """
+    """N agents of several populations, in the frame of the ground."""
 
     noun: ClassVar[str] = "agent"
-    starts: FloatArray
-    speeds: FloatArray
-    max_speeds: FloatArray
+    starts: FloatArray  # start positions, x and z (N, 2) [m]
+    speeds: FloatArray  # preferred speeds (N,) [m/s]
+    max_speeds: FloatArray  # maximum speeds (N,) [m/s]
+    # Weight with which an agent yields to those it touches (N,) [1].
     yielding: FloatArray
-    delays: FloatArray
-    groups: npt.NDArray[np.int32]
+    delays: FloatArray  # time from the start until they begin to walk (N,) [s]
+    groups: npt.NDArray[np.int32]  # index of the group, -1 for none (N,)
+    # Position in the group, to the left of its centre (N,) [m].
     lateral_offsets: FloatArray
+    # Target position in goals, relative to their radius (N, 2).
     goal_offsets: FloatArray
-    sizes: FloatArray
-    clip_phases: FloatArray
+    sizes: FloatArray  # body size relative to the rig (N,)
+    clip_phases: FloatArray  # phase at which clips start, 0 to 1 (N,)
 
     @cached_property
     def heights(self) -> FloatArray:
@@ -98,57 +88,22 @@ def build_agents(
     frame: GroundFrame,
 ) -> tuple[Agents, list[Fault]]:
     """Return the agents of a spec, moved apart if they overlap (SIM147)."""
-    _check_keys(spec)
-    sampled_fields = [
-        _sample_population(population, data, begin, frame)
-        for population, data in zip(spec.populations, population_data, strict=True)
-    ]
-    counts = [len(sample[0]) for sample in sampled_fields]
-    (
-        starts,
-        speeds,
-        yielding,
-        delays,
-        lateral_offsets,
-        goal_offsets,
-        sizes,
-        clip_phases,
-    ) = (
-        np.concatenate(sample)
-        for sample in zip(
-            *(population[:8] for population in sampled_fields), strict=True
-        )
-    )
-    groups, group_count = [], 0
-    for *_, groups_of_population in sampled_fields:
-        groups.append(
-            np.where(groups_of_population >= 0, groups_of_population + group_count, -1)
-        )
-        group_count += int(groups_of_population.max(initial=-1)) + 1
-    max_speeds = [
-        population.speed.most
-        if population.speed.most is not None
-        else MAX_SPEED_RATIO * population.speed.mean
-        for population in spec.populations
-    ]
+    refuse_all("SIM145", _key_problems(spec))
+    samples: list[dict[str, Any]] = []
+    group_count = 0
+    for population, data in zip(spec.populations, population_data, strict=True):
+        samples.append(_sample_population(population, data, begin, frame, group_count))
+        group_count = int(samples[-1]["groups"].max(initial=group_count - 1)) + 1
     agents = Agents(
         spec.populations,
-        np.cumsum(counts).tolist(),
-        starts,
-        speeds,
-        np.maximum(np.repeat(max_speeds, counts), speeds),
-        yielding,
-        delays,
-        np.concatenate(groups).astype(np.int32),
-        lateral_offsets,
-        goal_offsets,
-        sizes,
-        clip_phases,
+        np.cumsum([len(sample["starts"]) for sample in samples]).tolist(),
+        **{
+            name: np.concatenate([sample[name] for sample in samples])
+            for name in samples[0]
+        },
     )
-    return _without_overlaps(
-        agents,
-        [data.get("points") is not None for data in population_data],
-    )
+    has_points = [data.get("points") is not None for data in population_data]
+    return _without_overlaps(agents, has_points)
 
 
 def _without_overlaps(
@@ -169,9 +124,8 @@ def _without_overlaps(
         # Separated agents may now be inside another.
         overlap = overlap if (starts == previous).all() else np.inf
     distances = np.linalg.norm(starts - agents.starts, axis=1)
-    is_moved = (distances > OVERLAP_TOLERANCE * agents.radii) & np.asarray(
-        has_points, bool
-    )[agents.kinds]
+    is_moved = distances > OVERLAP_TOLERANCE * agents.radii
+    is_moved &= np.array(has_points, bool)[agents.kinds]
     faults = []
     if is_moved.any():
         message = f"{counted(int(is_moved.sum()), 'agent')} would start inside each "
@@ -180,9 +134,8 @@ def _without_overlaps(
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:
         message = "agents start inside each other: too many for their region"
-        faults.append(
-            warning("SIM147", message, "use a larger region, or fewer agents")
-        )
+        hint = "use a larger region, or fewer agents"
+        faults.append(warning("SIM147", message, hint))
     return replace(agents, starts=starts), faults
 
 
@@ -212,8 +165,12 @@ def _sample_population(
     data: Mapping[str, Any],
     begin: float,
     frame: GroundFrame,
-) -> tuple[Any, ...]:
-    """Return start positions and random properties of a population, groups last."""
+    first_group: int,
+) -> dict[str, Any]:
+    """Return start positions and random properties of a population, as `Agents`.
+
+    Its groups are numbered from ``first_group`` on.
+    """
     points = data.get("points")
     if points is not None and (
         points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all()
@@ -240,18 +197,18 @@ def _sample_population(
     lateral_offsets = np.zeros(count)
     if group_size > 1:
         groups, index_in_group = np.divmod(agent_indices, group_size)
+        leaders = groups * group_size
         sizes = np.bincount(groups)[groups]
         lateral_offsets = (
             (index_in_group - (sizes - 1) / 2) * 2 * GROUP_SPACING * population.radius
         )
         if data.get("points") is None:
             # The others stand around the first, at a random angle.
-            directions = _unit_vectors(2 * np.pi * randoms[groups * group_size, 0])
-            starts = starts[groups * group_size] + directions * lateral_offsets[:, None]
-        body_randoms[:, 2:] = body_randoms[groups * group_size, 2:]
-        randoms = np.concatenate(
-            [randoms[groups * group_size, :5], randoms[:, 5:]], axis=1
-        )
+            directions = _unit_vectors(2 * np.pi * randoms[leaders, 0])
+            starts = starts[leaders] + directions * lateral_offsets[:, None]
+        body_randoms[:, 2:] = body_randoms[leaders, 2:]
+        randoms = np.concatenate([randoms[leaders, :5], randoms[:, 5:]], axis=1)
+        groups += first_group
     speed = population.speed
     # Box-Muller transform.
     deviates = np.sqrt(-2 * np.log1p(-randoms[:, 1])) * np.cos(
@@ -259,19 +216,20 @@ def _sample_population(
     )
     deviations = np.clip(deviates, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
-    return (
-        starts,
-        speeds,
-        MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
-        population.delay * randoms[:, 3],
-        lateral_offsets,
-        GOAL_SPREAD
-        * np.sqrt(body_randoms[:, 2:3])
-        * _unit_vectors(2 * np.pi * body_randoms[:, 3]),
-        (1 + population.size) ** (2 * body_randoms[:, 0] - 1),
-        body_randoms[:, 1],
-        groups,
-    )
+    max_speed = MAX_SPEED_RATIO * speed.mean if speed.most is None else speed.most
+    goal_directions = _unit_vectors(2 * np.pi * body_randoms[:, 3])
+    return {
+        "starts": starts,
+        "speeds": speeds,
+        "max_speeds": np.maximum(max_speed, speeds),
+        "yielding": MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
+        "delays": population.delay * randoms[:, 3],
+        "groups": groups.astype(np.int32),
+        "lateral_offsets": lateral_offsets,
+        "goal_offsets": GOAL_SPREAD * np.sqrt(body_randoms[:, 2:3]) * goal_directions,
+        "sizes": (1 + population.size) ** (2 * body_randoms[:, 0] - 1),
+        "clip_phases": body_randoms[:, 1],
+    }
 
 
 def _unit_vectors(angles: FloatArray) -> FloatArray:
@@ -279,35 +237,23 @@ def _unit_vectors(angles: FloatArray) -> FloatArray:
     return np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
 
-def _check_keys(spec: CrowdsModel) -> None:
-    """Raise SIM145 for keys that contradict each other."""
-    refuse_all("SIM145", _key_problems(spec))
-
-
 def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
     """Yield conflicts between goals, populations and doors."""
     goals = [goal.name for goal in spec.goals]
     yield from duplicate_names("goals", goals)
-    yield from duplicate_names(
-        "populations", [population.name for population in spec.populations]
-    )
+    yield from duplicate_names("populations", [one.name for one in spec.populations])
     for k, population in enumerate(spec.populations):
         where = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
-                hint = (
-                    (f"the goals are {', '.join(goals)}")
-                    if goals
-                    else "add it to goals"
-                )
+                known_goals = f"the goals are {', '.join(goals)}"
+                hint = known_goals if goals else "add it to goals"
                 yield f"unknown goal {excerpt(name)}", where, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
             yield message, where, "then: stay"
     for key in ("shows", "gaits"):
-        has_key = [
-            getattr(population, key) is not None for population in spec.populations
-        ]
+        has_key = [getattr(one, key) is not None for one in spec.populations]
         if any(has_key) and not all(has_key):
             name = spec.populations[has_key.index(False)].name
             message = f"some populations have {key}, but {name!r} does not"

@@ -30,11 +30,8 @@ def clear_starts(
     count = len(agents)
     if grid is not None and count and grid.free.any():
         is_off_grid = is_blocked(grid, positions)
-        positions = np.where(
-            is_off_grid[:, None],
-            grid.node_positions(grid.nearest_free_node(positions)),
-            positions,
-        )
+        nodes = grid.node_positions(grid.nearest_free_node(positions))
+        positions = np.where(is_off_grid[:, None], nodes, positions)
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
@@ -44,10 +41,8 @@ def clear_starts(
         positions, _ = separate_agents(agents, positions, walls.starts, walls.rows)
         if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    is_moved = (
-        np.linalg.norm(positions - agents.starts, axis=1)
-        > OVERLAP_TOLERANCE * agents.radii
-    )
+    distances = np.linalg.norm(positions - agents.starts, axis=1)
+    is_moved = distances > OVERLAP_TOLERANCE * agents.radii
     if is_moved.any():
         first = agents.label(int(np.argmax(is_moved)))
         message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
@@ -73,9 +68,8 @@ def unreachable_goal_warnings(
             faults.append(warning("SIM146", message, "move the goal"))
         goal_component = components[grid.nearest_free_node(position)[0]]
         for population_index, population in enumerate(spec.populations):
-            is_cut_off = (agents.kinds == population_index) & (
-                start_components != goal_component
-            )
+            is_cut_off = start_components != goal_component
+            is_cut_off &= agents.kinds == population_index
             if goal.name in population.route and is_cut_off.any():
                 message = f"no path leads {counted(int(is_cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "
@@ -98,12 +92,10 @@ def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatAr
 def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     """Return the frame of the ground, and its height field."""
     ground_data = context.parts["ground"]
-    poses, shape, mesh = (
-        ground_data["poses"],
-        ground_data.get("shape"),
-        ground_data.get("mesh"),
-    )
-    if len(poses.sample_times) > 1:
+    poses = ground_data["poses"]
+    shape = ground_data.get("shape")
+    mesh = ground_data.get("mesh")
+    if not poses.is_fixed:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")
     pose = poses.at(context.begin)
@@ -114,7 +106,7 @@ def ground_of(context: SimContext) -> tuple[GroundFrame, Terrain]:
     if mesh is not None:
         surface = mesh()[0]
         corners = triangulate(surface.counts, surface.indices)
-        return frame, Terrain(surface.goal_points[corners])
+        return frame, Terrain(surface.points[corners])
     if shape is None:
         return frame, Terrain()
     if not isinstance(shape, Mesh):

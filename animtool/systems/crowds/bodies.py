@@ -77,10 +77,9 @@ class AgentBodies(Footing):
     @cached_property
     def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
         """Local rotations of the animated joints: of each gait and of the idle clip."""
-        gaits = self.gaits
-        return [
-            gait.rotations[:, self.animated] for gait in gaits.moving
-        ], gaits.idle.rotations[:, self.animated]
+        gaits, joints = self.gaits, self.animated
+        moving_rotations = [gait.rotations[:, joints] for gait in gaits.moving]
+        return moving_rotations, gaits.idle.rotations[:, joints]
 
     def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
         """Return bodies standing at the start, with random phases ``(N,)``."""
@@ -107,11 +106,9 @@ class AgentBodies(Footing):
     def blend(self, paces: FloatArray) -> Blend:
         """Return gait weights and blended steps for speeds and yaw rates ``(N, 3)``."""
         moving, leg = self.gaits.moving, self.gaits.walker.leg
-        speeds, yaw_rates, left_speeds = (
-            paces[:, 0] / self.scales,
-            paces[:, 1],
-            paces[:, 2] / self.scales,
-        )
+        speeds = paces[:, 0] / self.scales
+        yaw_rates = paces[:, 1]
+        left_speeds = paces[:, 2] / self.scales
         weights = _gait_weights(
             np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1),
             np.array([[gait.speed, leg * gait.turning] for gait in moving]),
@@ -177,11 +174,8 @@ class AgentBodies(Footing):
         is_advancing = is_walking | ~is_standing
         stances = self._foot_stances(state, after, phases, blend)
         speeds = local_velocities / self.scales[:, None]
-        yaw_rates = np.clip(
-            yaw_velocities,
-            paces[:, 1] - YAW_RATE_TOLERANCE,
-            paces[:, 1] + YAW_RATE_TOLERANCE,
-        )
+        low, high = paces[:, 1] - YAW_RATE_TOLERANCE, paces[:, 1] + YAW_RATE_TOLERANCE
+        yaw_rates = np.clip(yaw_velocities, low, high)
         rates, is_stance_over = step_rates(self.leg_reach, stances, speeds, yaw_rates)
         # Hurried steps slow down again with the pace.
         target_rates = state.rates + (blend.rate - state.rates) * -np.expm1(
@@ -207,15 +201,13 @@ class AgentBodies(Footing):
             heels[has_lifted, k] = heel_pitches[has_lifted]
             remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, stance_phases)
             spans[has_lifted, k] = remaining_phases[has_lifted]
-            has_landed = (state.swings[:, k] >= LANDING_FIXED_PHASE) & (
-                swings[:, k] < 0
-            )
+            was_landing = state.swings[:, k] >= LANDING_FIXED_PHASE
+            has_landed = was_landing & (swings[:, k] < 0)
             footholds[has_landed, k] = state.aims[has_landed, k]
         phases = (phases + phase_change) % 1.0
         for k in range(2):
-            is_swinging = (swings[:, k] >= 0) & ~(
-                state.swings[:, k] >= LANDING_FIXED_PHASE
-            )
+            is_landing_fixed = state.swings[:, k] >= LANDING_FIXED_PHASE
+            is_swinging = (swings[:, k] >= 0) & ~is_landing_fixed
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             future_points = after.points + after.velocities * remaining_times[:, None]
@@ -259,27 +251,20 @@ class AgentBodies(Footing):
         leg = self.gaits.walker.leg
         lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
         for k in range(2):
-            foot_stance = (
-                k,
-                stances.thighs[:, k],
-                stances.feet[:, k],
-                stances.pitches[0, :, k],
-            )
+            foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
+            pitches = stances.pitches[0, :, k]
             is_planted = state.swings[:, k] < 0
-            reach_margin, outwards = self.leg_reach.reach_margin(*foot_stance)
-            has_landed = is_planted & (footholds[:, k] != before.places[:, k]).any(
-                axis=1
+            reach_margin, outwards = self.leg_reach.reach_margin(*foot_stance, pitches)
+            is_changed = (footholds[:, k] != before.places[:, k]).any(axis=1)
+            has_landed = is_planted & is_changed
+            overreach = np.minimum(reach_margin, 0.0)[:, None]
+            shift = overreach * outwards * self.scales[:, None]
+            shift = rotated_about_y(shift, motion.headings)
+            footholds[has_landed, k, :2] += shift[has_landed]
+            required_lowering = self.leg_reach.hip_lowering(*foot_stance, pitches)
+            lowering = np.maximum(
+                lowering, np.where(is_planted, required_lowering, 0.0)
             )
-            shift = (
-                np.minimum(reach_margin, 0.0)[:, None] * outwards * self.scales[:, None]
-            )
-            footholds[has_landed, k, :2] += rotated_about_y(shift, motion.headings)[
-                has_landed
-            ]
-            required_lowering = np.where(
-                is_planted, self.leg_reach.hip_lowering(*foot_stance), 0.0
-            )
-            lowering = np.maximum(lowering, required_lowering)
         return replace(state, places=footholds, lowered=lowering)
 
     @cached_property
@@ -295,9 +280,8 @@ class AgentBodies(Footing):
         standing_weights: FloatArray,
     ) -> FloatArray:
         """Return the heel pitches of planted feet ``(N,)`` [rad]."""
-        stance_rows = np.clip(
-            stance_phases / blend.stance_fractions[:, k], 0.0, 1.0
-        ) * (PHASE_COUNT - 1)
+        progress = np.clip(stance_phases / blend.stance_fractions[:, k], 0.0, 1.0)
+        stance_rows = progress * (PHASE_COUNT - 1)
         pitch = np.zeros(len(stance_phases))
         for weight, gait in zip(blend.weights.T, self.gaits.moving, strict=True):
             pitch += weight * np.interp(
@@ -317,9 +301,8 @@ class AgentBodies(Footing):
         feet[..., 3] = wrap_angles(state.places[..., 2] - motion.headings[:, None])
         heights, _ = self.heights(state.places[..., :2].reshape(-1, 2))
         body_height, _ = self.heights(motion.points)
-        feet[..., 1] = (heights.reshape(-1, 2) - body_height[:, None]) / self.scales[
-            :, None
-        ]
+        feet[..., 1] = heights.reshape(-1, 2) - body_height[:, None]
+        feet[..., 1] /= self.scales[:, None]
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
         thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
         begins = (phases[:, None] - [0.0, 0.5]) % 1.0

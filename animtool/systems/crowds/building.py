@@ -43,13 +43,12 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     agents, notices = build_agents(spec, parts, begin, frame)
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
-    notices += [
-        *moved_warnings,
-        *unreachable_goal_warnings(spec, agents, steering, start),
-    ]
+    notices += moved_warnings
+    notices += unreachable_goal_warnings(spec, agents, steering, start)
     prototypes = [part.get("shows") for part in parts]
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
-    distinct_prototypes = list(meshes_by_prototype)
+    sources = list(meshes_by_prototype)
+    mesh_indices = [sources.index(show) if show else 0 for show in prototypes]
     casting, falling = _build_bodies(spec, agents, frame, ground, context)
     if casting is not None:
         for group in casting.groups:
@@ -67,9 +66,7 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
         casting,
         falling,
         tuple(cycle[0] for cycle in meshes_by_prototype.values()),
-        np.array(
-            [distinct_prototypes.index(s) if s else 0 for s in prototypes], np.int64
-        ),
+        np.array(mesh_indices, np.int64),
     )
 
 
@@ -93,13 +90,9 @@ def _build_steering(
     steering = Steering(
         agents, spec.goals, goals, np.array(queues).reshape(-1, 2), grid
     )
-    door_points = [
-        [door.begin for door in spec.doors],
-        [door.end for door in spec.doors],
-    ]
-    ends = np.stack(
-        [_project_on_ground(frame, points) for points in door_points], axis=1
-    )
+    begins = _project_on_ground(frame, [door.begin for door in spec.doors])
+    ends = _project_on_ground(frame, [door.end for door in spec.doors])
+    ends = np.stack([begins, ends], axis=1)
     for door, (first, last) in zip(spec.doors, ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
             message = f"both ends of {door.name!r} are at the same position on the "
@@ -128,9 +121,8 @@ def _build_bodies(
     from animtool.systems.crowds.falls import FallSimulator
 
     colliders = context.colliders
-    has_moving_colliders = bool(colliders.bodies) or any(
-        len(c.poses.sample_times) > 1 for c in colliders
-    )
+    is_fixed = all(collider.poses.is_fixed for collider in colliders)
+    has_moving_colliders = bool(colliders.bodies) or not is_fixed
     casting = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
     can_fall = [FallSimulator.has_bodies(group.cast.rig) for group in casting.groups]
     if not (has_moving_colliders and all(can_fall) and len(agents)):

@@ -21,7 +21,12 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agents
-from animtool.systems.crowds.ground import GroundFrame, Terrain, rotations_about_y
+from animtool.systems.crowds.ground import (
+    GroundFrame,
+    Terrain,
+    rotations_about_y,
+    wrap_angles,
+)
 from animtool.systems.crowds.obstacles import Obstacles, Walls
 from animtool.systems.crowds.shoulders import (
     DEPTH_RATIO,
@@ -73,29 +78,24 @@ class Crowd:
 
     Attributes:
         checked: Whether steps raise if a number is not finite.
-        begin: Start time [s].
-        start_points: x and z at the start ``(N, 2)`` [m].
-        cast: Bodies of the agents; None if they are points or meshes.
-        fall_simulator: Ragdolls of falling agents; None if nobody can fall.
-        meshes: Distinct meshes by which populations are displayed.
-        mesh_of_population: Index of the mesh of each population.
     """
 
     checked = True
 
     spec: CrowdsModel
-    begin: float
+    begin: float  # start time [s]
     ground_frame: GroundFrame
     ground: Terrain
     agents: Agents
     steering: Steering
     obstacles: Obstacles
-    start_points: FloatArray
+    start_points: FloatArray  # x and z at the start (N, 2) [m]
     notices: Sequence[Fault]
-    cast: AgentCast | None
+    cast: AgentCast | None  # bodies of the agents; None if they are points or meshes
+    # Ragdolls of falling agents; None if nobody can fall.
     fall_simulator: FallSimulator | None
-    meshes: tuple[MeshFrame, ...]
-    mesh_of_population: IntArray
+    meshes: tuple[MeshFrame, ...]  # distinct meshes by which populations are displayed
+    mesh_of_population: IntArray  # index of the mesh of each population
 
     @cached_property
     def _relaxation_times(self) -> FloatArray:
@@ -133,10 +133,8 @@ class Crowd:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
         modes[state.progress.stages == GONE] = LEFT_SCENE
-        if not all(
-            np.isfinite(values).all()
-            for values in (x, v, relaxed_velocities, walls.rows)
-        ):
+        inputs = (x, v, relaxed_velocities, walls.rows)
+        if not all(np.isfinite(values).all() for values in inputs):
             message = f"agents blew up at {t:g} s"
             raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
         shoulders = self._shoulder_yaws(state, has_fallen)
@@ -165,9 +163,8 @@ class Crowd:
             )
             bodies = replace(bodies, shoulders=yawed_shoulders)
             if self.fall_simulator is not None and falls is not None:
-                new_falls = np.flatnonzero(
-                    (speeds > self.spec.impact.fall) & ~has_fallen
-                )
+                is_falling = (speeds > self.spec.impact.fall) & ~has_fallen
+                new_falls = np.flatnonzero(is_falling)
                 if len(new_falls):
                     falls = self._add_falls(state, falls, new_falls, dt)
                 falls = self.fall_simulator.step(falls, t, dt)
@@ -193,13 +190,9 @@ class Crowd:
         next_motion = AgentMotion(motion.points + v * dt, v, motion.headings)
         no_hits = np.zeros(len(v), np.bool_)
         next_bodies = self.cast.advance(state.bodies, motion, next_motion, dt, no_hits)
-        poses, next_poses = (
-            [self._world(bodies, agent_motion, i) for i in new_falls.tolist()]
-            for bodies, agent_motion in (
-                (state.bodies, motion),
-                (next_bodies, next_motion),
-            )
-        )
+        indices = new_falls.tolist()
+        poses = [self._world(state.bodies, motion, i) for i in indices]
+        next_poses = [self._world(next_bodies, next_motion, i) for i in indices]
         return self.fall_simulator.add_falls(falls, new_falls, poses, next_poses, dt)
 
     def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
@@ -215,19 +208,13 @@ class Crowd:
         """Return the largest speed of an impact on each agent ``(N,)`` [m/s]."""
         speeds = np.zeros(len(self.agents))
         is_touching = walls.gaps < np.maximum(walls.closing_speeds, 0.0) * dt
-        np.maximum.at(
-            speeds,
-            walls.agents_of_walls[is_touching],
-            walls.closing_speeds[is_touching],
-        )
+        agents = walls.agents_of_walls[is_touching]
+        np.maximum.at(speeds, agents, walls.closing_speeds[is_touching])
         return speeds
 
-    def _world(
-        self, bodies: BodyState | None, motion: AgentMotion, i: int
-    ) -> WorldTransforms:
+    def _world(self, bodies: BodyState, motion: AgentMotion, i: int) -> WorldTransforms:
         """Return the world transforms of an agent's joints."""
         assert self.cast is not None
-        assert bodies is not None
         return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
 
     def _rotate_headings(
@@ -238,8 +225,7 @@ class Crowd:
         speed_ratio = np.linalg.norm(directions, axis=1) / (
             SLOW_YAW_SPEED * self.agents.speeds
         )
-        yaw = np.arctan2(directions[:, 0], directions[:, 1]) - headings
-        yaw = (yaw + np.pi) % (2 * np.pi) - np.pi
+        yaw = wrap_angles(np.arctan2(directions[:, 0], directions[:, 1]) - headings)
         fraction = -np.expm1(-dt / YAW_TIME * np.minimum(speed_ratio, 1.0))
         max_yaw = MAX_YAW_RATE * dt
         return np.asarray(headings + np.clip(yaw * fraction, -max_yaw, max_yaw))
@@ -252,11 +238,10 @@ class Crowd:
         """Return agents as points, meshes or characters."""
         agents = self.agents
         is_visible = state.progress.stages != GONE
-        ids = (
-            np.flatnonzero(is_visible)
-            if state.bodies is None
-            else np.arange(len(is_visible))
-        )
+        if state.bodies is None:
+            ids = np.flatnonzero(is_visible)
+        else:
+            ids = np.arange(len(is_visible))
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = self.ground(x)
         heights = np.where(np.isfinite(heights), heights, 0.0)
@@ -315,9 +300,8 @@ class Crowd:
             values["speed"] = float(speeds.mean())
         if state.falls is not None:
             values["fallen"] = float(len(state.falls.agents))
-        values["goals reached"] = float(
-            np.where(has_left, 0, state.progress.stages).sum()
-        )
+        passed_goals = np.where(has_left, 0, state.progress.stages)
+        values["goals reached"] = float(passed_goals.sum())
         return Diagnostics(values=values, notices=self.notices)
 
 

@@ -48,14 +48,11 @@ CYCLE_REPEATS = 3
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Convert takes on a rig to gaits, by name."""
     walker = Walker.of(rig)
-    moving_gaits: list[Gait] = []
-    idle_gaits: list[Gait] = []
-    reactions: list[Gait] = []
+    gaits: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
     for name, take in takes:
         kind, gait = _build_gait(walker, name, take)
-        {"moves": moving_gaits, "stands": idle_gaits, "reacts": reactions}[kind].append(
-            gait
-        )
+        gaits[kind].append(gait)
+    moving_gaits, idle_gaits, reactions = gaits.values()
     notices = []
     if not moving_gaits:
         message = "none of the clips walks: add one that moves ahead in even steps"
@@ -109,32 +106,21 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
         return "reacts", _uncut_gait(walker, name, take, world)
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
     gait = _cycle_gait(walker, name, cycle)
-    return (
-        ("reacts", _uncut_gait(walker, name, take, world))
-        if gait is None
-        else ("moves", gait)
-    )
+    if gait is None:
+        return "reacts", _uncut_gait(walker, name, take, world)
+    return "moves", gait
 
 
 @dataclass(frozen=True)
 class CyclePath:
-    """Path of a body over a cycle: an arc at constant speed.
+    """Path of a body over a cycle: an arc at constant speed."""
 
-    Attributes:
-        begin: First frame.
-        length: Length of a cycle [frames].
-        origin: Position at the first frame, x and z ``(2,)`` [m].
-        heading: Heading at the first frame [rad].
-        velocity: Velocity in the frame of the body ``(2,)`` [m/frame].
-        turning: Yaw rate [rad/frame].
-    """
-
-    begin: float
-    length: float
-    origin: FloatArray
-    heading: float
-    velocity: FloatArray
-    turning: float
+    begin: float  # first frame
+    length: float  # length of a cycle [frames]
+    origin: FloatArray  # position at the first frame, x and z (2,) [m]
+    heading: float  # heading at the first frame [rad]
+    velocity: FloatArray  # velocity in the frame of the body (2,) [m/frame]
+    turning: float  # yaw rate [rad/frame]
 
     def headings(self, frames: FloatArray) -> FloatArray:
         """Return headings at frames ``(K,)`` [rad]."""
@@ -235,15 +221,10 @@ def _find_stance(
     contacts: FootContacts = find_contacts(
         world.positions[:, foot], toe_positions, fps, walker.leg
     )
-    second_cycle_runs = [
-        run for run in runs(contacts.any) if length <= run[0] < 2 * length
-    ]
-    if (
-        len(second_cycle_runs) != 1
-        or not 0 < second_cycle_runs[0][1] - second_cycle_runs[0][0] < length
-    ):
+    stances = [run for run in runs(contacts.any) if length <= run[0] < 2 * length]
+    if len(stances) != 1 or not 0 < stances[0][1] - stances[0][0] < length:
         return None
-    return FootStance(*second_cycle_runs[0], contacts.ankle & contacts.toe)
+    return FootStance(*stances[0], contacts.ankle & contacts.toe)
 
 
 def _build_step(
@@ -258,11 +239,9 @@ def _build_step(
     _, _, foot, toe = walker.legs[k]
     level, ball = walker.level_rotations[k], walker.ball_offsets[k]
     stance_frames = np.arange(stance.lands, stance.lifts)
-    flat_frames = (
-        stance_frames[stance.flat[stance_frames]]
-        if stance.flat[stance_frames].any()
-        else stance_frames
-    )
+    flat_frames = stance_frames
+    if stance.flat[stance_frames].any():
+        flat_frames = stance_frames[stance.flat[stance_frames]]
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(headings_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
@@ -272,18 +251,14 @@ def _build_step(
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
     landing_frame = np.array([float(stance.lands)])
-    (start,), (start_heading,) = (
-        path.positions(landing_frame),
-        path.headings(landing_frame),
-    )
+    (start,) = path.positions(landing_frame)
+    (start_heading,) = path.headings(landing_frame)
     step = np.append(
         rotated_about_y(foothold - start, -start_heading),
         wrap_angles(yaw - start_heading),
     )
-    (end_point,), (end_heading,) = (
-        path.positions(landing_frame + path.length),
-        path.headings(landing_frame + path.length),
-    )
+    (end_point,) = path.positions(landing_frame + path.length)
+    (end_heading,) = path.headings(landing_frame + path.length)
     next_foothold = np.append(
         end_point + rotated_about_y(step[:2], end_heading),
         yaw + end_heading - start_heading,

@@ -7,7 +7,7 @@ from dataclasses import field, replace
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -44,20 +44,16 @@ GRAVITY = 9.81  # [m/s²]
 
 @dataclass(frozen=True, slots=True)
 class Falls:
-    """Agents that have fallen, in the order of their falls.
+    """Agents that have fallen, in the order of their falls."""
 
-    Attributes:
-        agents: Indices of the agents ``(K,)``.
-        positions: World positions of joints when the fall began ``(K, J, 3)`` [m].
-        turns: World rotations of joints when the fall began ``(K, J, 4)``.
-        motion: States of the B bodies of each agent, as in `RigidState` ``(K, B, 14)``.
-        slow: Time for which each agent has moved slowly ``(K,)`` [s].
-    """
-
-    agents: IntArray = field(metadata=growing())
+    agents: IntArray = field(metadata=growing())  # indices of the agents (K,)
+    # World positions of joints when the fall began (K, J, 3) [m].
     positions: FloatArray = field(metadata=growing())
+    # World rotations of joints when the fall began (K, J, 4).
     turns: FloatArray = field(metadata=growing())
+    # States of the B bodies of each agent, as in `RigidState` (K, B, 14).
     motion: FloatArray = field(metadata=growing())
+    # Time for which each agent has moved slowly (K,) [s].
     slow: FloatArray = field(metadata=growing())
 
     @staticmethod
@@ -212,15 +208,9 @@ class FallSimulator:
         agent = int(falls.agents[row])
         fall = self._ragdoll(agent, falls.positions[row], falls.turns[row])
         rig, bodies = fall.rig, fall.ragdoll.bodies
-        frame = fall.simulation.frame(
-            replace(
-                fall.simulation.initial(),
-                motion=np.ascontiguousarray(
-                    falls.motion[row, : len(bodies.kind_of_body)]
-                ),
-            ),
-            0.0,
-        )
+        motion = falls.motion[row, : len(bodies.kind_of_body)]
+        state = replace(fall.simulation.initial(), motion=np.ascontiguousarray(motion))
+        frame = fall.simulation.frame(state, 0.0)
         count = len(rig.joints)
         local = _local_rotations(rig, falls.turns[row, :count])
         has_parent = rig.parents >= 0
@@ -296,8 +286,3 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
         so3.conjugate(parent_rotations), rotations[has_parent]
     )
     return local
-
-
-def is_at_rest(falls: Falls) -> BoolArray:
-    """Return a mask of the falls that have come to rest ``(K,)``."""
-    return np.asarray(falls.slow >= REST_TIME)

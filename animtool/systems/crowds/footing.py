@@ -69,14 +69,10 @@ class Blend:
 
 @dataclass(frozen=True)
 class Footing:
-    """Finds footholds for N bodies.
-
-    Attributes:
-        scales: Size of each body relative to its rig ``(N,)``.
-    """
+    """Finds footholds for N bodies."""
 
     gaits: Gaits
-    scales: FloatArray
+    scales: FloatArray  # size of each body relative to its rig (N,)
     ground: Heights
 
     def landing_in_step(

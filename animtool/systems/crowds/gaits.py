@@ -23,26 +23,18 @@ UP = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Walker:
-    """A biped rig, with the dimensions of its legs.
+    """A biped rig, with the dimensions of its legs."""
 
-    Attributes:
-        skeleton: Skeleton with y up.
-        legs: Joints of the left and right leg: thigh, shin, foot and toe (-1 for none).
-        heading: Heading of its rest pose [rad].
-        level_rotations: World rotation of each planted foot ``(2, 4)``.
-        ankle_heights: Height of the ankles of planted feet ``(2,)`` [m].
-        ball_offsets: Offset from each ankle to the toe joint, or to the ground without
-            one, for a planted foot heading along z ``(2, 3)`` [m].
-        leg: Total length of thigh and shin [m].
-    """
-
-    skeleton: RoledSkeleton
+    skeleton: RoledSkeleton  # skeleton with y up
+    # Joints of the left and right leg: thigh, shin, foot and toe (-1 for none).
     legs: tuple[tuple[int, int, int, int], tuple[int, int, int, int]]
-    heading: float
-    level_rotations: FloatArray
-    ankle_heights: FloatArray
+    heading: float  # heading of its rest pose [rad]
+    level_rotations: FloatArray  # world rotation of each planted foot (2, 4)
+    ankle_heights: FloatArray  # height of the ankles of planted feet (2,) [m]
+    # Offset from each ankle to the toe joint, or to the ground without one, for a
+    # planted foot heading along z (2, 3) [m].
     ball_offsets: FloatArray
-    leg: float
+    leg: float  # total length of thigh and shin [m]
 
     @property
     def rig(self) -> Rig:
@@ -101,34 +93,25 @@ class Gait:
 
     Values are in the frame of the body: on the ground below the hips, moving at
     constant speed along z and constant yaw rate.
-
-    Attributes:
-        rotations: Local rotations of joints ``(P, J, 4)``.
-        hips: Positions of the first joint ``(P, 3)`` [m].
-        period: Length of the cycle [s].
-        velocity: Velocity of the body in its frame, x and z ``(2,)`` [m/s].
-        turning: Yaw rate of the body [rad/s].
-        stance_fractions: Fraction of the cycle that each foot is planted ``(2,)``.
-        steps: Landing of each foot in the frame of the body: x, z and yaw ``(2, 3)``
-            [m], [rad].
-        pitches: Pitch of each foot about its local x over its stance, at equal
-            intervals ``(2, P)``; positive is heel up [rad].
-        swings: Rotation of each foot over its swing, relative to a point that moves
-            from one foothold to the next by `swing_progress` ``(2, P, 4)``.
-        lifts: Ankle of each foot over its swing, relative to that point ``(2, P, 3)``
-            [m].
     """
 
     name: str
-    rotations: FloatArray
-    hips: FloatArray
-    period: float
-    velocity: FloatArray
-    turning: float
+    rotations: FloatArray  # local rotations of joints (P, J, 4)
+    hips: FloatArray  # positions of the first joint (P, 3) [m]
+    period: float  # length of the cycle [s]
+    velocity: FloatArray  # velocity of the body in its frame, x and z (2,) [m/s]
+    turning: float  # yaw rate of the body [rad/s]
+    # Fraction of the cycle that each foot is planted (2,).
     stance_fractions: FloatArray = field(default_factory=lambda: np.ones(2))
+    # Landing of each foot in the frame of the body: x, z and yaw (2, 3) [m], [rad].
     steps: FloatArray = field(default_factory=lambda: np.zeros((2, 3)))
+    # Pitch of each foot about its local x over its stance, at equal intervals (2, P);
+    # positive is heel up [rad].
     pitches: FloatArray = field(default_factory=lambda: np.zeros((2, 0)))
+    # Rotation of each foot over its swing, relative to a point that moves from one
+    # foothold to the next by `swing_progress` (2, P, 4).
     swings: FloatArray = field(default_factory=lambda: np.zeros((2, 0, 4)))
+    # Ankle of each foot over its swing, relative to that point (2, P, 3) [m].
     lifts: FloatArray = field(default_factory=lambda: np.zeros((2, 0, 3)))
 
     @property
@@ -139,20 +122,13 @@ class Gait:
 
 @dataclass(frozen=True)
 class Gaits:
-    """Clips of a rig: locomotion, standing and reactions.
-
-    Attributes:
-        moving: Locomotion cycles, the slowest first; at least one.
-        idle: Clip of standing agents.
-        reactions: Clips played once when hit.
-        notices: Warnings about missing clips, and the fallback.
-    """
+    """Clips of a rig: locomotion, standing and reactions."""
 
     walker: Walker
-    moving: tuple[Gait, ...]
-    idle: Gait
-    reactions: tuple[Gait, ...]
-    notices: tuple[Fault, ...]
+    moving: tuple[Gait, ...]  # locomotion cycles, the slowest first; at least one
+    idle: Gait  # clip of standing agents
+    reactions: tuple[Gait, ...]  # clips played once when hit
+    notices: tuple[Fault, ...]  # warnings about missing clips, and the fallback
 
 
 def swing_progress(fraction: FloatArray) -> FloatArray:
@@ -173,10 +149,8 @@ def standing_ankle(walker: Walker, foot_index: int, pitches: FloatArray) -> Floa
     Feet are rotated by ``pitches`` ``(K, 4)`` about the ball if the heel is up, else
     about the heel.
     """
-    ankle, ball = (
-        np.array([0.0, walker.ankle_heights[foot_index], 0.0]),
-        walker.ball_offsets[foot_index],
-    )
+    ankle = np.array([0.0, walker.ankle_heights[foot_index], 0.0])
+    ball = walker.ball_offsets[foot_index]
     on_heel = so3.rotate(pitches, ankle)
     on_ball = ankle + ball - so3.rotate(pitches, ball)
     return np.where(pitches[..., :1] > 0, on_ball, on_heel)

@@ -38,15 +38,10 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class GroundFrame:
-    """The frame of the ground; y is up, and agents move along x and z.
+    """The frame of the ground; y is up, and agents move along x and z."""
 
-    Attributes:
-        origin: Origin in world space ``(3,)`` [m].
-        rotation: Rotation to world space, unit quaternion x, y, z, w ``(4,)``.
-    """
-
-    origin: FloatArray
-    rotation: FloatArray
+    origin: FloatArray  # origin in world space (3,) [m]
+    rotation: FloatArray  # rotation to world space, unit quaternion x, y, z, w (4,)
 
     def to_local(self, points: FloatArray) -> FloatArray:
         """Transform world points ``(…, 3)`` to the ground's frame."""
@@ -67,12 +62,9 @@ class GroundFrame:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field of triangles seen from above; a plane at height 0 without any.
+    """Height field of triangles seen from above; a plane at height 0 without any."""
 
-    Attributes:
-        triangles: Corners of triangles, in the frame of the ground ``(T, 3, 3)`` [m].
-    """
-
+    # Corners of triangles, in the frame of the ground (T, 3, 3) [m].
     triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
 
     @property
@@ -94,12 +86,9 @@ class Terrain:
         (a, edges_b, edges_c), inverse_areas, normal_table = self._planes
         offsets = points[rows] - a[faces][:, [0, 2]]
         b, c = edges_b[faces], edges_c[faces]
-        weight_b = (offsets[:, 0] * c[:, 2] - offsets[:, 1] * c[:, 0]) * inverse_areas[
-            faces
-        ]
-        weight_c = (b[:, 0] * offsets[:, 1] - b[:, 2] * offsets[:, 0]) * inverse_areas[
-            faces
-        ]
+        x, z = offsets.T
+        weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_areas[faces]
+        weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_areas[faces]
         edge_distance = np.minimum(
             np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
         )
@@ -149,19 +138,12 @@ class Terrain:
         cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(positions)))))
         counts = np.array([cells_per_axis, cells_per_axis])
         cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
-        first_cells = np.clip(
-            ((positions.min(axis=1) - low) / cell_size - EDGE_TOLERANCE).astype(
-                np.int64
-            ),
-            0,
-            cells_per_axis - 1,
-        )
-        last_cells = np.clip(
-            ((positions.max(axis=1) - low) / cell_size + EDGE_TOLERANCE).astype(
-                np.int64
-            ),
-            0,
-            cells_per_axis - 1,
+        first_cells, last_cells = (
+            np.clip(coordinates.astype(np.int64), 0, cells_per_axis - 1)
+            for coordinates in (
+                (positions.min(axis=1) - low) / cell_size - EDGE_TOLERANCE,
+                (positions.max(axis=1) - low) / cell_size + EDGE_TOLERANCE,
+            )
         )
         cell_spans = last_cells - first_cells + 1
         cell_counts = cell_spans.prod(axis=1)
@@ -189,11 +171,8 @@ class Terrain:
             (grid_points >= -EDGE_TOLERANCE) & (grid_points <= counts + EDGE_TOLERANCE),
             axis=1,
         )
-        cells = np.clip(
-            np.where(is_inside.reshape(-1, 1), grid_points, 0).astype(np.int64),
-            0,
-            counts - 1,
-        )
+        cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
+        cells = np.clip(cells, 0, counts - 1)
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
         pair_counts = np.where(
             is_inside, starts[cell_indices + 1] - starts[cell_indices], 0

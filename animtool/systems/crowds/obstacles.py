@@ -32,37 +32,27 @@ LEAVING_SPEED = 0.8
 
 @dataclass(frozen=True)
 class Walls:
-    """Obstacles near N agents, as half-planes sorted by agent.
+    """Obstacles near N agents, as half-planes sorted by agent."""
 
-    Attributes:
-        starts: Index of each agent's first wall ``(N + 1,)``.
-        rows: For each wall its unit normal (x, z), the minimum velocity along it [m/s],
-            and the minimum position along it [m] ``(M, 4)``.
-        agents_of_walls: Agent of each wall ``(M,)``.
-        gaps: Distance between the surfaces of wall and agent ``(M,)`` [m].
-        closing_speeds: Speed of the wall towards the agent ``(M,)`` [m/s].
-    """
-
-    starts: npt.NDArray[np.int32]
+    starts: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
+    # For each wall its unit normal (x, z), the minimum velocity along it [m/s], and the
+    # minimum position along it [m] (M, 4).
     rows: FloatArray
-    agents_of_walls: IntArray
-    gaps: FloatArray
-    closing_speeds: FloatArray
+    agents_of_walls: IntArray  # agent of each wall (M,)
+    gaps: FloatArray  # distance between the surfaces of wall and agent (M,) [m]
+    closing_speeds: FloatArray  # speed of the wall towards the agent (M,) [m/s]
 
 
 @dataclass(frozen=True)
 class Obstacles:
-    """All obstacles of a crowd: colliders, closed doors and the edge of the ground.
-
-    Attributes:
-        edge_grid: Grid of nodes on the ground; None for infinite ground.
-    """
+    """All obstacles of a crowd: colliders, closed doors and the edge of the ground."""
 
     agents: Agents
     frame: GroundFrame
     ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
+    # Grid of nodes on the ground; None for infinite ground.
     edge_grid: NavGrid | None = None
     horizon: float = 0.5  # look-ahead of avoidance [s]
     # x and z of both ends of each door ``(D, 2, 2)`` [m].
@@ -80,35 +70,19 @@ class Obstacles:
         walls_near = []
         for gaps, directions, closing_speeds in obstacles:
             ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
-            near_agents = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
-            walls_near.append(
-                (
-                    near_agents,
-                    gaps[near_agents],
-                    directions[near_agents],
-                    closing_speeds[near_agents],
-                )
-            )
-        agents_of_walls, gaps, directions, closing_speeds = (
-            np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)
-        )
-        order = np.argsort(agents_of_walls, kind="stable")
-        agents_of_walls, gaps, directions, closing_speeds = (
-            agents_of_walls[order],
-            gaps[order],
-            directions[order],
-            closing_speeds[order],
-        )
-        min_speeds = np.minimum(
-            closing_speeds - gaps / self.horizon,
-            LEAVING_SPEED * max_speeds[agents_of_walls],
-        )
-        offsets = (
-            (directions * x[agents_of_walls]).sum(axis=1) - gaps + closing_speeds * dt
-        )
-        rows = np.column_stack([directions, min_speeds, offsets])
+            rows = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
+            columns = rows, gaps[rows], directions[rows], closing_speeds[rows]
+            walls_near.append(columns)
+        walls = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
+        order = np.argsort(walls[0], kind="stable")
+        agents_of_walls, gaps, directions, closing_speeds = (c[order] for c in walls)
+        leaving_speeds = LEAVING_SPEED * max_speeds[agents_of_walls]
+        min_speeds = np.minimum(closing_speeds - gaps / self.horizon, leaving_speeds)
+        positions = (directions * x[agents_of_walls]).sum(axis=1)
+        offsets = positions - gaps + closing_speeds * dt
+        wall_rows = np.column_stack([directions, min_speeds, offsets])
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
-        return Walls(starts, rows, agents_of_walls, gaps, closing_speeds)
+        return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
 
     def _colliders(
         self, t: float, dt: float, x: FloatArray
@@ -135,9 +109,8 @@ class Obstacles:
             if any(first <= t < last for first, last in door.opens):
                 continue
             door_vector = b - a
-            fraction = np.clip(
-                ((x - a) @ door_vector) / (door_vector @ door_vector), 0.0, 1.0
-            )
+            fraction = ((x - a) @ door_vector) / (door_vector @ door_vector)
+            fraction = np.clip(fraction, 0.0, 1.0)
             offsets = x - a - fraction[:, None] * door_vector
             distances = np.linalg.norm(offsets, axis=1)
             directions = offsets / np.where(distances > 0, distances, 1.0)[:, None]
@@ -170,10 +143,8 @@ def capsule_distances(
     ``(K,)``, radii ``(K,)`` and total heights ``(K,)`` [m].
     """
     count = len(x)
-    lows, highs = (
-        base_heights + radii,
-        base_heights + np.maximum(body_heights - radii, radii),
-    )
+    lows = base_heights + radii
+    highs = base_heights + np.maximum(body_heights - radii, radii)
     levels = [lows, (lows + highs) / 2, highs]
     points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
     samples = colliders.sample(frame.to_world(points), t, t + dt)
@@ -185,16 +156,14 @@ def capsule_distances(
         speeds = frame.vector_to_local(velocities)[:, [0, 2]]
         lengths = np.linalg.norm(normals, axis=1)
         is_wall = lengths > MIN_WALL_NORMAL
-        wall_distances = np.where(
-            is_wall, distances / np.where(is_wall, lengths, 1.0), np.inf
-        )
+        divisors = np.where(is_wall, lengths, 1.0)
+        wall_distances = np.where(is_wall, distances / divisors, np.inf)
         wall_distances = wall_distances.reshape(len(levels), count)
         nearest = np.argmin(wall_distances, axis=0) * count + np.arange(count)
-        directions = normals[nearest] / np.where(is_wall, lengths, 1.0)[nearest, None]
+        directions = normals[nearest] / divisors[nearest, None]
         closing_speeds = (speeds[nearest] * directions).sum(axis=1)
-        capsule_gaps.append(
-            (wall_distances.ravel()[nearest], directions, closing_speeds)
-        )
+        gaps = wall_distances.ravel()[nearest]
+        capsule_gaps.append((gaps, directions, closing_speeds))
     return capsule_gaps
 
 
@@ -212,23 +181,19 @@ def navigation_grids(
     The first is None without obstacles, the second if the ground is infinite. If agents
     are too far apart for one grid, it covers the surroundings of obstacles only.
     """
-    static_obstacles = [
-        collider for collider in colliders if len(collider.poses.sample_times) == 1
-    ]
+    static_obstacles = [one for one in colliders if one.poses.is_fixed]
     if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
     corners = np.concatenate([agents.starts, goals])
-    low, high = (
-        (corners.min(axis=0), corners.max(axis=0)) if len(corners) else np.zeros((2, 2))
-    )
+    low = high = np.zeros(2)
+    if len(corners):
+        low, high = corners.min(axis=0), corners.max(axis=0)
     margin = GRID_MARGIN * (high - low).max() + GRID_MARGIN_RADII * radius
     low, high = low - margin, high + margin
     if not ground.is_plane:
-        low, high = (
-            np.maximum(low, ground.bounds[0]),
-            np.minimum(high, ground.bounds[1]),
-        )
+        low = np.maximum(low, ground.bounds[0])
+        high = np.minimum(high, ground.bounds[1])
         high = np.maximum(high, low)
     cell_size = spec.cell or radius
     if ground.is_plane and np.prod((high - low) / cell_size) > MAX_NODES:
@@ -259,9 +224,8 @@ def navigation_grids(
                 # Gaps narrower than an agent are blocked.
                 is_clear &= distances >= radius - cell / 2
             is_free[block] = is_clear
-    edge = (
-        None if has_ground.all() and ground.is_plane else NavGrid(low, cell, has_ground)
-    )
+    is_endless = ground.is_plane and has_ground.all()
+    edge = None if is_endless else NavGrid(low, cell, has_ground)
     return NavGrid(low, cell, is_free.reshape(shape)), edge
 
 
@@ -279,9 +243,8 @@ def _obstacle_bounds(
     obstacle_low, obstacle_high = np.full(2, np.inf), np.full(2, -np.inf)
     for collider in static_obstacles:
         if isinstance(collider.shape, Plane):
-            normal = so3.rotate(
-                collider.poses.rows[0, 3:], np.array(collider.shape.normal, float)
-            )
+            normal = np.array(collider.shape.normal, float)
+            normal = so3.rotate(collider.poses.rows[0, 3:], normal)
             horizontal = frame.vector_to_local(normal)[[0, 2]]
             if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
@@ -291,9 +254,8 @@ def _obstacle_bounds(
         corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
         obstacle_low = np.minimum(obstacle_low, corners.min(axis=0))
         obstacle_high = np.maximum(obstacle_high, corners.max(axis=0))
-    return np.maximum(low, obstacle_low - margin), np.minimum(
-        high, obstacle_high + margin
-    )
+    low = np.maximum(low, obstacle_low - margin)
+    return low, np.minimum(high, obstacle_high + margin)
 
 
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:

@@ -25,7 +25,7 @@ from animtool.systems.crowds.gaits import (
     swing_progress,
 )
 from animtool.systems.crowds.ground import rotations_about_y
-from animtool.systems.crowds.reach import MAX_EXTENSION, MAX_LOWERING, SWING_MARGIN
+from animtool.systems.crowds.reach import MAX_LOWERING, SWING_MARGIN, reach_across
 
 # Blend time at both ends of a reaction [s].
 REACTION_BLEND_TIME = 0.2
@@ -49,8 +49,6 @@ class BodyPoses:
 
     rotations: FloatArray  # local rotations of joints (N, J, 4)
     roots: FloatArray  # positions of the root joint (N, 3) [m]
-    lowered: FloatArray  # lowering of the hips (N,) [m]
-    ankle_errors: FloatArray  # distance of each ankle from its target (N, 2) [m]
 
 
 def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> BodyPoses:
@@ -67,11 +65,10 @@ def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> Bo
     )
     # Hips stay above the mean ground of both feet.
     roots[:, 1] += feet[:, :, 1].mean(axis=1)
-    lowered, ankle_errors = _solve_leg_ik(
+    roots[:, 1] -= _solve_leg_ik(
         bodies.gaits.walker, rotations, roots, goals, soles, state
     )
-    roots[:, 1] -= lowered
-    return BodyPoses(rotations, roots, lowered, ankle_errors)
+    return BodyPoses(rotations, roots)
 
 
 def _solve_leg_ik(
@@ -81,11 +78,10 @@ def _solve_leg_ik(
     goals: FloatArray,
     soles: FloatArray,
     state: BodyState,
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Solve leg IK for ankle goals ``(N, 2, 3)`` and sole rotations, in place.
 
-    Returns the lowering of hips ``(N,)``, and the remaining distances of ankles from
-    their goals ``(N, 2)`` [m].
+    Returns the lowering of hips ``(N,)`` [m].
     """
     rig = walker.rig
     translations = np.repeat(rig.rest_translations[None], len(rotations), axis=0)
@@ -101,7 +97,6 @@ def _solve_leg_ik(
     lowering = _hip_lowering(walker, joints, goals, state)
     joints = joints - lowering[:, None, None] * UP
     goals = _move_into_reach(walker, joints, goals, state.swings >= 0)
-    ankle_errors = np.zeros((len(rotations), 2))
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
         upper, lower = ankle_rotations(
@@ -114,21 +109,17 @@ def _solve_leg_ik(
         sole = so3.multiply(
             soles[:, k], np.broadcast_to(walker.level_rotations[k], upper.shape)
         )
-        hip_rotation = (
-            world_rotations[hip_parent]
-            if hip_parent >= 0
-            else np.broadcast_to(so3.IDENTITY, upper.shape)
-        )
+        if hip_parent >= 0:
+            hip_rotation = world_rotations[hip_parent]
+        else:
+            hip_rotation = np.broadcast_to(so3.IDENTITY, upper.shape)
         for joint, parent, joint_rotation in (
             (thigh, hip_rotation, upper),
             (shin, upper, lower),
             (foot, lower, sole),
         ):
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
-        knee = joints[:, thigh] + so3.rotate(upper, rig.rest_translations[shin])
-        ankle = knee + so3.rotate(lower, rig.rest_translations[foot])
-        ankle_errors[:, k] = np.linalg.norm(ankle - goals[:, k], axis=1)
-    return lowering, ankle_errors
+    return lowering
 
 
 def _hip_lowering(
@@ -143,10 +134,7 @@ def _hip_lowering(
         leg_joints = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
         leg = joints[:, thigh] - goals[:, k]
-        horizontal_squared = (leg[:, [0, 2]] ** 2).sum(axis=1)
-        max_height = np.sqrt(
-            np.maximum((MAX_EXTENSION * length) ** 2 - horizontal_squared, 0.0)
-        )
+        max_height = reach_across(length, (leg[:, [0, 2]] ** 2).sum(axis=1))
         distance_to_landing = (
             np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
         ) / (2 * LOWERING_PHASE)
@@ -175,11 +163,8 @@ def _move_into_reach(
     for k, (thigh, *_) in enumerate(walker.legs):
         leg = goals[:, k] - joints[:, thigh]
         distances = np.linalg.norm(leg[:, [0, 2]], axis=1)
-        reach_squared = (MAX_EXTENSION * walker.leg) ** 2 - leg[:, 1] ** 2
-        overreach = (
-            np.maximum(distances - np.sqrt(np.maximum(reach_squared, 0.0)), 0.0)
-            * is_swinging[:, k]
-        )
+        reach = reach_across(walker.leg, leg[:, 1] ** 2)
+        overreach = np.maximum(distances - reach, 0.0) * is_swinging[:, k]
         excess = overreach / np.maximum(distances, 1e-9)
         result[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
         result[:, k, 1] += min_sole_height(overreach)
@@ -244,10 +229,8 @@ def _missing_clearance(
         (ball, walker.ball_offsets[k] + walker.ankle_heights[k] * UP),
     ):
         offsets = np.linalg.norm((sole - rest_offset)[:, [0, 2]], axis=1)
-        deficit = np.maximum(
-            deficit,
-            min_sole_height(foothold_distances + offsets) - (sole - rest_offset)[:, 1],
-        )
+        required_height = min_sole_height(foothold_distances + offsets)
+        deficit = np.maximum(deficit, required_height - (sole - rest_offset)[:, 1])
     return deficit
 
 
@@ -267,19 +250,15 @@ def _swing_poses(
         gaits, state, blend, k, is_swinging, np.zeros_like(swings)
     )
     stance_rotations = rotations_about_x(state.heels[is_swinging, k])
-    stance_weight = (1 - swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0)))[
-        :, None
-    ]
+    blend_progress = swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0))
+    stance_weight = (1 - blend_progress)[:, None]
     correction = so3.multiply(stance_rotations, so3.conjugate(start_rotations))
     identity = np.broadcast_to(so3.IDENTITY, correction.shape)
-    rotations = so3.multiply(
-        _blend_rotations(
-            [identity, correction], np.hstack([1 - stance_weight, stance_weight])
-        ),
-        foot_rotations,
-    )
-    return rotations, ankle_offsets + stance_weight * (
-        standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
+    partial_correction = _mix_rotations(identity, correction, stance_weight)
+    offset = standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
+    return (
+        so3.multiply(partial_correction, foot_rotations),
+        ankle_offsets + stance_weight * offset,
     )
 
 
@@ -321,20 +300,16 @@ def _gait_swing(
     # Feet stay flat after standing, and lift less in quick steps.
     standing_weight = state.still[is_swinging]
     swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
-    typical_time = (1 - blend.stance_fractions[is_swinging, k]) / blend.free_rate[
-        is_swinging
-    ]
+    swing_fraction = 1 - blend.stance_fractions[is_swinging, k]
+    typical_time = swing_fraction / blend.free_rate[is_swinging]
     shortening = 1 - np.minimum(swing_time / typical_time, 1.0)
     landing_progress = swing_progress(
         np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
     )
-    flat_weight = np.maximum(standing_weight, shortening * (1 - landing_progress))[
-        :, None
-    ]
+    flat_weight = np.maximum(standing_weight, shortening * (1 - landing_progress))
+    flat_weight = flat_weight[:, None]
     flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
-    rotations = _blend_rotations(
-        [swing_rotations, flat_rotations], np.hstack([1 - flat_weight, flat_weight])
-    )
+    rotations = _mix_rotations(swing_rotations, flat_rotations, flat_weight)
     flat_ankle = standing_ankle(gaits.walker, k, flat_rotations)
     flat_lift = FLAT_FOOT_LIFT * np.maximum(
         ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0
@@ -361,10 +336,7 @@ def _gait_rotations(
     rows = idle_frames(gaits.idle, state.clocks)
     idle_weight = state.still[:, None]
     idle_rotations = sample_rows(idle_table, rows)
-    rotations = _blend_rotations(
-        [walk_rotations, idle_rotations],
-        np.concatenate([1 - idle_weight, idle_weight], axis=1),
-    )
+    rotations = _mix_rotations(walk_rotations, idle_rotations, idle_weight)
     hips = hips + idle_weight * (sample_rows(gaits.idle.hips, rows) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
@@ -373,8 +345,7 @@ def _gait_rotations(
         weight = swing_progress(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
         rows = elapsed / reaction.period * (len(reaction.rotations) - 1)
         reaction_rotations = sample_rows(reaction.rotations[:, bodies.animated], rows)
-        blend_weights = np.stack([1 - weight, weight], axis=1)
-        rotations = _blend_rotations([rotations, reaction_rotations], blend_weights)
+        rotations = _mix_rotations(rotations, reaction_rotations, weight[:, None])
         # Height of the hips; their ground position is the agent's.
         height_change = sample_rows(reaction.hips, rows)[:, 1] - hips[:, 1]
         hips[:, 1] += weight * height_change
@@ -388,6 +359,13 @@ def idle_frames(idle: Gait, clocks: FloatArray) -> FloatArray:
         return np.zeros(len(clocks))
     cycle = (clocks / idle.period) % 2.0
     return np.asarray(np.minimum(cycle, 2 - cycle) * last_frame)
+
+
+def _mix_rotations(
+    first: FloatArray, second: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Return rotations blended by the weight of the second ones ``(N, 1)``."""
+    return _blend_rotations([first, second], np.hstack([1 - weight, weight]))
 
 
 def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:

@@ -38,18 +38,12 @@ MAX_CYCLE_RATE = 2.5
 
 @dataclass(frozen=True)
 class LegReach:
-    """Reach of the legs of a rig, computed from the thigh positions in gaits.
+    """Reach of the legs of a rig, computed from the thigh positions in gaits."""
 
-    Attributes:
-        gaits: Gaits of the rig.
-        gait_thighs: Thigh joints of both legs by phase, for each gait ``(P, 2, 3)``
-            [m].
-        standing_thighs: Mean thigh joints of the idle clip ``(2, 3)`` [m].
-    """
-
-    gaits: Gaits
+    gaits: Gaits  # gaits of the rig
+    # Thigh joints of both legs by phase, for each gait (P, 2, 3) [m].
     gait_thighs: tuple[FloatArray, ...]
-    standing_thighs: FloatArray
+    standing_thighs: FloatArray  # mean thigh joints of the idle clip (2, 3) [m]
 
     @staticmethod
     def of(gaits: Gaits) -> LegReach:
@@ -89,8 +83,7 @@ class LegReach:
         heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
         outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
-        reach_squared = np.maximum((MAX_EXTENSION * leg) ** 2 - heights**2, 0.0)
-        return np.asarray(np.sqrt(reach_squared) - distances), outwards
+        return np.asarray(reach_across(leg, heights**2) - distances), outwards
 
     def hip_lowering(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -98,13 +91,9 @@ class LegReach:
         """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
         leg = self.gaits.walker.leg
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
-        horizontal_squared = (to_ankle[:, [0, 2]] ** 2).sum(axis=1)
-        max_height = np.sqrt(
-            np.maximum((MAX_EXTENSION * leg) ** 2 - horizontal_squared, 0.0)
-        )
-        return np.asarray(
-            np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
-        )
+        max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
+        lowering = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
+        return np.asarray(lowering)
 
     def _ankle_vectors(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -115,27 +104,27 @@ class LegReach:
         return np.asarray(ankles - thighs)
 
 
+def reach_across(leg: FloatArray | float, squared_offset: FloatArray) -> FloatArray:
+    """Return how far an extended leg reaches at right angles to an offset ``(N,)`` [m].
+
+    The offset is given by its square; beyond the reach of the leg the result is 0.
+    """
+    squared_reach = (MAX_EXTENSION * leg) ** 2 - squared_offset
+    return np.asarray(np.sqrt(np.maximum(squared_reach, 0.0)))
+
+
 @dataclass(frozen=True)
 class Stances:
-    """Feet of N bodies, with heel pitches now and at lift-off.
+    """Feet of N bodies, with heel pitches now and at lift-off."""
 
-    Attributes:
-        begins: Phase of each foot, from its landing ``(N, 2)``.
-        stance_fractions: Fraction of the cycle that each foot is planted ``(N, 2)``.
-        swings: Mask of feet in the air ``(N, 2)``.
-        feet: Position x, y, z and heading of each foot ``(N, 2, 4)``.
-        thighs: Thigh joints ``(N, 2, 3)``.
-        pitches: Heel pitches now, and at lift-off ``(2, N, 2)`` [rad].
-        rate: Cycle rate of the blended gaits ``(N,)`` [1/s].
-    """
-
-    begins: FloatArray
+    begins: FloatArray  # phase of each foot, from its landing (N, 2)
+    # Fraction of the cycle that each foot is planted (N, 2).
     stance_fractions: FloatArray
-    swings: BoolArray
-    feet: FloatArray
-    thighs: FloatArray
-    pitches: FloatArray
-    rate: FloatArray
+    swings: BoolArray  # mask of feet in the air (N, 2)
+    feet: FloatArray  # position x, y, z and heading of each foot (N, 2, 4)
+    thighs: FloatArray  # thigh joints (N, 2, 3)
+    pitches: FloatArray  # heel pitches now, and at lift-off (2, N, 2) [rad]
+    rate: FloatArray  # cycle rate of the blended gaits (N,) [1/s]
 
 
 def step_rates(

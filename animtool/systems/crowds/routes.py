@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from functools import cached_property
 
 import numpy as np
@@ -23,17 +23,11 @@ TINY_LENGTH = 1e-300
 
 @dataclass(frozen=True)
 class NavGrid:
-    """Grid of nodes on the ground, with a mask of walkable ones.
+    """Grid of nodes on the ground, with a mask of walkable ones."""
 
-    Attributes:
-        low: x and z of the first node ``(2,)`` [m].
-        cell: Distance between nodes [m].
-        free: Mask of walkable nodes ``(R, C)``, rows along x.
-    """
-
-    low: FloatArray
-    cell: float
-    free: BoolArray
+    low: FloatArray  # x and z of the first node (2,) [m]
+    cell: float  # distance between nodes [m]
+    free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
     @staticmethod
     def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
@@ -140,34 +134,23 @@ class NavGrid:
 
 @dataclass(frozen=True)
 class FlowField:
-    """Shortest paths to a goal, from all nodes of a grid.
-
-    Attributes:
-        distances: Path lengths from nodes, infinite if unreachable ``(R, C)`` [m].
-    """
+    """Shortest paths to a goal, from all nodes of a grid."""
 
     grid: NavGrid
     goals: FloatArray  # path ends by component, x and z ``(P, 2)`` [m]
-    distances: FloatArray
+    distances: FloatArray  # path lengths from nodes, infinite if unreachable (R, C) [m]
 
     @cached_property
     def gradient(self) -> FloatArray:
         """Unit vectors along the shortest path from each node ``(R, C, 2)``."""
-        padded_distances = np.pad(self.distances, 1, constant_values=np.inf)
         distances = self.distances
+        padded = np.pad(distances, 1, constant_values=np.inf)
+        neighbours = (
+            (padded[:-2, 1:-1], padded[2:, 1:-1]),
+            (padded[1:-1, :-2], padded[1:-1, 2:]),
+        )
         descent = np.zeros((*distances.shape, 2))
-        inner_slice = slice(1, -1)
-        for axis in (0, 1):
-            before = padded_distances[
-                (slice(None, -2), inner_slice)
-                if axis == 0
-                else (inner_slice, slice(None, -2))
-            ]
-            after = padded_distances[
-                (slice(2, None), inner_slice)
-                if axis == 0
-                else (inner_slice, slice(2, None))
-            ]
+        for axis, (before, after) in enumerate(neighbours):
             lower_distances = np.minimum(before, after)
             is_descending = np.isfinite(distances) & (lower_distances < distances)
             drop = np.where(is_descending, distances, 0) - np.where(
@@ -185,37 +168,32 @@ class FlowField:
         """
         grid = self.grid
         rows, columns, weights = grid.cell_corners(points)
-        unit_vectors = (self.gradient[rows, columns] * weights[..., None]).sum(
-            axis=(1, 2)
-        )
+        weighted_gradients = self.gradient[rows, columns] * weights[..., None]
+        unit_vectors = weighted_gradients.sum(axis=(1, 2))
         is_undefined = ~unit_vectors.any(axis=1)
         if is_undefined.any():
+            blocked_points = points[is_undefined]
+            free_nodes = grid.nearest_free_node(blocked_points)
             unit_vectors[is_undefined] = (
-                grid.node_positions(grid.nearest_free_node(points[is_undefined]))
-                - points[is_undefined]
+                grid.node_positions(free_nodes) - blocked_points
             )
         goal = self.path_ends(points)
         offset = goal - points
         distances = np.linalg.norm(offset, axis=1)
         row, column = grid.nearest_nodes(points).T
         # Outside the grid, visibility is that of the nearest node.
-        node_to_goal = np.linalg.norm(
-            goal - grid.node_positions(row * grid.free.shape[1] + column), axis=1
-        )
+        node = grid.node_positions(row * grid.free.shape[1] + column)
+        node_to_goal = np.linalg.norm(goal - node, axis=1)
+        is_outside = grid.border_distance(points) < 0
         straight_distance = np.where(
-            grid.border_distance(points) < 0,
-            np.maximum(distances, node_to_goal),
-            distances,
+            is_outside, np.maximum(distances, node_to_goal), distances
         )
-        is_near = (
-            self.distances[row, column]
-            <= straight_distance + STRAIGHT_DETOUR * grid.cell
-        )
+        max_distance = straight_distance + STRAIGHT_DETOUR * grid.cell
+        is_near = self.distances[row, column] <= max_distance
         # Paths to a goal outside the grid end at its border, and go straight from
         # there.
-        is_near &= (grid.border_distance(points) < grid.cell) | (
-            grid.border_distance(goal) > -grid.cell
-        )
+        is_at_border = grid.border_distance(points) < grid.cell
+        is_near &= is_at_border | (grid.border_distance(goal) > -grid.cell)
         is_near[is_near] = self._has_line_of_sight(points[is_near], targets[is_near])
         unit_vectors[is_near] = (targets - points)[is_near]
         lengths = np.linalg.norm(unit_vectors, axis=1)[:, None]
@@ -226,14 +204,11 @@ class FlowField:
         grid = self.grid
         offset = targets - points
         distances = np.linalg.norm(offset, axis=1)
-        step_lengths = (
-            np.minimum(distances, LOOKAHEAD_NODES * grid.cell)[:, None]
-            / LOOKAHEAD_NODES
-        )
+        lookahead = np.minimum(distances, LOOKAHEAD_NODES * grid.cell)[:, None]
+        step_lengths = lookahead / LOOKAHEAD_NODES
         offsets = np.arange(1, LOOKAHEAD_NODES + 1)[:, None, None] * step_lengths
-        samples = points + offsets * (
-            offset / np.maximum(distances, TINY_LENGTH)[:, None]
-        )
+        directions = offset / np.maximum(distances, TINY_LENGTH)[:, None]
+        samples = points + offsets * directions
         rows, columns = grid.nearest_nodes(samples.reshape(-1, 2)).T
         free = grid.free[rows, columns].reshape(LOOKAHEAD_NODES, -1)
         return np.asarray(free.all(axis=0), np.bool_)
@@ -279,8 +254,3 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     )
     distances = _kernels.travel_distances(grid.free, grid.cell, seeds, start_distances)
     return FlowField(grid, goals, distances)
-
-
-def flow_fields(grid: NavGrid, goals: Iterable[FloatArray]) -> list[FlowField]:
-    """Return the flow field to each of the goals."""
-    return [flow_field(grid, goal) for goal in goals]

@@ -11,7 +11,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.routes import FlowField, NavGrid, flow_fields
+from animtool.systems.crowds.routes import FlowField, NavGrid, flow_field
 from animtool.systems.crowds.spec import CrowdGoalModel
 
 # Time constant of stopping at a goal, and of returning to a position in a group or
@@ -31,62 +31,43 @@ GONE = -1
 
 @dataclass(frozen=True, slots=True)
 class Progress:
-    """Progress of N agents on their routes.
+    """Progress of N agents on their routes."""
 
-    Attributes:
-        stages: Number of passed goals; `GONE` for agents that left ``(N,)``.
-        waited: Time waited at the current goal ``(N,)`` [s].
-        tickets: Order in the queue at the current goal, or `NO_TICKET` ``(N,)``.
-    """
-
-    stages: IntArray
-    waited: FloatArray
-    tickets: IntArray
+    stages: IntArray  # number of passed goals; `GONE` for agents that left (N,)
+    waited: FloatArray  # time waited at the current goal (N,) [s]
+    tickets: IntArray  # order in the queue at the current goal, or `NO_TICKET` (N,)
 
 
 @dataclass(frozen=True)
 class Steering:
-    """Computes preferred velocities from goals and flow fields.
-
-    Attributes:
-        goal_points: x and z of each goal ``(G, 2)`` [m].
-        queue_spacings: Offset between positions of a goal's queue ``(G, 2)`` [m]; 0
-            without a queue.
-    """
+    """Computes preferred velocities from goals and flow fields."""
 
     agents: Agents
     goals: Sequence[CrowdGoalModel]
-    goal_points: FloatArray
+    goal_points: FloatArray  # x and z of each goal (G, 2) [m]
+    # Offset between positions of a goal's queue (G, 2) [m]; 0 without a queue.
     queue_spacings: FloatArray
     grid: NavGrid | None  # walkable grid; None without obstacles
 
     @cached_property
     def flow_fields(self) -> list[FlowField]:
         """Flow fields to each goal; empty without obstacles."""
-        return [] if self.grid is None else flow_fields(self.grid, self.goal_points)
+        if self.grid is None:
+            return []
+        return [flow_field(self.grid, goal) for goal in self.goal_points]
 
     @cached_property
     def _route_plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
         """Each agent's goal indices, goal count, and whether it repeats or leaves."""
         populations = self.agents.entries
-        names = [goal_indices.name for goal_indices in self.goals]
-        max_length = max(
-            (len(population.route) for population in populations), default=0
-        )
-        table = np.full((len(populations), max_length + 1), -1)
-        for i, population in enumerate(populations):
-            table[i, : len(population.route)] = [
-                names.index(name) for name in population.route
-            ]
+        names = [goal.name for goal in self.goals]
         counts = np.array([len(population.route) for population in populations])
-        is_repeating = np.array(
-            [population.then == "repeat" for population in populations]
-        )
-        is_leaving = np.array(
-            [population.then == "leave" for population in populations]
-        )
+        table = np.full((len(populations), counts.max(initial=0) + 1), -1)
+        for i, population in enumerate(populations):
+            table[i, : counts[i]] = [names.index(name) for name in population.route]
         kinds = self.agents.kinds
-        return table[kinds], counts[kinds], is_repeating[kinds], is_leaving[kinds]
+        then = np.array([population.then for population in populations])[kinds]
+        return table[kinds], counts[kinds], then == "repeat", then == "leave"
 
     def initial(self) -> Progress:
         """Return the initial progress."""
@@ -113,11 +94,9 @@ class Steering:
             return x, np.zeros(len(x), np.bool_)
         positions = self._reachable_goals(goal_indices, x)
         radii = np.array([entry.radius for entry in self.goals])
-        offset_positions = (
-            positions
-            + self.agents.goal_offsets
-            * np.where(goal_indices >= 0, radii[goal_indices], 0.0)[:, None]
-        )
+        offset_radii = np.where(goal_indices >= 0, radii[goal_indices], 0.0)
+        offsets = self.agents.goal_offsets * offset_radii[:, None]
+        offset_positions = positions + offsets
         if self.grid is None:
             positions = offset_positions
         else:
@@ -133,10 +112,8 @@ class Steering:
         for g in np.unique(goal_indices[is_queued]).tolist():
             queue = np.flatnonzero(is_queued & (goal_indices == g))
             queue = queue[np.argsort(progress.tickets[queue], kind="stable")]
-            positions[queue] = (
-                self.goal_points[g]
-                + np.arange(len(queue))[:, None] * self.queue_spacings[g]
-            )
+            queue_offsets = np.arange(len(queue))[:, None] * self.queue_spacings[g]
+            positions[queue] = self.goal_points[g] + queue_offsets
         return positions, is_queued
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
@@ -166,16 +143,14 @@ class Steering:
                     x[is_assigned], target[is_assigned]
                 )
         speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
-        speeds = np.where(
-            (goal_indices >= 0) & (t - begin >= agents.delays), speeds, 0.0
-        )
+        is_started = (goal_indices >= 0) & (t - begin >= agents.delays)
+        speeds = np.where(is_started, speeds, 0.0)
         # Waiting agents make room for those behind, and stay.
         is_waiting = (progress.waited > 0) & ~is_queued
         if is_waiting.any():
             radius = self._arrival_radii(goal_indices, progress.waited > 0)
-            inward_speeds = (
-                np.maximum(distances - INNER_RADIUS * radius, 0.0) / STOPPING_TIME
-            )
+            inner_distances = np.maximum(distances - INNER_RADIUS * radius, 0.0)
+            inward_speeds = inner_distances / STOPPING_TIME
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
         preferred = directions * speeds[:, None]
         return self._keep_groups(preferred, is_queued | is_waiting, x)
@@ -202,16 +177,13 @@ class Steering:
         size = np.linalg.norm(forward, axis=1)[:, None]
         forward = forward / np.where(size > 0, size, 1.0)
         left_directions = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
-        group_positions = (
-            group_mean(x[members])
-            + left_directions * self.agents.lateral_offsets[members, None]
-        )
+        lateral_offsets = self.agents.lateral_offsets[members, None]
+        group_positions = group_mean(x[members]) + left_directions * lateral_offsets
         correction = (group_positions - x[members]) / STOPPING_TIME
         lengths = np.linalg.norm(correction, axis=1)[:, None]
         max_correction = CATCH_UP_SPEED * self.agents.speeds[members, None]
-        correction = correction * np.minimum(
-            1.0, max_correction / np.where(lengths > 0, lengths, 1.0)
-        )
+        max_factors = max_correction / np.where(lengths > 0, lengths, 1.0)
+        correction = correction * np.minimum(1.0, max_factors)
         result = preferred.copy()
         result[members] = preferred[members] + correction
         return result
@@ -223,13 +195,9 @@ class Steering:
         _, counts, is_repeating, is_leaving = self._route_plans
         goal_indices = self.current_goals(progress)
         has_goal = goal_indices >= 0
-        wait_times, has_queue = (
-            np.array(values)[goal_indices]
-            for values in (
-                [entry.wait for entry in self.goals],
-                [entry.queue is not None for entry in self.goals],
-            )
-        )
+        wait_times = np.array([goal.wait for goal in self.goals])[goal_indices]
+        has_queue = np.array([goal.queue is not None for goal in self.goals])
+        has_queue = has_queue[goal_indices]
         radius = self._arrival_radii(goal_indices, progress.waited > 0)
         tickets = self._assign_tickets(
             progress.tickets, goal_indices, has_goal & has_queue, x
@@ -297,8 +265,7 @@ class Steering:
             if len(joining_agents):
                 result = result.copy()
                 # The nearest comes first; equal ones in order.
-                order = joining_agents[
-                    np.argsort(distances[joining_agents], kind="stable")
-                ]
+                order = np.argsort(distances[joining_agents], kind="stable")
+                order = joining_agents[order]
                 result[order] = result.max() + 1 + np.arange(len(order))
         return result

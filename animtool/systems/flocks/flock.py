@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, warning
+from animtool.core.errors import Fault, refuse_all, warning
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -21,7 +21,7 @@ from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
-from animtool.systems.flocks.members import Members, check_species
+from animtool.systems.flocks.members import Members, key_problems
 from animtool.systems.flocks.rules import FlockRule, build_rules, rule_accelerations
 from animtool.systems.flocks.spacing import START_PASSES, Spacing
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
@@ -78,39 +78,28 @@ def advance_headings(
     Members bank like aircraft: their up vector follows the lift. It is perpendicular to
     the velocity, and balances gravity and the centripetal acceleration.
     """
-    banking_factors = members.per_individual(
-        [entry.banking for entry in members.entries]
-    )[:, None]
-    lift = banking_factors * (end_velocities - start_velocities) / dt + GRAVITY * _UP
+    banking = members.per_individual([entry.banking for entry in members.entries])
+    accelerations = banking[:, None] * (end_velocities - start_velocities) / dt
+    lift = accelerations + GRAVITY * _UP
     up = so3.rotate(headings.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
-    directions = (
-        end_velocities
-        / np.maximum(np.linalg.norm(end_velocities, axis=1), _TINY_LENGTH)[:, None]
-    )
+    end_speeds = np.linalg.norm(end_velocities, axis=1)
+    directions = end_velocities / np.maximum(end_speeds, _TINY_LENGTH)[:, None]
     lift = lift - (lift * directions).sum(axis=1)[:, None] * directions
     length = np.linalg.norm(lift, axis=1)[:, None]
-    banked_up = up + (lift / np.maximum(length, _TINY_LENGTH) - up) * -np.expm1(
-        -dt / BANKING_TIME
-    )
-    look_rotations = _look_rotations(
-        headings.rotations,
-        end_velocities,
-        np.where(length > _TINY_LENGTH, banked_up, up),
-    )
+    correction = lift / np.maximum(length, _TINY_LENGTH) - up
+    banked_up = up + correction * -np.expm1(-dt / BANKING_TIME)
+    banked_up = np.where(length > _TINY_LENGTH, banked_up, up)
+    look_rotations = _look_rotations(headings.rotations, end_velocities, banked_up)
     rotations = so3.align_signs(look_rotations[None], headings.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(headings.rotations))
     spins = so3.log(step_rotation) / dt
     cycles_per_metre = members.per_individual(
         [entry.beat / entry.speed.cruise for entry in members.entries]
     )
-    speeds = (
-        np.linalg.norm(start_velocities, axis=1)
-        + np.linalg.norm(end_velocities, axis=1)
-    ) / 2
-    return MemberHeadings(
-        rotations, spins, headings.phases + cycles_per_metre * speeds * dt
-    )
+    speeds = (np.linalg.norm(start_velocities, axis=1) + end_speeds) / 2
+    phases = headings.phases + cycles_per_metre * speeds * dt
+    return MemberHeadings(rotations, spins, phases)
 
 
 def _look_rotations(
@@ -126,9 +115,7 @@ def _look_rotations(
     # In vertical flight, members keep their left axis.
     length = np.linalg.norm(left, axis=1)[:, None]
     previous_left = so3.rotate(previous_rotations, np.array([1.0, 0.0, 0.0]))
-    previous_left = (
-        previous_left - (previous_left * forward).sum(axis=1)[:, None] * forward
-    )
+    previous_left -= (previous_left * forward).sum(axis=1)[:, None] * forward
     left = np.where(
         length > 1e-6, left / np.maximum(length, _TINY_LENGTH), previous_left
     )
@@ -207,11 +194,9 @@ class FlockForces(SecondOrder):
                 positions, velocities, before, self.colliders, t - h, t, radii
             )
             positions, velocities = collision.points, collision.velocities
-        return (
-            after
-            if positions is after[0] and velocities is after[1]
-            else np.stack([positions, velocities])
-        )
+        if positions is after[0] and velocities is after[1]:
+            return after
+        return np.stack([positions, velocities])
 
     def _brake_velocities(
         self, h: float, before: FloatArray, x: FloatArray, v: FloatArray
@@ -230,7 +215,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     Raises:
         OptionError: The spec is invalid (SIM001, SIM005, SIM006, SIM060).
     """
-    check_species(spec)
+    refuse_all("SIM060", key_problems(spec))
     options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
     integrator, colliders = check_options(options), context.colliders
     if spec.domain is not None and not spec.domain.wrap:
@@ -262,28 +247,15 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     notices += stability_notices(spec, integrator)
     mesh_sources = [data.get("shows") for data in species_data]
     # Species that show the same meshes share them.
-    meshes_by_source = {show: show() for show in mesh_sources if show is not None}
-    mesh_ends = dict(
-        zip(
-            meshes_by_source,
-            np.cumsum([len(c) for c in meshes_by_source.values()]),
-            strict=True,
-        )
-    )
-    return Flock(
-        system,
-        options,
-        notices,
-        tuple(mesh for cycle in meshes_by_source.values() for mesh in cycle),
-        np.array(
-            [
-                (mesh_ends[s] - len(meshes_by_source[s]), len(meshes_by_source[s]))
-                if s
-                else (0, 0)
-                for s in mesh_sources
-            ]
-        ),
-    )
+    meshes: list[MeshFrame] = []
+    mesh_ranges = {None: (0, 0)}
+    for source in dict.fromkeys(mesh_sources):
+        if source is not None:
+            cycle = source()
+            mesh_ranges[source] = len(meshes), len(cycle)
+            meshes += cycle
+    ranges = np.array([mesh_ranges[source] for source in mesh_sources])
+    return Flock(system, options, notices, tuple(meshes), ranges)
 
 
 def stability_notices(spec: FlocksModel, integrator: Integrator) -> list[Fault]:
@@ -296,11 +268,9 @@ def stability_notices(spec: FlocksModel, integrator: Integrator) -> list[Fault]:
         return []
     species = spec.species[rates.index(max(rates))]
     weight = species.speed.weight * limit / spec.step
-    message = (
-        f"{integrator.name} is not stable with steps of {plain_number(spec.step)} s: "
-        f"{species.name!r} reaches its cruise of {species.speed.cruise:g} m/s "
-        f"within {plain_number(1 / max(rates))} s"
-    )
+    message = f"{integrator.name} is not stable with steps of "
+    message += f"{plain_number(spec.step)} s: {species.name!r} reaches its cruise of "
+    message += f"{species.speed.cruise:g} m/s within {plain_number(1 / max(rates))} s"
     hint = f"write step: {limit:.2g}, or a speed with weight: {weight:.2g}"
     return [warning("SIM101", message, hint)]
 
@@ -312,11 +282,9 @@ def wrap_motion(motion: FloatArray, domain: DomainModel | None) -> FloatArray:
     size = np.array(domain.size)
     low = np.array(domain.at) - size / 2
     wrap_counts = np.floor((motion[0] - low) / size)
-    return (
-        np.stack([motion[0] - wrap_counts * size, motion[1]])
-        if wrap_counts.any()
-        else motion
-    )
+    if wrap_counts.any():
+        return np.stack([motion[0] - wrap_counts * size, motion[1]])
+    return motion
 
 
 @dataclass(frozen=True, eq=False)

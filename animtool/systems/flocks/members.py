@@ -16,7 +16,6 @@ from animtool.core.errors import (
     counted,
     excerpt,
     refuse,
-    refuse_all,
     warning,
 )
 from animtool.core.record import dataclass
@@ -121,12 +120,10 @@ class Members(Groups):
         the remaining overlap [m] (SIM147).
         """
         displacements = np.linalg.norm(points - self.points, axis=1)
-        has_points = np.array(
-            [data.get("points") is not None for data in self.species_data]
-        )
-        is_moved = (displacements > MIN_REPORTED_MOVE * self.radii) & has_points[
-            self.kinds
-        ]
+        points_data = [data.get("points") for data in self.species_data]
+        has_points = np.array([one is not None for one in points_data])
+        is_moved = displacements > MIN_REPORTED_MOVE * self.radii
+        is_moved &= has_points[self.kinds]
         faults = []
         if is_moved.any():
             message = f"{counted(int(is_moved.sum()), 'member')} would start closer "
@@ -172,12 +169,7 @@ def _start_motion(
     return points, sampled_velocities if velocities is None else velocities
 
 
-def check_species(spec: FlocksModel) -> None:
-    """Raise SIM060 for keys of species that contradict each other."""
-    refuse_all("SIM060", _key_problems(spec))
-
-
-def _key_problems(spec: FlocksModel) -> Iterator[Problem]:
+def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     """Yield conflicts between species, their speeds and the domain."""
     names = [species.name for species in spec.species]
     yield from duplicate_names("species", names)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import TypeAlias
 
 import numpy as np
@@ -19,7 +20,6 @@ Indices: TypeAlias = npt.NDArray[np.int32]
 # Largest number of neighbour pairs per member on average, and in total. Beyond both,
 # thousands of members see each other and a step takes minutes.
 MAX_PAIRS_PER_MEMBER, MAX_PAIRS = 20_000, 2_000_000_000
-_NO_INTERACTION = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,12 +29,12 @@ class FlockRule:
     members: Indices | None  # members that follow the rule (M,); None for all
     others: Indices | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
-    cosine: float  # cosine of half the angle of view
-    nearest: int  # number of nearest neighbours; 0 for all
-    attraction: tuple[float, float]  # weight [1/s²] and range [m]
-    alignment: tuple[float, float]  # weight [1/s] and range [m]
-    repulsion: tuple[float, float]  # weight [m²/s²] and range [m]
-    softening: float  # softening length of the repulsion [m]
+    cosine: float = -1.0  # cosine of half the angle of view
+    nearest: int = 0  # number of nearest neighbours; 0 for all
+    attraction: tuple[float, float] = (0.0, 0.0)  # weight [1/s²] and range [m]
+    alignment: tuple[float, float] = (0.0, 0.0)  # weight [1/s] and range [m]
+    repulsion: tuple[float, float] = (0.0, 0.0)  # weight [m²/s²] and range [m]
+    softening: float = 0.0  # softening length of the repulsion [m]
 
 
 def build_rules(members: Members) -> list[FlockRule]:
@@ -43,38 +43,20 @@ def build_rules(members: Members) -> list[FlockRule]:
     names = [species.name for species in members.entries]
     for species_index, species in enumerate(members.entries):
         subjects = _member_indices(members, [species_index])
-        mate_species = [species_index, *(names.index(name) for name in species.joins)]
-        rules.append(
-            _build_flocking_rule(
-                species, subjects, _member_indices(members, sorted({*mate_species}))
-            )
-        )
+        mate_species = {species_index, *(names.index(name) for name in species.joins)}
+        mates = _member_indices(members, sorted(mate_species))
+        rules.append(_build_flocking_rule(species, subjects, mates))
         for flee in species.flees:
             targets = _member_indices(members, [names.index(flee.species)])
+            rule = FlockRule(subjects, targets, flee.radius)
             repulsion = (flee.weight, flee.radius)
-            rules.append(
-                FlockRule(
-                    subjects, targets, flee.radius, -1.0, 0,
-                    _NO_INTERACTION, _NO_INTERACTION, repulsion,
-                    species.repulsion.softening,
-                )
-            )  # fmt: skip
+            softening = species.repulsion.softening
+            rules.append(replace(rule, repulsion=repulsion, softening=softening))
         for chase in species.chases:
             targets = _member_indices(members, [names.index(chase.species)])
+            rule = FlockRule(subjects, targets, chase.radius)
             attraction = (chase.weight, chase.radius)
-            rules.append(
-                FlockRule(
-                    subjects,
-                    targets,
-                    chase.radius,
-                    -1.0,
-                    1,
-                    attraction,
-                    _NO_INTERACTION,
-                    _NO_INTERACTION,
-                    0.0,
-                )
-            )
+            rules.append(replace(rule, nearest=1, attraction=attraction))
     return [rule for rule in rules if _has_effect(rule)]
 
 
@@ -133,6 +115,13 @@ def max_pairs(count: int) -> float:
     return float(max(MAX_PAIRS_PER_MEMBER * count, MAX_PAIRS))
 
 
+def check_pair_count(count: int, pairs: float, limit: float, hint: str) -> None:
+    """Raise SIM107 if too many of N members are neighbours."""
+    if pairs > limit:
+        message = f"{count} members are so close that each has thousands of neighbours"
+        raise ToleranceError(Fault("SIM107", message, hint=hint))
+
+
 def rule_accelerations(
     rules: Sequence[FlockRule], domain: DomainModel | None, x: FloatArray, v: FloatArray
 ) -> FloatArray:
@@ -150,12 +139,8 @@ def rule_accelerations(
             np.array(rule.attraction), np.array(rule.alignment),
             np.array(rule.repulsion), rule.softening, period, limit,
         )  # fmt: skip
-        if pairs > limit:
-            message = f"{count} members are so close that each has thousands of "
-            message += "neighbours"
-            hint = "reduce their range of sight, or strengthen the repulsion"
-            raise ToleranceError(Fault("SIM107", message, hint=hint))
-        accelerations_sum[slice(None) if rule.members is None else rule.members] += (
-            accelerations
-        )
+        hint = "reduce their range of sight, or strengthen the repulsion"
+        check_pair_count(count, pairs, limit, hint)
+        rows = slice(None) if rule.members is None else rule.members
+        accelerations_sum[rows] += accelerations
     return accelerations_sum

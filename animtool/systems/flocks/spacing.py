@@ -6,10 +6,9 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import max_pairs, periodic_box
+from animtool.systems.flocks.rules import check_pair_count, max_pairs, periodic_box
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
 # Distance at which members brake for others, in minimum distances [1].
@@ -21,6 +20,7 @@ MIN_BRAKING_GAP = 0.1
 STEP_PASSES, START_PASSES, RELAXATION = 24, 400, 0.6
 # Additional clearance, relative to the minimum distance [1].
 CLEARANCE = 1e-4
+REMEDY_HINT = "use a larger start region, or a smaller distance"
 
 
 def min_distance(species: SpeciesModel) -> float:
@@ -62,7 +62,7 @@ class Spacing:
         accelerations, pairs = _kernels.flock_braking(
             x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_GAP, self.period, limit
         )
-        self._check(len(x), pairs, limit)
+        check_pair_count(len(x), pairs, limit, REMEDY_HINT)
         return np.asarray(accelerations)
 
     def separate(
@@ -73,14 +73,5 @@ class Spacing:
         separated, overlap, pairs = _kernels.flock_separate(
             x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit
         )
-        self._check(len(x), pairs, limit)
+        check_pair_count(len(x), pairs, limit, REMEDY_HINT)
         return separated, overlap
-
-    @staticmethod
-    def _check(count: int, pairs: float, limit: float) -> None:
-        """Raise SIM107 if too many members are neighbours."""
-        if pairs > limit:
-            message = f"{count} members are so close that each has thousands of "
-            message += "neighbours"
-            hint = "use a larger start region, or a smaller distance"
-            raise ToleranceError(Fault("SIM107", message, hint=hint))

@@ -31,21 +31,15 @@ def goal_accelerations(
         for goal, goal_data in zip(species.goals, data.get("goals", ()), strict=True):
             offsets = goal_data["poses"].at(t)[:3] - positions
             acceleration = goal.weight * _shorten_by_radius(offsets, goal.radius)
-            accelerations[species_rows] += (
-                acceleration
-                if goal.limit is None
-                else clamp_lengths(acceleration, goal.limit)
-            )
+            if goal.limit is not None:
+                acceleration = clamp_lengths(acceleration, goal.limit)
+            accelerations[species_rows] += acceleration
         for path in species.paths:
-            for block_start in range(0, len(positions), BLOCK_SIZE):
-                rows = slice(
-                    species_rows.start + block_start,
-                    species_rows.start + min(block_start + BLOCK_SIZE, len(positions)),
-                )
+            for start in range(species_rows.start, species_rows.stop, BLOCK_SIZE):
+                rows = slice(start, min(start + BLOCK_SIZE, species_rows.stop))
                 offsets = _path_targets(path, x[rows]) - x[rows]
-                accelerations[rows] += path.weight * _shorten_by_radius(
-                    offsets, path.radius
-                )
+                offsets = _shorten_by_radius(offsets, path.radius)
+                accelerations[rows] += path.weight * offsets
     return accelerations
 
 
@@ -54,9 +48,8 @@ def _shorten_by_radius(vectors: FloatArray, radius: float) -> FloatArray:
     if not radius:
         return vectors
     lengths = np.linalg.norm(vectors, axis=1)[:, None]
-    return np.asarray(
-        vectors * np.maximum(1 - radius / np.maximum(lengths, _TINY_LENGTH), 0.0)
-    )
+    fractions = np.maximum(1 - radius / np.maximum(lengths, _TINY_LENGTH), 0.0)
+    return np.asarray(vectors * fractions)
 
 
 def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
@@ -71,16 +64,13 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
     offsets = points[:-1] + fractions[..., None] * segments - x[:, None]
     nearest_segments = np.argmin((offsets * offsets).sum(axis=2), axis=1)
     arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
-    target_lengths = (
-        arc_lengths[nearest_segments]
-        + fractions[np.arange(len(x)), nearest_segments] * lengths[nearest_segments]
-    )
-    target_lengths = target_lengths + path.ahead
-    target_lengths = (
-        target_lengths % arc_lengths[-1]
-        if path.closed
-        else np.minimum(target_lengths, arc_lengths[-1])
-    )
+    nearest_fractions = fractions[np.arange(len(x)), nearest_segments]
+    nearest_lengths = nearest_fractions * lengths[nearest_segments]
+    target_lengths = arc_lengths[nearest_segments] + nearest_lengths + path.ahead
+    if path.closed:
+        target_lengths = target_lengths % arc_lengths[-1]
+    else:
+        target_lengths = np.minimum(target_lengths, arc_lengths[-1])
     return np.stack(
         [np.interp(target_lengths, arc_lengths, column) for column in points.T], axis=1
     )
@@ -114,14 +104,12 @@ def avoidance_accelerations(
         is_near = proximity > 0
         if not is_near.any():
             continue
-        normal_speeds = ((v - collider_velocities)[is_near] * normals[is_near]).sum(
-            axis=1
-        )
+        relative_velocities = (v - collider_velocities)[is_near]
+        normal_speeds = (relative_velocities * normals[is_near]).sum(axis=1)
         braking_distance = 2 * np.maximum(gaps[is_near], members.radii[is_near])
         braking = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
-        magnitudes = proximity[is_near] * (
-            weights[is_near] * proximity[is_near] + braking
-        )
+        proximity = proximity[is_near]
+        magnitudes = proximity * (weights[is_near] * proximity + braking)
         accelerations[is_near] += magnitudes[:, None] * normals[is_near]
     return accelerations
 
@@ -133,9 +121,8 @@ def limit_steering(
     limited = requested
     for species, rows in zip(members.entries, members.rows_by_entry, strict=True):
         if species.turning is not None:
-            limited = _limit_turning(
-                limited, v, rows, float(np.radians(species.turning))
-            )
+            max_rate = float(np.radians(species.turning))
+            limited = _limit_turning(limited, v, rows, max_rate)
         if species.acceleration is not None:
             limited = limited.copy()
             limited[rows] = clamp_lengths(limited[rows], species.acceleration)
@@ -154,18 +141,16 @@ def _limit_turning(
     lengths = np.linalg.norm(perpendicular, axis=1)[:, None]
     # Members at rest turn at once.
     fraction = np.minimum(max_rate * speeds / np.maximum(lengths, _TINY_LENGTH), 1.0)
-    requested[rows] = parallel + perpendicular * np.where(
-        speeds > _TINY_LENGTH, fraction, 1.0
-    )
+    fraction = np.where(speeds > _TINY_LENGTH, fraction, 1.0)
+    requested[rows] = parallel + perpendicular * fraction
     return requested
 
 
 def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
     """Return vectors ``(N, 3)`` clamped to a maximum length."""
     lengths = np.linalg.norm(values, axis=1)[:, None]
-    return np.asarray(
-        values * np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
-    )
+    fractions = np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
+    return np.asarray(values * fractions)
 
 
 def limit_displacements(
@@ -189,9 +174,8 @@ def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     )
     max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
     speeds = np.linalg.norm(v, axis=1)
-    is_outside = (speeds > max_speeds) | (
-        (speeds < min_speeds) & (speeds > _TINY_LENGTH)
-    )
+    is_too_slow = (speeds < min_speeds) & (speeds > _TINY_LENGTH)
+    is_outside = (speeds > max_speeds) | is_too_slow
     if not is_outside.any():
         return v
     factors = np.clip(speeds, min_speeds, max_speeds) / np.maximum(speeds, _TINY_LENGTH)

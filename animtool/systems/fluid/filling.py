@@ -57,20 +57,14 @@ def coarse_drop_warnings(
     """Yield a warning about drops with too few particles for tension (SIM175)."""
     if not spec.tension:
         return
-    radii = [
-        (
-            _fill_label(spec, i),
-            float(np.diff(shape_bounds(data["shape"]), axis=0).min()) / 2,
-        )
-        for i, data in enumerate(fill_data)
-        if isinstance(data.get("shape"), Sphere | Capsule)
-    ]
-    nozzles = [
-        emitter.radius for emitter in spec.emitters if emitter.radius is not None
-    ]
-    radii += [
-        (f"a drop of nozzle {i}", JET_DROP_RATIO * r) for i, r in enumerate(nozzles)
-    ]
+    radii = []
+    for i, data in enumerate(fill_data):
+        if isinstance(data.get("shape"), Sphere | Capsule):
+            min_size = float(np.diff(shape_bounds(data["shape"]), axis=0).min())
+            radii.append((_fill_label(spec, i), min_size / 2))
+    nozzles = [one.radius for one in spec.emitters if one.radius is not None]
+    for i, nozzle_radius in enumerate(nozzles):
+        radii.append((f"a drop of nozzle {i}", JET_DROP_RATIO * nozzle_radius))
     for name, radius in radii:
         radius_in_spacings = radius / spec.spacing
         if radius_in_spacings >= RESOLVED_RADIUS * (1 - ROUNDING):
@@ -171,11 +165,8 @@ def _check_outside(
     message = f"particle {particle} of {name} starts {depth:g} m {relation} "
     message += collider_name
     other_count = int(is_inside.any(axis=0).sum()) - 1
-    message += (
-        f", and {counted(other_count, 'other')} start in colliders too"
-        if other_count
-        else ""
-    )
+    if other_count:
+        message += f", and {counted(other_count, 'other')} start in colliders too"
     refuse("SIM064", message, "fills", "move it, or remove it")
 
 
@@ -185,9 +176,8 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
 
     if len(points) < 2:
         return
-    pairs = cKDTree(points).query_pairs(
-        MIN_SPACING * spec.spacing, output_type="ndarray"
-    )
+    min_gap = MIN_SPACING * spec.spacing
+    pairs = cKDTree(points).query_pairs(min_gap, output_type="ndarray")
     if not len(pairs):
         return
     first, second = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
@@ -199,9 +189,8 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
     gap = float(np.linalg.norm(points[first] - points[second]))
     message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "
     message += f"{spec.spacing:g} m"
-    refuse(
-        "SIM064", message, "fills", "keep fills from overlapping, and remove duplicates"
-    )
+    hint = "keep fills from overlapping, and remove duplicates"
+    refuse("SIM064", message, "fills", hint)
 
 
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
@@ -210,9 +199,8 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
         message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
         message += f"m, but the limit is {spec.max_particles:,}"
         min_spacing = spec.spacing * (count / spec.max_particles) ** (1 / 3)
-        hint = (
-            f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise max_particles"
-        )
+        hint = f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise "
+        hint += "max_particles"
         refuse("SIM064", message, key, hint)
 
 
@@ -259,9 +247,8 @@ class Nozzle:
         radius = emitter.radius
         width, depth = emitter.size or (2 * (radius or 0.0), 2 * (radius or 0.0))
         counts = [max(round(side / spec.spacing), 1) for side in (width, depth)]
-        _check_count(
-            spec, float(counts[0]) * counts[1] / MAX_REJECTED_POINTS, "emitters"
-        )
+        min_count = float(counts[0]) * counts[1] / MAX_REJECTED_POINTS
+        _check_count(spec, min_count, "emitters")
         x, z = ((np.arange(count) + 0.5 - count / 2) * spec.spacing for count in counts)
         grid = np.stack(np.meshgrid(x, [0.0], z, indexing="ij"), axis=-1).reshape(-1, 3)
         if radius is None or len(grid) == 1:
@@ -280,10 +267,8 @@ class Nozzle:
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         layer_size, skipped_count = len(self._layer_points), 0
         for interval in self._intervals:
-            first_layer, last_layer = (
-                self._layer_count(interval, start),
-                self._layer_count(interval, end),
-            )
+            first_layer = self._layer_count(interval, start)
+            last_layer = self._layer_count(interval, end)
             count = min(last_layer - first_layer, capacity // layer_size)
             skipped_count += (last_layer - first_layer - count) * layer_size
             capacity -= count * layer_size
@@ -293,38 +278,27 @@ class Nozzle:
             times: FloatArray = interval[0] + np.float64(self._period) * layers
             states.append(self._released_layers(times, end, gravity))
             births.append(np.repeat(times, layer_size))
-        return Inflow(
-            np.concatenate(states, axis=1), np.concatenate(births), skipped_count
-        )
+        state = np.concatenate(states, axis=1)
+        return Inflow(state, np.concatenate(births), skipped_count)
 
     def _released_layers(
         self, times: FloatArray, end: float, gravity: FloatArray
     ) -> FloatArray:
         """Return layers released at ``times``, advanced to ``end`` ``(2, K M, 3)``."""
-        poses, earlier_poses = (
-            self._poses.at_times(times),
-            self._poses.at_times(times - VELOCITY_INTERVAL),
-        )
-        layer_size, emitter_velocity = (
-            len(self._layer_points),
-            (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL,
-        )
-        rotations, emitter_velocity = (
-            np.repeat(poses[:, 3:], layer_size, axis=0),
-            np.repeat(emitter_velocity, layer_size, axis=0),
-        )
+        poses = self._poses.at_times(times)
+        earlier_poses = self._poses.at_times(times - VELOCITY_INTERVAL)
+        layer_size = len(self._layer_points)
+        emitter_velocity = (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL
+        rotations = np.repeat(poses[:, 3:], layer_size, axis=0)
+        emitter_velocity = np.repeat(emitter_velocity, layer_size, axis=0)
         layer_points = np.tile(self._layer_points, (len(times), 1))
-        outflow_velocities = np.broadcast_to(
-            [0.0, self._speed, 0.0], layer_points.shape
-        )
-        x = so3.rotate(rotations, layer_points) + np.repeat(
-            poses[:, :3], layer_size, axis=0
-        )
-        v = so3.rotate(rotations, outflow_velocities) + emitter_velocity
+        outflow = np.broadcast_to([0.0, self._speed, 0.0], layer_points.shape)
+        origins = np.repeat(poses[:, :3], layer_size, axis=0)
+        x = so3.rotate(rotations, layer_points) + origins
+        v = so3.rotate(rotations, outflow) + emitter_velocity
         elapsed = np.repeat(end - times, layer_size)[:, None]
-        return np.stack(
-            [x + elapsed * (v + elapsed / 2 * gravity), v + elapsed * gravity]
-        )
+        end_points = x + elapsed * (v + elapsed / 2 * gravity)
+        return np.stack([end_points, v + elapsed * gravity])
 
 
 def is_clear(

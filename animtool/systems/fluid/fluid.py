@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import field, replace
 from typing import Any
 
@@ -52,7 +52,6 @@ MAX_SHORTENING = 1000
 # Divisors of the step to try for a hint, and the number of trial steps of each.
 STEP_DIVISORS, TRIAL_STEPS = (2.0, 4.0, 8.0, 16.0), 4
 REMEDY_HINT = "use weaker forces, a larger spacing, or slower colliders"
-_NO_PARTICLES = np.zeros((2, 0, 3))
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,9 +126,8 @@ class Fluid:
         self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
         # Without moving colliders the initial energy is an upper bound.
         is_static = not colliders.bodies and not colliders.sheets
-        self._conserves_energy = is_static and all(
-            len(c.poses.sample_times) == 1 for c in colliders
-        )
+        is_static &= all(collider.poses.is_fixed for collider in colliders)
+        self._conserves_energy = is_static
 
     def initial(self) -> FluidState:
         """Return the initial state."""
@@ -142,9 +140,8 @@ class Fluid:
             made=count,
         )
         accelerations = self._accelerations(state, self._begin)
-        sound = self._substeps.initial_sound_speed(
-            self._initial_motion[0], accelerations
-        )
+        points = self._initial_motion[0]
+        sound = self._substeps.initial_sound_speed(points, accelerations)
         return replace(state, sound=sound, energy=self._energy(state)[0])
 
     def incompatibility(self, state: FluidState, t: float) -> str:
@@ -169,10 +166,9 @@ class Fluid:
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as particles, for force fields."""
-        radius, points = self._spec.spacing / 2, state.motion[0]
-        return ParticleState.lasting(
-            state.ids, self._mass, radius, state.births, points
-        )
+        births, points = state.births, state.motion[0]
+        radius = self._spec.spacing / 2
+        return ParticleState.lasting(state.ids, self._mass, radius, births, points)
 
     def _accelerations(self, state: FluidState, t: float) -> FloatArray:
         """Return accelerations of forces ``(N, 3)`` [m/s²]."""
@@ -218,40 +214,35 @@ class Fluid:
         needed_substeps = self._substeps.substep_count(dt, max_speed, sound_speed)
         if needed_substeps > self._substeps.max_substeps:
             max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
-            message = (
-                f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step of "
-            )
-            message += f"{dt:g} s needs more than {max_substeps} substeps"
-            self._stop_for_long_step(
-                state, t, dt, message, needed_substeps / max_substeps, notices
-            )
+            message = f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step "
+            message += f"of {dt:g} s needs more than {max_substeps} substeps"
+            ratio = needed_substeps / max_substeps
+            self._stop_for_long_step(state, t, dt, message, ratio, notices)
         substeps, max_compression = int(needed_substeps), self._spec.compression
         result = self._run_kernel(state, t, dt, accelerations, sound_speed, substeps)
-        while (
-            result.compression > max_compression
-            and 2 * substeps <= self._substeps.max_substeps
-        ):
+        while result.compression > max_compression:
+            finer_sound, finer_substeps = 2 * sound_speed, 2 * substeps
+            if finer_substeps > self._substeps.max_substeps:
+                break
             finer_result = self._run_kernel(
-                state, t, dt, accelerations, 2 * sound_speed, 2 * substeps
+                state, t, dt, accelerations, finer_sound, finer_substeps
             )
             if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound_speed, substeps = finer_result, 2 * sound_speed, 2 * substeps
+            result, sound_speed, substeps = finer_result, finer_sound, finer_substeps
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
         if compression > max(COLLAPSE_COMPRESSION, COLLAPSE_RATIO * max_compression):
-            message = (
-                f"it is {compression:.1%} denser than at rest: there is too little room"
-            )
+            message = f"it is {compression:.1%} denser than at rest: there is too "
+            message += "little room"
             hint = "enlarge its container, open a drain, or close an emitter earlier"
             self._stop("SIM108", t + dt, message, hint)
         if compression > max_compression and notices is not None:
             message = f"it is {compression:.2%} denser than at rest at "
             message += f"{t + dt:g} s; the limit is {max_compression:.2%}"
-            notices.append(
-                warning("SIM137", message, "give it more room: it is compressed")
-            )
+            hint = "give it more room: it is compressed"
+            notices.append(warning("SIM137", message, hint))
         end_state = replace(
             state,
             motion=result.motion,
@@ -279,21 +270,20 @@ class Fluid:
         """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
         collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
-        substep, pressures, compression = (
-            dt / collision_substeps,
-            np.zeros(len(state.ids)),
-            0.0,
-        )
+        substep = dt / collision_substeps
+        pressures = np.zeros(len(state.ids))
+        compression = 0.0
         wrenches = [Wrenches.none(system.count) for system in colliders.bodies]
         for k in range(collision_substeps):
             t0 = t + k * substep
+            t1 = t0 + substep
             start_motion = motion
             solid_colliders = self._solid_colliders(t0)
             motion, step_pressures, body_impulses, step_compression = (
                 _kernels.fluid_steps(
-                    solid_colliders.arrays(t0, t0 + substep),
+                    solid_colliders.arrays(t0, t1),
                     body_owners(colliders.bodies, len(solid_colliders)),
-                    pushable_rows(colliders.bodies, t0, t0 + substep),
+                    pushable_rows(colliders.bodies, t0, t1),
                     motion,
                     accelerations,
                     self._spec.spacing,
@@ -311,17 +301,12 @@ class Fluid:
                 sheets = Colliders((), colliders.sheets)
                 radius = self._spec.spacing / 2
                 x, v = motion
-                collision = collide(
-                    x, v, start_motion, sheets, t0, t0 + substep, radius
-                )
+                collision = collide(x, v, start_motion, sheets, t0, t1, radius)
                 motion = np.stack([collision.points, collision.velocities])
+            impulses = split_by_system(colliders.bodies, body_impulses)
             wrenches = [
                 Wrenches.sum([earlier.after(substep), Wrenches(*system)])
-                for earlier, system in zip(
-                    wrenches,
-                    split_by_system(colliders.bodies, body_impulses),
-                    strict=True,
-                )
+                for earlier, system in zip(wrenches, impulses, strict=True)
             ]
         return PressureResult(motion, pressures, compression, wrenches)
 
@@ -333,11 +318,9 @@ class Fluid:
             for sheet in colliders.sheets
             if sheet.closed
         ]
-        return (
-            Colliders([*colliders, *skins], (), colliders.bodies)
-            if skins
-            else colliders
-        )
+        if skins:
+            return Colliders([*colliders, *skins], (), colliders.bodies)
+        return colliders
 
     def _has_energy_gain(self, state: FluidState) -> bool:
         """Return whether the energy of a closed system grew beyond the tolerance."""
@@ -347,9 +330,8 @@ class Fluid:
         gain = total - state.energy
         # Potential energy is exchanged as well.
         exchanged_energy = max(kinetic, state.energy - (total - kinetic))
-        exchanged_energy += (
-            self._mass * len(state.ids) * state.sound**2 * self._spec.compression
-        )
+        mass = self._mass * len(state.ids)
+        exchanged_energy += mass * state.sound**2 * self._spec.compression
         return gain > MAX_ENERGY_GROWTH * exchanged_energy
 
     def _stop_for_long_step(
@@ -365,11 +347,9 @@ class Fluid:
         step = None
         if notices is not None and min_ratio < MAX_SHORTENING:
             step = self._find_stable_step(state, t, dt, min_ratio)
-        hint = (
-            REMEDY_HINT
-            if step is None
-            else f"step: {plain_number(step)}, or {REMEDY_HINT}"
-        )
+        hint = REMEDY_HINT
+        if step is not None:
+            hint = f"step: {plain_number(step)}, or {REMEDY_HINT}"
         self._stop("SIM102", t + dt, message, hint)
 
     def _find_stable_step(
@@ -379,21 +359,19 @@ class Fluid:
 
         The step is shorter by a factor above ``min_ratio``.
         """
-        steps = (
-            floor_to_two_digits(dt / (min_ratio * divisor)) for divisor in STEP_DIVISORS
-        )
-        return next(
-            (step for step in steps if self._is_stable_step(state, t, step)), None
-        )
+        for divisor in STEP_DIVISORS:
+            step = floor_to_two_digits(dt / (min_ratio * divisor))
+            if self._is_stable_step(state, t, step):
+                return step
+        return None
 
     def _is_stable_step(self, state: FluidState, t: float, step: float) -> bool:
         """Return whether the first steps of length ``step`` [s] succeed."""
         try:
             for k in range(TRIAL_STEPS):
                 time = t + k * step
-                state, _ = self._solve_pressure(
-                    state, time, step, self._accelerations(state, time)
-                )
+                accelerations = self._accelerations(state, time)
+                state, _ = self._solve_pressure(state, time, step, accelerations)
         except StoppedError:
             return False
         return True
@@ -432,45 +410,38 @@ class Fluid:
         notices: list[Fault],
     ) -> FluidState:
         """Return a state with the inflow of a step, at the end of the step."""
+        gravity = accelerations.mean(axis=0) if len(accelerations) else np.zeros(3)
         for nozzle in self._nozzles:
             capacity = max(self._spec.max_particles - len(state.ids), 0)
-            mean_acceleration = (
-                accelerations.mean(axis=0) if len(accelerations) else np.zeros(3)
-            )
-            inflow = nozzle.inflow(t, end, mean_acceleration, capacity)
+            inflow = nozzle.inflow(t, end, gravity, capacity)
             if inflow.skipped_count:
                 limit = self._spec.max_particles
                 message = f"the limit of {limit:,} particles is reached at {end:g} s "
+                message += "and stops the emitters"
                 hint = "raise max_particles, open a drain, or close an emitter"
-                notices.append(
-                    warning("SIM121", f"{message}and stops the emitters", hint)
-                )
+                notices.append(warning("SIM121", message, hint))
             points, spacing = state.motion[0], self._spec.spacing
             has_room = is_clear(inflow.state[0], points, self._colliders, end, spacing)
             blocked_count = int((~has_room).sum())
             if blocked_count:
-                message = (
-                    f"{counted(blocked_count, 'particle')} could not be emitted until "
-                )
-                message += f"{end:g} s: fluid or a collider blocks the nozzle"
+                message = f"{counted(blocked_count, 'particle')} could not be emitted "
+                message += f"until {end:g} s: fluid or a collider blocks the nozzle"
                 hint = "use a faster or higher nozzle, or move it away from colliders"
                 notices.append(warning("SIM138", message, hint))
-            count = int(has_room.sum())
+            count, new_motion = int(has_room.sum()), inflow.state[:, has_room]
             next_state = replace(
                 state,
                 ids=np.concatenate([state.ids, state.made + np.arange(count)]),
-                motion=np.concatenate(
-                    [state.motion, inflow.state[:, has_room]], axis=1
-                ),
+                motion=np.concatenate([state.motion, new_motion], axis=1),
                 births=np.concatenate([state.births, inflow.births[has_room]]),
                 pressures=np.concatenate([state.pressures, np.zeros(count)]),
                 made=state.made + count,
                 held=state.held + inflow.skipped_count + blocked_count,
             )
-            energy_gain = (
-                self._energy(next_state)[0] - self._energy(state)[0] if count else 0.0
-            )
-            state = replace(next_state, energy=state.energy + energy_gain)
+            energy = state.energy
+            if count:
+                energy += self._energy(next_state)[0] - self._energy(state)[0]
+            state = replace(next_state, energy=energy)
         return state
 
     def _quantities(self, state: FluidState, t: float) -> Quantities:
@@ -503,7 +474,7 @@ class Fluid:
         """Return the number, compression, pressure and speed of particles."""
         total, kinetic, has_all_potentials = self._energy(state)
         speeds = np.linalg.norm(state.motion[1], axis=1)
-        values: Mapping[str, float] = {
+        values = {
             "particles": float(len(state.ids)),
             "compression": state.compression,
             "densest": state.densest,
@@ -512,15 +483,13 @@ class Fluid:
             "parts": float(state.parts),
         }
         if state.held:
-            values = {**values, "held_back": float(state.held)}
+            values["held_back"] = float(state.held)
         hint = "give it a fill, or a nozzle that is open in the range"
         message = "there is no fluid in any frame"
         empty_warning = warning("SIM188", message, hint)
-        energy = (
-            Energy(kinetic, total - kinetic)
-            if has_all_potentials and self._conserves_energy
-            else None
-        )
+        energy = None
+        if has_all_potentials and self._conserves_energy:
+            energy = Energy(kinetic, total - kinetic)
         return Diagnostics(energy, values, self._notices, [empty_warning])
 
 

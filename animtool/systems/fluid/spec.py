@@ -174,9 +174,8 @@ class FluidModel(ForcedSpec):
                 yield f"a {kind} has no volume to fill", "fills", box
         for emitter in self.emitters:
             if (emitter.radius is None) is (emitter.size is None):
-                message = (
-                    "a nozzle is round or rectangular: write either radius or size"
-                )
+                message = "a nozzle is round or rectangular: write either radius or "
+                message += "size"
                 yield message, "emitters", None
             for begin, end in emitter.opens:
                 if not begin <= end:

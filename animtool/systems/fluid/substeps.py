@@ -82,29 +82,19 @@ class Substeps:
         """
         index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
         pressure, speed = (np.partition(a, index)[index] for a in (pressures, speeds))
-        pressure_head, max_speed = (
-            float(pressure) / self._spec.density,
-            float(speed) + acceleration * dt,
-        )
+        pressure_head = float(pressure) / self._spec.density
+        max_speed = float(speed) + acceleration * dt
         layer_head = MIN_LAYERS * self._spec.spacing * acceleration
-        pressure_head = (
-            max(pressure_head, layer_head, self._drop_pressure) + max_speed**2 / 2
-        )
-        required_speed = self._sound_speed(pressure_head)
-        if (
-            previous
-            and required_speed / SOUND_TOLERANCE
-            <= previous
-            <= required_speed * SOUND_TOLERANCE
-        ):
+        static_head = max(pressure_head, layer_head, self._drop_pressure)
+        required_speed = self._sound_speed(static_head + max_speed**2 / 2)
+        least = required_speed / SOUND_TOLERANCE
+        if previous and least <= previous <= required_speed * SOUND_TOLERANCE:
             return previous
-        min_speed, max_allowed = (
-            previous * math.exp(-dt / SOUND_FALL_TIME),
-            previous * math.exp(dt / SOUND_RISE_TIME),
-        )
-        sound = max(
-            min_speed, min(required_speed, max_allowed) if previous else required_speed
-        )
+        min_speed = previous * math.exp(-dt / SOUND_FALL_TIME)
+        max_allowed = previous * math.exp(dt / SOUND_RISE_TIME)
+        if previous:
+            required_speed = min(required_speed, max_allowed)
+        sound = max(min_speed, required_speed)
         # Without pressure, one substep is as stiff as possible.
         return sound or self._spec.spacing / dt
 
@@ -114,9 +104,8 @@ class Substeps:
         rates = [sound / spec.spacing, max_speed / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
         rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))
         if spec.tension:
-            squared_frequency = (
-                2 * math.pi * spec.tension / (spec.density * spec.spacing**3)
-            )
+            mass = spec.density * spec.spacing**3
+            squared_frequency = 2 * math.pi * spec.tension / mass
             rates.append(math.sqrt(squared_frequency) / MAX_RIPPLE_PHASE)
         count = dt * max(rates)
         return max(math.ceil(count), 1) if count < 2**31 else math.inf

@@ -20,6 +20,7 @@ ISO_LEVEL = 0.35
 DEFAULT_CELL = 0.75
 # Integral of H. Wendland's C2 function over a ball of radius 1.
 KERNEL_INTEGRAL = 2 * np.pi / 21
+_NO_FACES = np.zeros((0, 3), np.int64)
 
 
 def check_surface() -> None:
@@ -42,40 +43,32 @@ def build_surface(
     """
     assert spec.surface is not None
     if not len(points):
-        return _surface_mesh(
-            points, velocities, np.zeros((0, 3), np.int64), dict(primvars)
-        )
+        return _surface_mesh(points, velocities, _NO_FACES, dict(primvars))
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
 
     cell = spec.surface.cell or DEFAULT_CELL * spec.spacing
     radius = (1 + spec.surface.smoothing) * spec.spacing
     grid_origin = points.min(axis=0) - radius - 2 * cell
-    node_counts = (
-        np.ceil((points.max(axis=0) + radius + 2 * cell - grid_origin) / cell) + 1
-    )
+    grid_size = points.max(axis=0) + radius + 2 * cell - grid_origin
+    node_counts = np.ceil(grid_size / cell) + 1
     if np.prod(node_counts) > spec.surface.max_cells:
-        message = (
-            f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, but "
-        )
-        message += f"{spec.surface.max_cells:,} are allowed: it is spread far"
+        message = f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, "
+        message += f"but {spec.surface.max_cells:,} are allowed: it is spread far"
         hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in node_counts)
     values = density_field(points, grid_origin, shape, cell, radius, spec.spacing)
     if not values.max() > ISO_LEVEL:
         vertex_primvars = {name: array[:0] for name, array in primvars.items()}
-        return _surface_mesh(
-            points[:0], points[:0], np.zeros((0, 3), np.int64), vertex_primvars
-        )
+        return _surface_mesh(points[:0], points[:0], _NO_FACES, vertex_primvars)
     vertices, faces, _, _ = marching_cubes(values, ISO_LEVEL)
     # Winding so that the field decreases outwards.
     vertices, faces = vertices.astype(np.float64) * cell + grid_origin, faces[:, ::-1]
     _, nearest = cKDTree(points).query(vertices)
     vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
-    return _surface_mesh(
-        vertices, velocities[nearest], faces.astype(np.int64), vertex_primvars
-    )
+    faces = faces.astype(np.int64)
+    return _surface_mesh(vertices, velocities[nearest], faces, vertex_primvars)
 
 
 def _surface_mesh(
@@ -107,14 +100,11 @@ def density_field(
     scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-cell_range, cell_range + 2), repeat=3):
         corner = nodes + offset
-        relative_distances = (
-            np.linalg.norm(corner * cell + grid_origin - points, axis=1) / radius
-        )
+        distances = np.linalg.norm(corner * cell + grid_origin - points, axis=1)
+        relative_distances = distances / radius
         is_near = relative_distances < 1
         if is_near.any():
-            relative_distances = relative_distances[is_near]
-            weights = (
-                scale * (1 - relative_distances) ** 4 * (4 * relative_distances + 1)
-            )
+            r = relative_distances[is_near]
+            weights = scale * (1 - r) ** 4 * (4 * r + 1)
             values += np.bincount(corner[is_near] @ strides, weights, len(values))
     return values.reshape(shape)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
-from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.motion.frames import Frame, TransformsFrame
@@ -24,10 +25,9 @@ ARRAY_UNITS = {
 
 def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
     """Raise if any number of a frame is out of bounds (SIM102)."""
-    primvars = {f"primvars:{key}": values for key, values in _primvars(frame)}
-    arrays = {
-        array_name: getattr(frame, array_name, None) for array_name in ARRAY_UNITS
-    } | primvars
+    arrays = {key: getattr(frame, key, None) for key in ARRAY_UNITS}
+    primvars = sorted(getattr(frame, "primvars", {}).items())
+    arrays |= {f"primvars:{key}": values for key, values in primvars}
     for array_name, values in arrays.items():
         if values is None or not values.size or values.dtype.kind != "f":
             continue
@@ -36,9 +36,7 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
         index = np.argwhere(~(np.abs(values) <= MAX_VALUE))[0]
         number, unit = float(values[tuple(index)]), ARRAY_UNITS.get(array_name, "")
         value = f"{number:.3g} {unit}".rstrip()
-        message = f"{name} blew up at {t:g} s: {array_name}[{int(index[0])}] is {value}"
-        hint = f"use step: {half_step_text(step)}, or weaker forces"
-        raise ToleranceError(Fault("SIM102", message, hint=hint))
+        _stop(name, t, f"{array_name}[{int(index[0])}] is {value}", step)
 
 
 def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
@@ -53,15 +51,12 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
         return
     finite = np.isfinite(np.concatenate(arrays, axis=1))
     (rows,) = np.nonzero(~finite.all(axis=1))
-    message = f"{name} blew up at {t:g} s: point {int(rows[0])} is not finite"
-    hint = f"use step: {half_step_text(step)}, or weaker forces"
+    _stop(name, t, f"point {int(rows[0])} is not finite", step)
+
+
+def _stop(name: str, t: float, reason: str, step: float) -> NoReturn:
+    """Raise SIM102 with a reason, and half the step [s] as a hint."""
+    half_step = plain_number(floor_to_two_digits(step / 2))
+    hint = f"use step: {half_step}, or weaker forces"
+    message = f"{name} blew up at {t:g} s: {reason}"
     raise ToleranceError(Fault("SIM102", message, hint=hint))
-
-
-def half_step_text(step: float) -> str:
-    """Return half a step [s] as text."""
-    return plain_number(floor_to_two_digits(step / 2))
-
-
-def _primvars(frame: Frame) -> list[tuple[str, FloatArray | IntArray]]:
-    return sorted(getattr(frame, "primvars", {}).items())

@@ -58,11 +58,8 @@ class ColourModel(FileModel):
         """Return the faults of the keys, given the names of available quantities."""
         if self.by not in names:
             message = f"unknown quantity {excerpt(self.by)}"
-            return [
-                Fault(
-                    code, message, hint=f"use one of {', '.join(names)}", where="colour"
-                )
-            ]
+            hint = f"use one of {', '.join(names)}"
+            return [Fault(code, message, hint=hint, where="colour")]
         if self.range is not None and not self.range[0] < self.range[1]:
             message = f"the range of colours from {self.range[0]:g} to "
             message += f"{self.range[1]:g}"
@@ -81,18 +78,14 @@ class Colouring:
     @staticmethod
     def of(model: ColourModel, quantities: Quantities) -> Colouring:
         """Return the colouring of a model; its default range is from the quantities."""
-        is_palette = model.by == "species"
-        ramp = np.array(
-            model.ramp or (DEFAULT_PALETTE if is_palette else DEFAULT_RAMP), np.float64
-        )
+        default_ramp = DEFAULT_PALETTE if model.by == "species" else DEFAULT_RAMP
+        ramp = np.array(model.ramp or default_ramp, np.float64)
         if model.range is not None:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
         values = quantities[model.by]()
-        low, high = (
-            np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
-            if len(values)
-            else (0.0, 1.0)
-        )
+        low, high = 0.0, 1.0
+        if len(values):
+            low, high = np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
         return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:
@@ -103,10 +96,8 @@ class Colouring:
         low, high = self.range
         fractions = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
         positions = np.linspace(0, 1, len(self.ramp))
-        return np.stack(
-            [np.interp(fractions, positions, channel) for channel in self.ramp.T],
-            axis=1,
-        )
+        channels = [np.interp(fractions, positions, row) for row in self.ramp.T]
+        return np.stack(channels, axis=1)
 
 
 def log_density(

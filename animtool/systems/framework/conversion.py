@@ -99,16 +99,11 @@ def unit_powers(unit: str) -> tuple[int, int]:
 
 @dataclass(frozen=True, slots=True)
 class SceneUnits:
-    """Units of the numbers in a scene's systems and passes.
+    """Units of the numbers in a scene's systems and passes."""
 
-    Attributes:
-        length: Metres in a length of 1 [m].
-        angle: Degrees in an angle of 1 [deg].
-        scene_length: Length unit given in the scene; None if not given.
-    """
-
-    length: float = 1.0
-    angle: float = 1.0
+    length: float = 1.0  # metres in a length of 1 [m]
+    angle: float = 1.0  # degrees in an angle of 1 [deg]
+    # Length unit given in the scene; None if not given.
     scene_length: LengthUnit | None = None
 
     @staticmethod
@@ -131,11 +126,10 @@ class SceneUnits:
         """
         length_power, angle_power = unit_powers(unit)
         # A quotient of integers is more precise than a negative power.
-        scale = (
-            self.length**length_power
-            if length_power >= 0
-            else 1 / self.length**-length_power
-        )
+        if length_power >= 0:
+            scale = self.length**length_power
+        else:
+            scale = 1 / self.length**-length_power
         return scale * float(self.angle**angle_power)
 
     def convert(

@@ -15,17 +15,11 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True)
 class Groups:
-    """N individuals, ordered by their entry, such as a species.
+    """N individuals, ordered by their entry, such as a species."""
 
-    Attributes:
-        noun: Word for an individual in messages.
-        entries: Models with a name and a radius.
-        ends: End index of each entry.
-    """
-
-    noun: ClassVar[str]
-    entries: Sequence[Any]
-    ends: Sequence[int]
+    noun: ClassVar[str]  # word for an individual in messages
+    entries: Sequence[Any]  # models with a name and a radius
+    ends: Sequence[int]  # end index of each entry
 
     def __len__(self) -> int:
         """Return the number of individuals."""

@@ -49,9 +49,8 @@ def integrate_step(
     start = Checkpoint(begin, system.state)
     trajectory = integrate(system, (begin, begin + duration), options, start)
     if trajectory.stats.status is not Status.OK:
-        faults = [
-            replace(fault, severity=Severity.ERROR) for fault in trajectory.notices
-        ]
+        notices = trajectory.notices
+        faults = [replace(fault, severity=Severity.ERROR) for fault in notices]
         raise StoppedError(faults, trajectory.stats)
     return np.asarray(trajectory.states[-1])
 
@@ -255,24 +254,18 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         self, system: StepSystem[InteractionSums], t: float, dt: float, step: float
     ) -> FloatArray:
         """Return the motion after a duration [s], in steps [s] of the integrator."""
-        options = replace(self._options, step=step * self._time_scale)
-        return integrate_step(
-            system, options, t * self._time_scale, dt * self._time_scale
-        )
+        scale = self._time_scale
+        options = replace(self._options, step=step * scale)
+        return integrate_step(system, options, t * scale, dt * scale)
 
     def _check_energy(self, state: State, t: float) -> None:
         """Raise SIM102 if energy is not conserved."""
         initial, energy = self._initial_energy, self._energy(state, t)
-        scale = max(
-            initial.kinetic,
-            abs(initial.potential),
-            self._exchanged_energy(state, energy),
-        )
+        exchanged = self._exchanged_energy(state, energy)
+        scale = max(initial.kinetic, abs(initial.potential), exchanged)
         has_supply = self._is_driven or not scale
-        if (
-            not has_supply
-            and not abs(self._energy_gain(state, energy)) <= MAX_ENERGY_GROWTH * scale
-        ):
+        gain = abs(self._energy_gain(state, energy))
+        if not has_supply and not gain <= MAX_ENERGY_GROWTH * scale:
             message = f"its energy changed to {energy.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{initial.total:.4g} {self.unit}")
 
@@ -298,9 +291,8 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     def _energy_drift(self, state: State, energy: Energy) -> float:
         """Return the energy gain relative to the initial energy [1]."""
-        scale = max(
-            abs(self._initial_energy.total), self._initial_energy.kinetic, 1e-300
-        )
+        initial = self._initial_energy
+        scale = max(abs(initial.total), initial.kinetic, 1e-300)
         return self._energy_gain(state, energy) / scale
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
@@ -340,9 +332,8 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def diagnostics(self, state: State, t: float) -> Diagnostics:
         """Return report values, and the energy if it is conserved."""
         energy = self._energy(state, t)
-        conserved_energy = replace(
-            energy, potential=energy.potential - self._bath_energy(state)
-        )
-        return Diagnostics(
-            None if self._is_driven else conserved_energy, self.values(state, t)
-        )
+        potential = energy.potential - self._bath_energy(state)
+        conserved_energy = None
+        if not self._is_driven:
+            conserved_energy = replace(energy, potential=potential)
+        return Diagnostics(conserved_energy, self.values(state, t))

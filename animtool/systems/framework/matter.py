@@ -112,15 +112,10 @@ def check_distinct(
     hint: str,
     reason: str = "",
 ) -> None:
-    """Raise if two of the points ``(N, 3)`` coincide.
+    """Raise a fault with this code if two of the points ``(N, 3)`` coincide.
 
-    Args:
-        points: Positions.
-        pair_names: Returns the names of two points, by index.
-        code: Code of the fault.
-        where: Key of the fault.
-        hint: What to do.
-        reason: Why the points must not coincide.
+    ``pair_names`` returns the names of two points, by index; ``reason`` is why points
+    must not coincide.
     """
     order = np.lexsort(points.T)
     coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
@@ -147,9 +142,8 @@ def check_rows(
         shape = (count,) if name == "masses" else (count, 3)
         message = f"{name} have shape {array.shape}, not {shape}"
         if array.shape == shape:
-            finite = np.isfinite(array.reshape(count, 3 if array.ndim > 1 else 1)).all(
-                axis=1
-            )
+            columns = 3 if array.ndim > 1 else 1
+            finite = np.isfinite(array.reshape(count, columns)).all(axis=1)
             if finite.all():
                 continue
             message = f"{name} of {noun} {int(np.argmin(finite))} are not finite"

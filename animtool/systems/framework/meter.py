@@ -99,9 +99,8 @@ class ContactMeter:
     # Largest number of intersecting edge-triangle pairs, with itself and with skins.
     pierced: PeakValue = field(default_factory=PeakValue)
     strain: PeakValue = field(default_factory=PeakValue)  # largest strain of a side [1]
-    strain_99: PeakValue = field(
-        default_factory=PeakValue
-    )  # 99th percentile of strain [1]
+    # 99th percentile of strain [1].
+    strain_99: PeakValue = field(default_factory=PeakValue)
 
     def measure(
         self,
@@ -127,9 +126,8 @@ class ContactMeter:
         max_depths = np.zeros(len(points)) if depths is None else depths.copy()
         free = surface.free_particles
         for solid in solids:
-            max_depths[free] = np.maximum(
-                max_depths[free], surface_depths(solid, points[free])
-            )
+            depths_in_solid = surface_depths(solid, points[free])
+            max_depths[free] = np.maximum(max_depths[free], depths_in_solid)
         if len(free):
             deepest = int(free[max_depths[free].argmax()])
             depth = float(max_depths[deepest])
@@ -180,9 +178,8 @@ class ContactMeter:
         if self.strain.value > 0:
             quantile = percent_text(self.strain_99.value)
             phrases.append(f"99th percentile of strain {quantile}")
-            phrases.append(
-                f"largest strain {percent_text(self.strain.value)} ({self.strain.text})"
-            )
+            largest = percent_text(self.strain.value)
+            phrases.append(f"largest strain {largest} ({self.strain.text})")
         return ", ".join(phrases)
 
     def notices(self, subject: str) -> list[Fault]:
@@ -199,21 +196,15 @@ class ContactMeter:
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
             pairs = counted(int(self.pierced.value), "pair")
-            message = (
-                f"{pairs} of edges and triangles of {subject} and what it touches "
-            )
-            message += f"intersect ({self.pierced.when})"
+            message = f"{pairs} of edges and triangles of {subject} and what it "
+            message += f"touches intersect ({self.pierced.when})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
-        if (
-            self.strain_99.value > VISIBLE_STRAIN_99
-            or self.strain.value > VISIBLE_STRAIN
-        ):
-            message = (
-                f"{subject} is strained by up to {percent_text(self.strain.value)} "
-            )
-            message += f"({self.strain.text}), 99th percentile "
-            message += f"{percent_text(self.strain_99.value)}"
+        is_strained = self.strain.value > VISIBLE_STRAIN
+        if is_strained or self.strain_99.value > VISIBLE_STRAIN_99:
+            message = f"{subject} is strained by up to "
+            message += f"{percent_text(self.strain.value)} ({self.strain.text}), 99th "
+            message += f"percentile {percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
             hint += " or a higher stiffness" if self.seconds else ""
             notices.append(warning("SIM182", message, hint))

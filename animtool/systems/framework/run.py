@@ -87,11 +87,10 @@ class EntryRun:
     ) -> BodyColliders:
         """Return the rigid bodies of the entry as colliders of other systems."""
         assert isinstance(self.simulation, RigidSystem)
-        return self.run.add_observer(
-            BodyColliders(
-                self.run, self.simulation, restitution, friction, two_way=two_way
-            )
+        colliders = BodyColliders(
+            self.run, self.simulation, restitution, friction, two_way=two_way
         )
+        return self.run.add_observer(colliders)
 
     def body_carriers(self) -> TiedBodies:
         """Return the rigid bodies of the entry as carriers for other systems."""
@@ -115,11 +114,8 @@ class EntryRun:
         """Warnings collected so far."""
         diagnostics = self.diagnostics
         step_notices = self.run.step_notices if self.reports_steps else ()
-        return [
-            *diagnostics.notices,
-            *step_notices,
-            *(diagnostics.if_empty if self._was_empty else ()),
-        ]
+        if_empty = diagnostics.if_empty if self._was_empty else ()
+        return [*diagnostics.notices, *step_notices, *if_empty]
 
     def report(self) -> dict[str, object]:
         """Return values for the report; empty if there are none."""
@@ -171,10 +167,8 @@ class SimulationRun(EntryRun):
         self._pullers: list[tuple[TiedBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
         self._pushed_states: dict[int, ReachedState[Any]] = {}
-        self.last_sample: tuple[Any, float] = (
-            self.state.state,
-            self.step_time(self.state.steps),
-        )
+        start_time = self.step_time(self.state.steps)
+        self.last_sample: tuple[Any, float] = self.state.state, start_time
         self._last_time: float | None = None  # last requested time [s]
         stepper = simulation if isinstance(simulation, ManySteps) else None
         self._many_steps = None if stepper is None else stepper.steps
@@ -220,22 +214,13 @@ class SimulationRun(EntryRun):
 
     def advance(self, t: float) -> int:
         """Take all full steps up to a time [s]; return the number of steps."""
-        end_step = max(
-            math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE), 0
-        )
-        is_independent = (
-            self._past_states is None and not self._pushed_bodies and not self._pushers
-        )
-        if (
-            self._many_steps is not None
-            and is_independent
-            and self.state.steps < end_step
-        ):
-            steps, count = self.state.steps, end_step - self.state.steps
-            step = self.step_length
-            result = self._many_steps(
-                self.state.state, self.step_time(steps), step, count
-            )
+        end_step = max(self._step_count(t), 0)
+        has_observers = self._past_states is not None
+        is_coupled = has_observers or self._pushed_bodies or self._pushers
+        count = end_step - self.state.steps
+        if self._many_steps is not None and not is_coupled and count > 0:
+            start, step = self.step_time(self.state.steps), self.step_length
+            result = self._many_steps(self.state.state, start, step, count)
             self.state = ReachedState(end_step, result.state)
             self.steps_taken += count
             self._record_notices(result.notices)
@@ -249,7 +234,7 @@ class SimulationRun(EntryRun):
         self.state, wrenches = self._step_until(begin, end)
         if self._past_states is None:
             self._pushed_states.clear()
-        if self._past_states is not None:
+        else:
             self._past_states.append(self.state)
         for bodies, pushes in zip(self._pushed_bodies, wrenches, strict=False):
             bodies.push(end, pushes)
@@ -265,18 +250,14 @@ class SimulationRun(EntryRun):
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
         """Return a state with pushes applied, from which the next step starts."""
         is_current = state.steps == self.state.steps
-        return (
-            self.apply_pushes()
-            if is_current
-            else self._pushed_states.get(state.steps, state)
-        )
+        if is_current:
+            return self.apply_pushes()
+        return self._pushed_states.get(state.steps, state)
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
         """Queue impulses on the bodies at a time [s]."""
-        if (
-            wrenches.impulses.any()
-            and t > self.begin + STEP_TOLERANCE * self.step_length
-        ):
+        is_after_begin = t > self.begin + STEP_TOLERANCE * self.step_length
+        if wrenches.impulses.any() and is_after_begin:
             self._queued_pushes.append((t, pusher_index, wrenches))
 
     def apply_pushes(self) -> ReachedState[Any]:
@@ -295,18 +276,14 @@ class SimulationRun(EntryRun):
         for pusher in self._pushers:
             pusher.advance(time)
         limit = time + STEP_TOLERANCE * self.step_length
-        due_pushes = sorted(
-            (push for push in self._queued_pushes if push[0] <= limit),
-            key=lambda push: push[:2],
-        )
+        due_pushes = [push for push in self._queued_pushes if push[0] <= limit]
+        due_pushes.sort(key=lambda push: push[:2])
         self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
         self._pushed_states[steps] = self.state
         if due_pushes:
-            pushed_state = self.simulation.pushed(
-                self.state.state,
-                Wrenches.sum([push[2].after(time - push[0]) for push in due_pushes]),
-            )
-            self._pushed_states[steps] = ReachedState(steps, pushed_state)
+            wrenches = [push[2].after(time - push[0]) for push in due_pushes]
+            pushed = self.simulation.pushed(self.state.state, Wrenches.sum(wrenches))
+            self._pushed_states[steps] = ReachedState(steps, pushed)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
@@ -337,6 +314,10 @@ class SimulationRun(EntryRun):
             if notice.code not in {earlier.code for earlier in self.step_notices}:
                 self.step_notices.append(notice)
 
+    def _step_count(self, t: float) -> int:
+        """Return the number of full steps until a time [s]; negative before it."""
+        return math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
+
     def step_time(self, steps: int) -> float:
         """Return the time after a number of steps [s]."""
         return self.begin + steps * self.step_length
@@ -350,10 +331,9 @@ class SimulationRun(EntryRun):
         assert self._past_states is not None
         count = self.advance(t)
         # A resumed run has no earlier states.
-        candidates = (
-            past for past in reversed(self._past_states) if past.steps <= count
-        )
-        state = next(candidates, self._past_states[0])
+        states = self._past_states
+        candidates = (past for past in reversed(states) if past.steps <= count)
+        state = next(candidates, states[0])
         time, sampled = self.step_time(state.steps), self._partial_step(state, t)
         if with_pushes and sampled is state:
             sampled = self._with_pushes(state)
@@ -365,15 +345,11 @@ class SimulationRun(EntryRun):
         t = min(observer.earliest_time for observer in self._observers)
         if t == -math.inf:
             return
-        count = math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
-        expired_rows = [
-            k for k, entry in enumerate(self._past_states) if entry.steps <= count
-        ]
-        del self._past_states[: expired_rows[-1] if expired_rows else 0]
-        first_step = self._past_states[0].steps
-        self._pushed_states = {
-            k: entry for k, entry in self._pushed_states.items() if k >= first_step
-        }
+        count, states = self._step_count(t), self._past_states
+        expired_rows = [k for k, past in enumerate(states) if past.steps <= count]
+        del states[: expired_rows[-1] if expired_rows else 0]
+        first_step, pushed = states[0].steps, self._pushed_states
+        self._pushed_states = {k: pushed[k] for k in pushed if k >= first_step}
 
     def _step_until(
         self, state: ReachedState[Any], end: float
@@ -387,8 +363,7 @@ class SimulationRun(EntryRun):
         result = result if isinstance(result, Stepped) else Stepped(result)
         self.steps_taken += 1
         self._record_notices(result.notices)
-        if getattr(self.simulation, "checked", False):
-            return ReachedState(state.steps + 1, result.state), result.wrenches
-        frame = self.simulation.frame(result.state, end)
-        check_finite(self.name, frame, end, self.step_length)
+        if not getattr(self.simulation, "checked", False):
+            frame = self.simulation.frame(result.state, end)
+            check_finite(self.name, frame, end, self.step_length)
         return ReachedState(state.steps + 1, result.state), result.wrenches

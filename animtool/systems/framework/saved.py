@@ -12,6 +12,7 @@ from typing import Any, get_type_hints
 import numpy as np
 import numpy.typing as npt
 
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.output import replacement_path
 from animtool.core.files.placing import output_error
@@ -98,28 +99,12 @@ class SavedStates:
             raise mismatch("the state does not exist")
         kind = archives.text(path, f"{prefix}kind")
         if kind != expected_clock.kind:
-            raise mismatch(
-                f"it contains a state of {kind}, not of {expected_clock.kind}"
-            )
+            expected_kind = expected_clock.kind
+            raise mismatch(f"it contains a state of {kind}, not of {expected_kind}")
         saved_clock = archives.load(path, f"{prefix}clock")
-        if (
-            saved_clock.shape != (3,)
-            or not 0 <= saved_clock[2] <= MAX_STEPS
-            or saved_clock[2] % 1
-        ):
-            raise mismatch("its clock is not a start, a step and a count")
-        begin, step, steps = saved_clock.tolist()
-        if not (
-            math.isclose(begin, expected_clock.begin)
-            and math.isclose(step, expected_clock.step)
-        ):
-            message = f"its steps of {step:g} s start at {begin:g} s, but those of the "
-            message += (
-                f"scene, of {expected_clock.step:g} s, start at "
-                f"{expected_clock.begin:g} s"
-            )
-            hint = "keep the step and the pre-roll it was saved with"
-            raise mismatch(message, hint)
+        clock_problem = _clock_problem(saved_clock, expected_clock)
+        if clock_problem:
+            raise mismatch(*clock_problem)
         expected_arrays, metadata = _state_arrays(initial.state), _FieldMetadata()
         _collect_metadata(initial.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
@@ -130,47 +115,68 @@ class SavedStates:
             | {n for n in names_in_file if metadata.starts_as_none(n)}
         )
         if saved_names != _names_text(names):
-            raise mismatch(
-                f"its state has {saved_names}, but the scene's "
-                f"{_names_text(expected_arrays)}"
-            )
+            expected_names = _names_text(expected_arrays)
+            message = f"its state has {saved_names}, but the scene's {expected_names}"
+            raise mismatch(message)
         arrays: _Arrays = {}
         lengths = set()
         for key in names:
             values = arrays[key] = archives.load_stored(path, f"{prefix}state/{key}")
-            expected_array, axis = (
-                expected_arrays.get(key, values),
-                metadata.axes.get(key),
-            )
-            shape = list(expected_array.shape)
-            if axis is not None and values.ndim == expected_array.ndim:
-                shape[axis] = values.shape[axis]
-                lengths.add(shape[axis])
-            if (
-                values.shape != (*shape,)
-                or values.dtype.kind != expected_array.dtype.kind
-            ):
-                message = f"{key} is {values.dtype} of shape {values.shape}, but in "
-                raise mismatch(
-                    f"{message}the scene {expected_array.dtype} of shape "
-                    f"{expected_array.shape}"
-                )
-            # Particles without a lifetime have an infinite time of death.
-            is_valid = np.isfinite(values) if axis is None else ~np.isnan(values)
-            finite = expected_array.dtype.kind != "f" or is_valid.all()
-            if not finite or not _is_in_bounds(values, expected_array):
-                problem = "out of bounds" if finite else "not finite"
-                raise mismatch(f"{key} contains a number that is {problem}")
+            expected_array = expected_arrays.get(key, values)
+            axis = metadata.axes.get(key)
+            problem = _array_problem(values, expected_array, axis)
+            if problem:
+                raise mismatch(f"{key} {problem}")
+            if axis is not None:
+                lengths.add(values.shape[axis])
             arrays[key] = values.astype(expected_array.dtype)
         if len(lengths) > 1:
-            raise mismatch(
-                f"its arrays have {listed(sorted(lengths))} rows; they must be equal"
-            )
+            counts = listed(sorted(lengths))
+            raise mismatch(f"its arrays have {counts} rows; they must be equal")
         try:
             arrays |= {key: expected_arrays[key] for key in missing_names}
-            return ReachedState(int(steps), _restore(initial.state, arrays, metadata))
+            state = _restore(initial.state, arrays, metadata)
+            return ReachedState(int(saved_clock[2]), state)
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
+
+
+def _clock_problem(saved_clock: FloatArray, expected: StateClock) -> Sequence[str]:
+    """Return why a saved clock does not match, and a hint; empty if it does."""
+    if (
+        saved_clock.shape != (3,)
+        or not 0 <= saved_clock[2] <= MAX_STEPS
+        or saved_clock[2] % 1
+    ):
+        return ["its clock is not a start, a step and a count"]
+    begin, step, _ = saved_clock.tolist()
+    if math.isclose(begin, expected.begin) and math.isclose(step, expected.step):
+        return ()
+    message = f"its steps of {step:g} s start at {begin:g} s, but those of the scene, "
+    message += f"of {expected.step:g} s, start at {expected.begin:g} s"
+    return [message, "keep the step and the pre-roll it was saved with"]
+
+
+def _array_problem(
+    values: npt.NDArray[Any], expected: npt.NDArray[Any], axis: int | None
+) -> str:
+    """Return why a saved array is invalid; empty if it is not.
+
+    Its length may differ from that of the expected array along ``axis``.
+    """
+    shape = list(expected.shape)
+    if axis is not None and values.ndim == expected.ndim:
+        shape[axis] = values.shape[axis]
+    if values.shape != (*shape,) or values.dtype.kind != expected.dtype.kind:
+        text = f"is {values.dtype} of shape {values.shape}, but in the scene "
+        return f"{text}{expected.dtype} of shape {expected.shape}"
+    # Particles without a lifetime have an infinite time of death.
+    is_valid = np.isfinite(values) if axis is None else ~np.isnan(values)
+    if expected.dtype.kind == "f" and not is_valid.all():
+        return "contains a number that is not finite"
+    if not _is_in_bounds(values, expected):
+        return "contains a number that is out of bounds"
+    return ""
 
 
 def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
@@ -226,9 +232,8 @@ def _state_arrays(state: Any, prefix: str = "") -> _Arrays:
     if not (isinstance(state, Mapping) or is_dataclass(state)):
         array = np.asarray(state)
         if array.dtype.kind not in "iufb":
-            raise TypeError(
-                f"{prefix} of a state is not an array of numbers: {state!r}"
-            )
+            message = f"{prefix} of a state is not an array of numbers: {state!r}"
+            raise TypeError(message)
         return {prefix: array}
     arrays: _Arrays = {}
     for name, value in _fields_by_name(state).items():
@@ -252,10 +257,9 @@ def _restore(
     if template is None:
         return None
     if isinstance(template, Mapping) or is_dataclass(template):
+        parent = f"{prefix}." if prefix else ""
         values = {
-            name: _restore(
-                value, arrays, metadata, f"{prefix}.{name}" if prefix else name
-            )
+            name: _restore(value, arrays, metadata, f"{parent}{name}")
             for name, value in _fields_by_name(template).items()
         }
         return replace(template, **values) if is_dataclass(template) else values  # type: ignore[type-var]
@@ -275,11 +279,8 @@ def _read_missing(
     if not values_by_name:
         return None
     (value, *others) = values_by_name.values()
-    if (
-        prefix in values_by_name
-        and not others
-        and type(value) in (record_types or (float,))
-    ):
+    is_value = prefix in values_by_name and not others
+    if is_value and type(value) in (record_types or (float,)):
         return value
     for record in record_types:
         if record is np.ndarray:

@@ -193,7 +193,8 @@ class BodyColliders(_StateObserver):
             replace(shape, restitution=restitution, friction=friction)
             for shape in shared.shapes
         ]
-        self.owners, self.count = shared.owners, shared.count
+        self.owners = shared.owners
+        self.count = shared.count
         self.masses = shared.masses
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0

@@ -126,11 +126,10 @@ class TiedStep:
         t1: float,
     ) -> None:
         self._simulation, self._end_state, self._t1 = simulation, end_state, t1
-        self.start_poses = simulation.body_poses(
-            start_state, t0
-        )  # poses of all bodies ``(B, 7)``
+        # Poses of all bodies ``(B, 7)``.
+        self.start_poses = simulation.body_poses(start_state, t0)
         self.start_state = start_state
-        self.duration = t1 - t0  # [s]
+        self.duration = t1 - t0
         self.is_free = simulation.is_free(t0)  # free bodies ``(count,)``
         self.inertias = simulation.inertias(end_state)
         self._end_velocities = simulation.body_velocities(end_state)[:, :3]

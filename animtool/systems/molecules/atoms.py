@@ -77,6 +77,7 @@ class Atoms(PointMasses):
         def per_atom(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
+        radii = [one.radius or one.sigma / 2 * spec.scale for one in spec.species]
         masses = per_atom([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),
@@ -84,12 +85,7 @@ class Atoms(PointMasses):
             masses,
             kinds.astype(np.int32),
             per_atom([species.charge for species in spec.species]),
-            per_atom(
-                [
-                    species.radius or species.sigma / 2 * spec.scale
-                    for species in spec.species
-                ]
-            ),
+            per_atom(radii),
         )
         total = float(atoms.charges.sum())
         if abs(total) > CHARGE_TOLERANCE:
@@ -122,9 +118,9 @@ def _read_motion(
         message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
         hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
-    return x, None if velocities is None else box.velocities_to_local(
-        point_masses.velocities
-    )
+    if velocities is None:
+        return x, None
+    return x, box.velocities_to_local(point_masses.velocities)
 
 
 def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
@@ -136,26 +132,21 @@ def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     cell_sites = _FCC_SITES if spec.lattice == "fcc" else np.full((1, 3), 0.5)
     spacing = (len(cell_sites) * size.prod() / total) ** (1 / 3)
     shape = np.maximum(np.round(size / spacing), 1)
-    if (
-        not len(cell_sites) * shape.prod()
-        <= MAX_SITES_PER_ATOM * total + MAX_SITES_PER_ATOM
-    ):
+    max_sites = MAX_SITES_PER_ATOM * total + MAX_SITES_PER_ATOM
+    if not len(cell_sites) * shape.prod() <= max_sites:
         message = f"{total} atoms do not fill a lattice in a box of {size.tolist()} nm"
         refuse(spec.code, message, "box", "use more equal sides")
     cells = shape.astype(np.int64)
     while len(cell_sites) * cells.prod() < total:
         cells[np.argmax(size / cells)] += 1
-    corners = np.stack(
-        np.meshgrid(*[np.arange(n) for n in cells], indexing="ij"), axis=-1
-    ).reshape(-1, 3)
+    corners = np.indices(cells).reshape(3, -1).T
     sites = (corners[:, None] + cell_sites).reshape(-1, 3)
     # If there are more sites than atoms, atoms are spread over them evenly.
     indices = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
-        order = np.argsort(
-            uniforms(spec.seed, np.arange(total), 1)[:, 0], kind="stable"
-        )
+        randoms = uniforms(spec.seed, np.arange(total), 1)[:, 0]
+        order = np.argsort(randoms, kind="stable")
     elif len(counts) > 1:
         cell_parities = corners[indices].sum(axis=1) % 2
         order = np.argsort(cell_parities, kind="stable")
@@ -170,9 +161,7 @@ def _initial_velocities(
     velocities_from_files: list[FloatArray | None],
 ) -> FloatArray:
     """Return velocities from files, or thermal ones without momentum ``(N, 3)``."""
-    is_thermal = np.array(
-        [file_velocities is None for file_velocities in velocities_from_files]
-    )[kinds]
+    is_thermal = np.array([values is None for values in velocities_from_files])[kinds]
     velocities = np.zeros((len(masses), 3))
     for k, values in enumerate(velocities_from_files):
         if values is not None:

@@ -228,9 +228,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         size = self._periodic_box.size
         offsets = self._periodic_box.to_local(position) - x
         offsets -= size * np.round(offsets / size)
-        proximity = np.maximum(
-            1 - (offsets * offsets).sum(axis=1) / trap.radius**2, 0.0
-        )
+        squares = (offsets * offsets).sum(axis=1)
+        proximity = np.maximum(1 - squares / trap.radius**2, 0.0)
         force = (trap.stiffness * proximity**2)[:, None] * offsets
         return force, -(trap.stiffness * trap.radius**2 / 6 * proximity**3)
 
@@ -247,11 +246,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
         fastest = int(np.argmax(distances))
         if not distances[fastest] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
-            self._stop(
-                state,
-                t + dt,
-                f"atom {fastest} moves {distances[fastest]:.3g} nm in a step",
-            )
+            reason = f"atom {fastest} moves {distances[fastest]:.3g} nm in a step"
+            self._stop(state, t + dt, reason)
         (forces, list_positions), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
             kinetic = self._kinetic_energy(motion)
@@ -280,11 +276,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def _potential(self, state: MoleculeState, t: float) -> float:
         internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        external = (
-            self.external_accelerations(t, state.motion[0])[1]
-            if self.external_forces
-            else np.zeros(1)
-        )
+        external = self.external_accelerations(t, state.motion[0])[1]
         return internal + float(external.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
@@ -346,26 +338,17 @@ def thermostat_factor(
         return 1.0
     times, temperatures = np.array(model.temperatures).T
     target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
-    (random, random_rest) = np.clip(
-        uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0],
-        2.0**-53,
-        1 - 2.0**-53,
-    )
+    randoms = uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
+    random, random_rest = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.
-    squares = (
-        2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
-        if degrees_of_freedom > 1
-        else 0.0
-    )
+    squares = 0.0
+    if degrees_of_freedom > 1:
+        squares = 2 * float(gammaincinv((degrees_of_freedom - 1) / 2, random_rest))
     decay = float(np.exp(-dt / model.relaxation))
     exchanged_fraction = target / kinetic * (1 - decay)
-    squared_factor = (
-        decay
-        + exchanged_fraction * (normal**2 + squares)
-        + 2 * normal * np.sqrt(decay * exchanged_fraction)
-    )
+    squared_factor = decay + exchanged_fraction * (normal**2 + squares)
+    squared_factor += 2 * normal * np.sqrt(decay * exchanged_fraction)
     factor = float(np.sqrt(max(squared_factor, 0.0)))
-    return (
-        -factor if normal * np.sqrt(exchanged_fraction) + np.sqrt(decay) < 0 else factor
-    )
+    is_reversed = normal * np.sqrt(exchanged_fraction) + np.sqrt(decay) < 0
+    return -factor if is_reversed else factor

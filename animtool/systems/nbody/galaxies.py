@@ -61,19 +61,15 @@ class MassProfile:
         speeds = constant * mass_inside / self.r * softening_factor
         if galaxy.disc is not None:
             total_mass = mass_inside + enclosed_mass(galaxy.disc, self.r)
-            speeds = (
-                speeds
-                + constant * squared_disc_speeds(galaxy.disc, self.r) * softening_factor
-            )
+            disc_speeds = constant * squared_disc_speeds(galaxy.disc, self.r)
+            speeds = speeds + disc_speeds * softening_factor
         self.circular_velocities = np.sqrt(speeds)  # [m/s]
-        self.accelerations = (
-            constant * total_mass / self.r**2 * softening_factor
-        )  # [m/s²]
+        # [m/s²]
+        self.accelerations = constant * total_mass / self.r**2 * softening_factor
         outer_potential = constant * total_mass[-1] / self.r[-1]
         # Escape velocities [m/s].
-        self.escape_velocities = np.sqrt(
-            2 * (_integral_to_end(self.accelerations, self.r) + outer_potential)
-        )
+        potentials = _integral_to_end(self.accelerations, self.r) + outer_potential
+        self.escape_velocities = np.sqrt(2 * potentials)
 
     def velocity_dispersion(self, spheroid: SpheroidModel) -> FloatArray:
         """Return the velocity dispersion of a spheroid ``(R,)`` [m/s]."""
@@ -133,18 +129,14 @@ def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
         (np.array(galaxy.at), np.array(galaxy.velocity)) for galaxy in spec.galaxies
     ]
     if spec.encounter is not None:
-        starts = orbit_motions(
-            spec.encounter, [g.masses.sum() for g in galaxies], constant
-        )
+        masses = [galaxy.masses.sum() for galaxy in galaxies]
+        starts = orbit_motions(spec.encounter, masses, constant)
     result = []
-    for galaxy, bodies, (position, v) in zip(
-        spec.galaxies, galaxies, starts, strict=True
-    ):
-        frame = matter.UnitFrame(position, unit_quaternion(galaxy.rotate))
+    for model, bodies, (at, v) in zip(spec.galaxies, galaxies, starts, strict=True):
+        frame = matter.UnitFrame(at, unit_quaternion(model.rotate))
+        points = frame.to_scene(bodies.points)
         velocities = frame.velocities_to_scene(bodies.velocities) + v
-        result.append(
-            PointMasses(frame.to_scene(bodies.points), velocities, bodies.masses)
-        )
+        result.append(PointMasses(points, velocities, bodies.masses))
     return result
 
 
@@ -159,9 +151,8 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
         components.append(_build_disc(galaxy.disc, profile, galaxy.seed))
     for number, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
         if spheroid is not None:
-            components.append(
-                _build_spheroid(spheroid, profile, galaxy.seed + 1000 * (number + 1))
-            )
+            seed = galaxy.seed + 1000 * (number + 1)
+            components.append(_build_spheroid(spheroid, profile, seed))
     bodies = PointMasses.concatenate(components)
     # Its centre of mass is at the position and velocity of the file.
     weights = bodies.masses / bodies.masses.sum()
@@ -174,18 +165,16 @@ def _build_spheroid(
 ) -> PointMasses:
     """Return the bodies of a spheroid about its centre."""
     u = uniforms(seed, np.arange(spheroid.count), 6)
-    r = np.interp(
-        u[:, 0] * spheroid.mass, enclosed_mass(spheroid, profile.r), profile.r
-    )
+    masses_inside = enclosed_mass(spheroid, profile.r)
+    r = np.interp(u[:, 0] * spheroid.mass, masses_inside, profile.r)
     sigma = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
     max_speeds = MAX_SPEED_RATIO * np.interp(r, profile.r, profile.escape_velocities)
     velocities = sigma[:, None] * matter.normal_samples(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(max_speeds / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(spheroid.count, spheroid.mass / spheroid.count)
-    return PointMasses(
-        r[:, None] * matter.random_directions(u[:, 1:3]), velocities, masses
-    )
+    points = r[:, None] * matter.random_directions(u[:, 1:3])
+    return PointMasses(points, velocities, masses)
 
 
 def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
@@ -200,17 +189,13 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
         np.interp(r, profile.r, table) for table in tables
     )
     normal = matter.normal_samples(u[:, 3:6])
-    radial_velocities, azimuthal_velocities = (
-        radial * normal[:, 0],
-        mean + azimuthal * normal[:, 1],
-    )
+    radial_velocities = radial * normal[:, 0]
+    azimuthal_velocities = mean + azimuthal * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
     # Right-handed about y: from z to x.
     points = np.stack([r * sin, heights, r * cos], axis=1)
-    x, z = (
-        radial_velocities * sin + azimuthal_velocities * cos,
-        radial_velocities * cos - azimuthal_velocities * sin,
-    )
+    x = radial_velocities * sin + azimuthal_velocities * cos
+    z = radial_velocities * cos - azimuthal_velocities * sin
     velocities = np.stack([x, vertical * normal[:, 2], z], axis=1)
     return PointMasses(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
@@ -227,13 +212,8 @@ def disc_velocities(
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
     epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
     surface_densities = surface_density(disc, r)
-    radial = (
-        disc.stability
-        * TOOMRE_CONSTANT
-        * profile.constant
-        * surface_densities
-        / epicyclic_frequency
-    )
+    factor = disc.stability * TOOMRE_CONSTANT * profile.constant
+    radial = factor * surface_densities / epicyclic_frequency
     radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
     ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
     squared_drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
@@ -257,10 +237,8 @@ def orbit_motions(
     separation = r * np.array([np.sin(anomaly), 0.0, np.cos(anomaly)])
     velocity = speed * np.array([e + np.cos(anomaly), 0.0, -np.sin(anomaly)])
     orbit_rotation = unit_quaternion(orbit.rotate)
-    separation, velocity = (
-        so3.rotate(orbit_rotation, separation),
-        so3.rotate(orbit_rotation, velocity),
-    )
+    separation = so3.rotate(orbit_rotation, separation)
+    velocity = so3.rotate(orbit_rotation, velocity)
     fractions = -masses[1] / total_mass, masses[0] / total_mass
     return [
         (np.array(orbit.at) + fraction * separation, fraction * velocity)

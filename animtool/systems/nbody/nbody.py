@@ -119,22 +119,19 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         counts = [len(entry.masses) for entry in body_sets]
         self.has_many_species = len(body_sets) > 1
         self.species = np.repeat(np.arange(len(body_sets)), counts)
-        radii = [body.radius for body in spec.bodies] + [
-            galaxy.radius for galaxy in spec.galaxies
-        ]
+        radii = [body.radius for body in spec.bodies]
+        radii += [galaxy.radius for galaxy in spec.galaxies]
         self.radii = np.repeat(radii, counts)
-        dark_counts = [0] * len(spec.bodies) + [
-            entry.hidden_count for entry in spec.galaxies
-        ]
+        dark_counts = [0] * len(spec.bodies)
+        dark_counts += [galaxy.hidden_count for galaxy in spec.galaxies]
         is_visible = [
             np.arange(count) < count - dark
             for count, dark in zip(counts, dark_counts, strict=True)
         ]
         self.written_bodies = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
-        is_large = (
-            len(self.bodies.masses) > TREE_MIN_BODIES * accuracy_factor**CROSSOVER_POWER
-        )
+        min_bodies = TREE_MIN_BODIES * accuracy_factor**CROSSOVER_POWER
+        is_large = len(self.bodies.masses) > min_bodies
         self.uses_tree = spec.accuracy >= MIN_TREE_ACCURACY and is_large
 
     def _start(self, motion: FloatArray) -> NbodyState:
@@ -192,20 +189,16 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         while substeps <= self._spec.substeps:
             limit, step = math.inf, dt
             if self._has_fixed_steps:
-                limit, step = (
-                    (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2,
-                    dt / substeps,
-                )
+                limit = (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2
+                step = dt / substeps
             system = self._system(state, partial(_check_closest_pair, limit))
             try:
                 motion = self._integrate(system, t, dt, step)
             except CloseEncounterError as error:
                 substeps, encounter = 2 * substeps, error
                 continue
-            encounters, max_substeps = (
-                state.encounters + (substeps > 1),
-                max(state.divided, substeps),
-            )
+            encounters = state.encounters + (substeps > 1)
+            max_substeps = max(state.divided, substeps)
             next_state = NbodyState(
                 motion, system.sums_at(motion[0]), encounters, max_substeps
             )
@@ -247,11 +240,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]
-        external = (
-            float(masses @ self.external_accelerations(t, x)[1])
-            if self.external_forces
-            else 0.0
-        )
+        external = float(masses @ self.external_accelerations(t, x)[1])
         return 0.5 * float(masses @ state.pulls.potentials) + external
 
     def _momenta(self, state: NbodyState) -> FloatArray:
@@ -262,9 +251,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
         (x, v), pulls = state.motion, state.pulls
-        external, potentials = (
-            self.external_accelerations(t, x) if self.external_forces else (0.0, 0.0)
-        )
+        external, potentials = self.external_accelerations(t, x)
         return {
             **super()._quantities(state, t),
             "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
@@ -281,16 +268,10 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         if not self.external_forces:
             values["energy_drift"] = self._energy_drift(state, self._energy(state, t))
             momentum_magnitudes = self.bodies.masses * np.linalg.norm(v, axis=1)
-            scales = np.array(
-                [
-                    momentum_magnitudes.sum(),
-                    momentum_magnitudes @ np.linalg.norm(x, axis=1),
-                ]
-            )
+            angular_scale = momentum_magnitudes @ np.linalg.norm(x, axis=1)
+            scales = np.maximum([momentum_magnitudes.sum(), angular_scale], 1e-300)
             momentum_change = self._momenta(state) - self._momenta(self.initial())
-            drifts = np.linalg.norm(momentum_change, axis=1) / np.maximum(
-                scales, 1e-300
-            )
+            drifts = np.linalg.norm(momentum_change, axis=1) / scales
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.uses_tree:
             values["force_error"] = self._force_error(x, state.pulls)
@@ -308,8 +289,6 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         """Return the acceleration at a position by direct summation ``(3,)``."""
         offsets = x - position
         squares = (offsets * offsets).sum(axis=1)
-        squared_distances = np.where(
-            squares > 0, squares + self._spec.softening**2, np.inf
-        )
-        weights = self.bodies.masses / (squared_distances * np.sqrt(squared_distances))
+        squares = np.where(squares > 0, squares + self._spec.softening**2, np.inf)
+        weights = self.bodies.masses / (squares * np.sqrt(squares))
         return np.asarray(self._spec.gravity_constant * weights @ offsets)

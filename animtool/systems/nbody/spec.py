@@ -111,11 +111,8 @@ class GalaxyModel(PlacementModel):
     @property
     def parts(self) -> list[DiscModel | SpheroidModel]:
         """Components of the galaxy, the halo last."""
-        return [
-            component
-            for component in (self.disc, self.bulge, self.halo)
-            if component is not None
-        ]
+        components = (self.disc, self.bulge, self.halo)
+        return [component for component in components if component is not None]
 
     @property
     def hidden_count(self) -> int:
@@ -224,8 +221,5 @@ class NbodyModel(SystemSpec):
         apocentre = pericentre * (1 + e) / (1 - e) if e < 1 else float("inf")
         if not pericentre <= orbit.separation <= apocentre:
             message = f"the separation is {orbit.separation:g} m, and on this orbit it "
-            yield (
-                f"{message}is from {pericentre:g} to {apocentre:g} m",
-                "encounter",
-                None,
-            )
+            message += f"is from {pericentre:g} to {apocentre:g} m"
+            yield message, "encounter", None

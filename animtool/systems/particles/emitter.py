@@ -22,8 +22,8 @@ _HASH_INCREMENT = np.uint64(0x9E3779B97F4A7C15)
 _HASH_FACTOR_1 = np.uint64(0xBF58476D1CE4E5B9)
 _HASH_FACTOR_2 = np.uint64(0x94D049BB133111EB)
 
-# Squares of shorter directions are 0 in float64.
-MIN_AXIS_LENGTH = 1e-150
+# Squares of shorter directions are 0 in float64, and those of the inverse overflow.
+MIN_DIRECTION_LENGTH = 1e-150
 
 
 def hash64(
@@ -56,8 +56,6 @@ MAX_BURST = 10**12
 _RANDOM_COUNT = 8
 # Interval for measuring the motion of an emitter [s].
 _VELOCITY_INTERVAL = 1e-4
-# Shorter directions are not well defined.
-MIN_DIRECTION_LENGTH = 1e-150
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,14 +97,12 @@ class Emitter(Emission, Checked):
             capacity: Largest number of births; later ones are skipped.
         """
         first_time = max(self.start, begin)
-        first_index = (
-            0 if start_time is None else self._emitted_count(first_time, start_time)
-        )
+        first_index = 0
+        if start_time is not None:
+            first_index = self._emitted_count(first_time, start_time)
         end_index = self._emitted_count(first_time, end_time)
-        emitted_count, kept_count = (
-            end_index - first_index,
-            min(end_index - first_index, capacity),
-        )
+        emitted_count = end_index - first_index
+        kept_count = min(emitted_count, capacity)
         indices = np.arange(first_index, first_index + kept_count, dtype=np.int64)
         times = [first_time + (indices + 0.5) / self.rate] if len(indices) else []
         keys = [indices] if len(indices) else []
@@ -115,11 +111,11 @@ class Emitter(Emission, Checked):
                 begin <= burst_time if start_time is None else start_time < burst_time
             )
             if has_started and burst_time <= end_time:
-                emitted_count, burst_count = emitted_count + count, min(count, capacity)
+                burst_count = min(count, capacity)
+                burst_indices = np.arange(burst_count, dtype=np.int64)
                 times.append(np.full(burst_count, float(burst_time)))
-                keys.append(
-                    _BURST_KEYS * (i + 1) + np.arange(burst_count, dtype=np.int64)
-                )
+                keys.append(_BURST_KEYS * (i + 1) + burst_indices)
+                emitted_count += count
                 kept_count += burst_count
         if not times:
             return Births(np.zeros(0), np.zeros(0, np.int64), emitted_count)
@@ -158,8 +154,7 @@ class Emitter(Emission, Checked):
     ) -> FloatArray:
         """Return random directions in the cone of the emitter ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
-        if not MIN_AXIS_LENGTH < np.linalg.norm(axis) < 1 / MIN_AXIS_LENGTH:
-            # Its square overflows or underflows.
+        if not MIN_DIRECTION_LENGTH < np.linalg.norm(axis) < 1 / MIN_DIRECTION_LENGTH:
             axis = axis / np.abs(axis).max()
         axes = np.broadcast_to(axis.astype(np.float64), (len(randoms), 3))
         if outwards is not None and self.direction is None:
@@ -179,23 +174,18 @@ class Emitter(Emission, Checked):
         self, times: FloatArray, points: FloatArray, velocities: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return world positions and velocities, including the inherited velocity."""
-        if len(self.poses.sample_times) == 1:
+        if self.poses.is_fixed:
             pose = self.poses.rows[0]
-            return (
-                so3.rotate(pose[3:], points) + pose[:3],
-                so3.rotate(pose[3:], velocities),
-            )
-        poses, earlier_poses = (
-            self.poses.at_times(times),
-            self.poses.at_times(times - _VELOCITY_INTERVAL),
-        )
+            positions = so3.rotate(pose[3:], points) + pose[:3]
+            return positions, so3.rotate(pose[3:], velocities)
+        poses = self.poses.at_times(times)
+        earlier_poses = self.poses.at_times(times - _VELOCITY_INTERVAL)
         positions = so3.rotate(poses[:, 3:], points) + poses[:, :3]
         earlier_positions = (
             so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]
         )
-        emitter_velocity = (positions - earlier_positions) * (
-            self.inherit / _VELOCITY_INTERVAL
-        )
+        factor = self.inherit / _VELOCITY_INTERVAL
+        emitter_velocity = (positions - earlier_positions) * factor
         return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:

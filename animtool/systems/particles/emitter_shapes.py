@@ -126,10 +126,8 @@ class MeshSurface:
         # Folded along the diagonal, the unit square is a triangle.
         u, v = uniforms[:, 1], uniforms[:, 2]
         is_outside = u + v > 1
-        u, v = (
-            np.where(is_outside, 1 - u, u)[:, None],
-            np.where(is_outside, 1 - v, v)[:, None],
-        )
+        u = np.where(is_outside, 1 - u, u)[:, None]
+        v = np.where(is_outside, 1 - v, v)[:, None]
         points = a[faces] + u * (b - a)[faces] + v * (c - a)[faces]
         return points, normals[faces] / areas[faces, None]
 

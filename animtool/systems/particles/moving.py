@@ -50,9 +50,8 @@ class ParticleForces(_ParticleSystem, SecondOrder):
     ) -> FloatArray:
         """Return the state after collisions."""
         x, v = after
-        collision = collide(
-            x, v, before, self._colliders, t - h, t, self.particles.radii
-        )
+        radii = self.particles.radii
+        collision = collide(x, v, before, self._colliders, t - h, t, radii)
         self.contacts = collision.contacts
         if not collision.contacts.any.any():
             return after
@@ -62,10 +61,8 @@ class ParticleForces(_ParticleSystem, SecondOrder):
         self, t: float, h: float, without_contacts: FloatArray, collision: Collided
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
-        state, first_body = (
-            np.stack([collision.points, collision.velocities]),
-            len(self._colliders),
-        )
+        state = np.stack([collision.points, collision.velocities])
+        first_body = len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
             shapes = collision.contacts.colliders - first_body
             shapes[shapes >= len(system.colliders)] = -1
@@ -76,8 +73,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             state, wrenches = exchange_impulses(
                 system, t, shapes, without_contacts, state, masses
             )
-            earlier = self.wrenches[i].after(h)
-            self.wrenches[i] = Wrenches.sum([earlier, wrenches])
+            self.wrenches[i] = Wrenches.sum([self.wrenches[i].after(h), wrenches])
         return state
 
     def energy(self, t: float, state: FloatArray) -> Energy | None:  # noqa: ARG002
@@ -99,13 +95,10 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             return None
         # A numpy number: division by a mass of 0 in a resumed state must not raise.
         forces, mass = self.setup.forces, self.particles.masses.min()
-        stiffness = sum(force.stiffness() for force in forces) / mass
-        damping = (
-            sum(force.damping(state[1], self.particles) for force in forces) / mass
-        )
-        rotation_rate = max(
-            (force.turning(self.particles) for force in forces), default=0.0
-        )
+        stiffness = sum(one.stiffness() for one in forces) / mass
+        damping = sum(one.damping(state[1], self.particles) for one in forces) / mass
+        rotation_rates = [force.turning(self.particles) for force in forces]
+        rotation_rate = max(rotation_rates, default=0.0)
         modes = [(rotation_rate, 0.0)] if rotation_rate > 0 else []
         if stiffness > 0:
             omega = math.sqrt(stiffness)
@@ -117,10 +110,8 @@ class ParticleForces(_ParticleSystem, SecondOrder):
     def suspect(self, t: float, state: FloatArray) -> str:
         """Return which particle has the largest acceleration, as text."""
         magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
-        return (
-            f"particle {int(self.particles.ids[np.argmax(magnitudes)])} has the "
-            "largest acceleration"
-        )
+        particle = int(self.particles.ids[np.argmax(magnitudes)])
+        return f"particle {particle} has the largest acceleration"
 
 
 class ParticleFlow(_ParticleSystem, FirstOrder):
@@ -137,9 +128,8 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
         """Return the state after collisions."""
         speed = (after - before) / h
         start = np.stack([before, speed])
-        collision = collide(
-            after, speed, start, self._colliders, t - h, t, self.particles.radii
-        )
+        radii = self.particles.radii
+        collision = collide(after, speed, start, self._colliders, t - h, t, radii)
         self.contacts = collision.contacts
         return collision.points if collision.contacts.any.any() else after
 
@@ -164,11 +154,10 @@ def particle_energies(
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
     known_potentials = [values for values in potentials if values is not None]
-    potential = (
-        np.sum(known_potentials, axis=0)
-        if known_potentials
-        else np.zeros(len(particles))
-    )
+    if known_potentials:
+        potential = np.sum(known_potentials, axis=0)
+    else:
+        potential = np.zeros(len(particles))
     return np.stack([kinetic, potential]), len(known_potentials) == len(potentials)
 
 
@@ -206,21 +195,12 @@ def advance_births(
     ``birth_states`` are positions and velocities at birth ``(2, N, 3)``. The step is
     from ``t0`` to ``t1`` [s].
     """
-    end_states = _integrate_births(
-        setup, particles, birth_states, t1 - particles.births
-    )
+    births, radii = particles.births, particles.radii
+    end_states = _integrate_births(setup, particles, birth_states, t1 - births)
     if not colliders.active:
         return end_states
-    collision = collide(
-        end_states[0],
-        end_states[1],
-        birth_states,
-        colliders,
-        t0,
-        t1,
-        particles.radii,
-        particles.births,
-    )
+    x, v = end_states
+    collision = collide(x, v, birth_states, colliders, t0, t1, radii, births)
     return np.stack([collision.points, collision.velocities])
 
 
@@ -238,9 +218,8 @@ def _integrate_births(
         if setup.velocity is not None:
             speed = setup.velocity.velocity(times, state[0], particles)
             return np.stack([speed, np.zeros_like(speed)])
-        return np.stack(
-            [state[1], force_accelerations(setup, particles, times, *state)]
-        )
+        accelerations = force_accelerations(setup, particles, times, *state)
+        return np.stack([state[1], accelerations])
 
     k1 = rate(0.0, birth_states)
     k2 = rate(0.5, birth_states + h / 2 * k1)
@@ -282,19 +261,16 @@ class DivergenceCheck:
         first_energies[:, is_new] = particle_energies(
             self._setup, particles.select(is_new), state[:, is_new]
         )[0]
-        self._particles, self._ids, self._first_energies = (
-            particles,
-            particles.ids,
-            first_energies,
-        )
+        self._particles = particles
+        self._ids = particles.ids
+        self._first_energies = first_energies
 
     def reset_energies(self, is_moved: BoolArray, state: FloatArray) -> None:
         """Reset the first energies of particles that colliders moved."""
         if self._setup.velocity is None and is_moved.any():
             particles = self._particles.select(is_moved)
-            self._first_energies[:, is_moved] = particle_energies(
-                self._setup, particles, state[:, is_moved]
-            )[0]
+            energies, _ = particle_energies(self._setup, particles, state[:, is_moved])
+            self._first_energies[:, is_moved] = energies
 
     def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state has diverged; empty if it has not."""

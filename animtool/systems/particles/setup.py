@@ -110,12 +110,9 @@ class Particles:
         """Return faults of emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
+            where = f"{_table_name(force)}[{i}]"
             faults += [
-                Fault(
-                    "SIM022",
-                    f"its {option} {reason}",
-                    where=f"{_table_name(force)}[{i}]",
-                )
+                Fault("SIM022", f"its {option} {reason}", where=where)
                 for option, reason in force.faults()
             ]
         if self.velocity is not None:
@@ -129,10 +126,11 @@ def _record_faults(
     key: str, records: Sequence[Emitter | Collider | Sheet]
 ) -> list[Fault]:
     """Return the faults of records, located by name or number."""
-    labels = [
-        (record, record.name or f"{key}[{i}]") for i, record in enumerate(records)
+    return [
+        fault
+        for i, record in enumerate(records)
+        for fault in record.faults(record.name or f"{key}[{i}]")
     ]
-    return [fault for record, name in labels for fault in record.faults(name)]
 
 
 def _table_name(force: Force) -> str:

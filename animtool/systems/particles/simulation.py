@@ -168,21 +168,17 @@ class ParticleSimulation:
             status = advance_run(integration, until)
             self._steps_taken += integration.steps
             if status is not Status.OK:
-                self._stop(
-                    integration,
-                    status,
-                    [(start, start_state), (integration.time, integration.state)],
-                )
+                end = integration.time, integration.state
+                self._stop(integration, status, [(start, start_state), end])
         end_state = integration.state
         if isinstance(system, ParticleFlow):
             end_state = np.stack([end_state, system.rate(until, end_state)])
         self.contacts = contacts = system.contacts
         if contacts is not None:
             # The speed of deforming colliders is unknown.
-            is_on_sheet = contacts.colliders >= len(self.colliders)
-            self._divergence_check.reset_energies(
-                is_on_sheet | (contacts.touches == Touch.UNRESOLVED), end_state
-            )
+            is_moved = contacts.colliders >= len(self.colliders)
+            is_moved |= contacts.touches == Touch.UNRESOLVED
+            self._divergence_check.reset_energies(is_moved, end_state)
             notices += self._stuck_notices(state.particles, contacts, until)
         checkpoint = checkpoint_of(integration, status, until, integration.state)
         state = replace(
@@ -219,17 +215,14 @@ class ParticleSimulation:
         status: Status,
         samples: list[tuple[float, FloatArray]],
     ) -> None:
-        # Forces that are not finite at the start are a fault, not a divergence.
         """Raise a `StoppedError` with the reason that integration stopped."""
+        # Forces that are not finite at the start are a fault, not a divergence.
         check_start(integration.equations, *samples[0])
         stats = stats_of(integration, status, samples)
-        warnings = [
-            *self._step_warnings,
-            stop_warning(self._integrator, self.setup.options, stats),
-        ]
-        raise StoppedError(
-            [replace(fault, severity=Severity.ERROR) for fault in warnings], stats
-        )
+        stop = stop_warning(self._integrator, self.setup.options, stats)
+        warnings = [*self._step_warnings, stop]
+        faults = [replace(fault, severity=Severity.ERROR) for fault in warnings]
+        raise StoppedError(faults, stats)
 
     def _add_births(
         self,
@@ -248,19 +241,12 @@ class ParticleSimulation:
         new_skipped_count = max(birth_count - capacity, 0)
         if new_skipped_count and not state.missed:
             limit = self.setup.max_particles
-            message = (
-                f"from {end_time:g} s on, the limit of {limit} particles leaves room "
-            )
-            message += "for "
+            message = f"from {end_time:g} s on, the limit of {limit} particles leaves "
+            message += "room for no more"
             hint = "raise max_particles, or lower rates or lifetimes"
-            notices.append(
-                warning("SIM121", f"{message}no more", hint, self.setup.name)
-            )
-        state = replace(
-            state,
-            born=state.born + birth_count,
-            missed=state.missed + new_skipped_count,
-        )
+            notices.append(warning("SIM121", message, hint, self.setup.name))
+        missed = state.missed + new_skipped_count
+        state = replace(state, born=state.born + birth_count, missed=missed)
         indices = np.arange(len(particles))[:capacity]
         particles, birth_states = particles.select(indices), birth_states[:, indices]
         if not len(particles):
@@ -270,14 +256,11 @@ class ParticleSimulation:
                 self.setup, self.colliders, particles, birth_states, start, end_time
             )
         elif self.setup.velocity is not None:
-            birth_states[1] = self.setup.velocity.velocity(
-                end_time, birth_states[0], particles
-            )
-        return replace(
-            state,
-            particles=ParticleState.concatenate([state.particles, particles]),
-            state=np.concatenate([state.state, birth_states], axis=1),
-        )
+            field = self.setup.velocity
+            birth_states[1] = field.velocity(end_time, birth_states[0], particles)
+        particles = ParticleState.concatenate([state.particles, particles])
+        motion = np.concatenate([state.state, birth_states], axis=1)
+        return replace(state, particles=particles, state=motion)
 
     def _sample_births(
         self, start_time: float | None, end_time: float, first_id: int, capacity: int
@@ -324,23 +307,14 @@ class ParticleSimulation:
         if not len(stuck_rows):
             return
         label = f"particle {int(particles.ids[stuck_rows[0]])}"
-        index, colliders = int(contacts.colliders[stuck_rows[0]]), self.setup.colliders
-        name = [
-            *(
-                collider.name or f"colliders[{i}]"
-                for i, collider in enumerate(colliders)
-            ),
-            *(
-                collider.name
-                for system in self.setup.bodies
-                for collider in system.colliders
-            ),
-            *(
-                collider.name or f"sheets[{i}]"
-                for i, collider in enumerate(self.setup.sheets)
-            ),
-        ][index]
-        message = f"{label} is inside {name!r} at {t:g} s, and cannot be pushed out at "
+        index, setup = int(contacts.colliders[stuck_rows[0]]), self.setup
+        names = [one.name or f"colliders[{i}]" for i, one in enumerate(setup.colliders)]
+        names += [one.name for system in setup.bodies for one in system.colliders]
+        names += [one.name or f"sheets[{i}]" for i, one in enumerate(setup.sheets)]
+        message = (
+            f"{label} is inside {names[index]!r} at {t:g} s, and cannot be pushed "
+        )
+        message += "out at "
         hint = "particles start inside, or colliders close in on them from several "
         yield warning("SIM123", f"{message}once", f"{hint}sides", self.setup.name)
 
@@ -351,11 +325,8 @@ class ParticleSimulation:
             is_alive = is_alive & (region.sample(state.state[0], t).distances[0] >= 0)
         if is_alive.all():
             return state
-        return replace(
-            state,
-            particles=state.particles.select(is_alive),
-            state=state.state[:, is_alive],
-        )
+        particles = state.particles.select(is_alive)
+        return replace(state, particles=particles, state=state.state[:, is_alive])
 
     def frame(self, state: ParticleRunState, t: float) -> PointsFrame:
         """Return the particles of a state as points."""
@@ -365,11 +336,10 @@ class ParticleSimulation:
 
     def diagnostics(self, state: ParticleRunState, t: float) -> Diagnostics:
         """Return the energy if it is conserved, and warnings about the motion."""
-        empty_warning = self._empty_notice(t)
         return Diagnostics(
             self._energy(state, t),
             notices=self._notices,
-            if_empty=[empty_warning],
+            if_empty=[self._empty_notice(t)],
             steps=self._steps_taken,
             stable_step=lambda: self._stable_step(state),
         )

@@ -120,7 +120,6 @@ class ParticlesModel(ForcedSpec):
         try:
             self.setup(parts).check()
         except OptionError as error:
-            return [
-                replace(fault, where=fault.where or "method") for fault in error.faults
-            ]
+            faults = error.faults
+            return [replace(fault, where=fault.where or "method") for fault in faults]
         return ()

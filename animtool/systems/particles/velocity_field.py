@@ -61,20 +61,11 @@ def evaluate_expressions(
 ) -> FloatArray:
     """Return the values of three expressions at particles ``(N, 3)``."""
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
-    variable_values = [
-        *x.T,
-        *v.T,
-        times,
-        times - particles.births,
-        particles.masses,
-        particles.charges,
-    ]
-    values = dict(zip(VARIABLES, variable_values, strict=True))
-    components = [
-        np.broadcast_to(expression.evaluate(values), len(x))
-        for expression in expressions
-    ]
-    return np.stack(components, axis=1)
+    ages = times - particles.births
+    variables = [*x.T, *v.T, times, ages, particles.masses, particles.charges]
+    values = dict(zip(VARIABLES, variables, strict=True))
+    components = [expression.evaluate(values) for expression in expressions]
+    return np.stack([np.broadcast_to(one, len(x)) for one in components], axis=1)
 
 
 def expression_faults(options: object, names: tuple[str, ...]) -> list[tuple[str, str]]:

@@ -11,8 +11,8 @@ from typing import Any, NoReturn
 import numpy as np
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, Refusals, refuse
+from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
+from animtool.core.errors import Fault, OptionError, Refusals, refuse, refuse_all
 from animtool.core.names import nearest
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -23,8 +23,8 @@ from animtool.systems.rigid.kind import (
     MAX_BODIES,
     BodyKind,
     build_body_kind,
-    check_motion_keys,
     copy_placements,
+    motion_key_problems,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -43,20 +43,13 @@ class CollisionShapes:
 
 @dataclass(frozen=True)
 class RigidBodies:
-    """All bodies of a system: N dynamic bodies; all others are kinematic.
+    """All bodies of a system: N dynamic bodies; all others are kinematic."""
 
-    Attributes:
-        kinds: Body kind of each entry of the file.
-        names: Names of all bodies.
-        kind_of_body: Kind index of each body ``(B,)``.
-        is_dynamic: Mask of dynamic bodies ``(B,)``.
-        poses: Poses of each body over time; of a dynamic one the initial pose.
-    """
-
-    kinds: Sequence[BodyKind]
-    names: Sequence[str]
-    kind_of_body: IntArray
-    is_dynamic: BoolArray
+    kinds: Sequence[BodyKind]  # body kind of each entry of the file
+    names: Sequence[str]  # names of all bodies
+    kind_of_body: IntArray  # kind index of each body (B,)
+    is_dynamic: BoolArray  # mask of dynamic bodies (B,)
+    # Poses of each body over time; of a dynamic one the initial pose.
     poses: Sequence[Poses]
     begin: float
     dynamic: IntArray = field(init=False)  # indices of dynamic bodies (N,)
@@ -77,15 +70,13 @@ class RigidBodies:
         for entry_index, (model, entry_data) in enumerate(
             zip(models, parts, strict=True)
         ):
-            where, origin = (
-                entry_data.get("entry", f"bodies[{entry_index}]"),
-                entry_data.get("origin"),
-            )
+            where = entry_data.get("entry", f"bodies[{entry_index}]")
+            origin = entry_data.get("origin")
             with refusals.collect(), _entry_faults(where, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
             with refusals.collect(), _entry_faults(where, origin):
-                check_motion_keys(model)
+                refuse_all("SIM061", motion_key_problems(model))
             with refusals.collect(), _entry_faults(where, origin):
                 kind = build_body_kind(model, entry_data)
                 points, rotations = copy_placements(model, entry_data)
@@ -120,59 +111,61 @@ class RigidBodies:
     def static(self) -> frozenset[int]:
         """Indices of kinematic bodies that never move."""
         kinematic = np.flatnonzero(~self.is_dynamic).tolist()
-        return frozenset(i for i in kinematic if len(self.poses[i].sample_times) == 1)
+        return frozenset(i for i in kinematic if self.poses[i].is_fixed)
 
     @cached_property
     def masses(self) -> FloatArray:
         """Masses of dynamic bodies ``(N,)`` [kg]."""
-        return np.array([kind.mass for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.mass for kind in self.kinds])
 
     @cached_property
     def moments(self) -> FloatArray:
         """Principal moments of inertia of dynamic bodies ``(N, 3)`` [kg m²]."""
-        return np.array([kind.moments for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.moments for kind in self.kinds])
+
+    @cached_property
+    def inverse_moments(self) -> FloatArray:
+        """Inverses of `moments` ``(N, 3)`` [1/(kg m²)]; 0 where a moment is 0."""
+        moments = self.moments
+        return np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)
 
     @cached_property
     def axes(self) -> FloatArray:
         """Rotations from principal axes to the frames of dynamic bodies ``(N, 4)``."""
-        return np.array([kind.axes for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.axes for kind in self.kinds])
 
     @cached_property
     def centres(self) -> FloatArray:
         """Centres of mass of dynamic bodies, in body frames ``(N, 3)`` [m]."""
-        return np.array([kind.centre for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.centre for kind in self.kinds])
 
     @cached_property
     def bounding_radii(self) -> FloatArray:
         """Bounding radii of dynamic bodies about the centre of mass ``(N,)`` [m]."""
-        return np.array([kind.bounding_radius for kind in self.kinds])[
-            self.kind_of_body[self.dynamic]
-        ]
+        return self._of_dynamic([kind.bounding_radius for kind in self.kinds])
+
+    def _of_dynamic(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
+        """Return the value of each dynamic body, from those of the kinds ``(N, …)``."""
+        return np.array(values_by_kind)[self.kind_of_body[self.dynamic]]
+
+    def kind_of(self, body: int) -> BodyKind:
+        """Return the kind of a body, by its index among all bodies."""
+        return self.kinds[int(self.kind_of_body[body])]
 
     @cached_property
     def initial_states(self) -> FloatArray:
         """Initial states of dynamic bodies, in the kernel's layout ``(N, 14)``."""
         poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
         poses = poses.reshape(-1, 7)
-        models = [self.kinds[k].model for k in self.kind_of_body[self.dynamic]]
+        models = [self.kind_of(i).model for i in self.dynamic]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
         centres = poses[:, :3] + so3.rotate(poses[:, 3:], self.centres)
         rotations = so3.multiply(poses[:, 3:], self.axes)
         spins_local = so3.rotate(so3.conjugate(rotations), spins)
         momenta = so3.rotate(rotations, spins_local * self.moments)
-        rest_times = np.zeros((len(poses), 1))
-        return np.concatenate(
-            [centres, rotations, velocities, momenta, rest_times], axis=1
-        )
+        columns = [centres, rotations, velocities, momenta, np.zeros((len(poses), 1))]
+        return np.concatenate(columns, axis=1)
 
     def kinematic_state(self, dynamic_index: int, t: float, dt: float) -> FloatArray:
         """Return the state of a body that is not released yet ``(14,)``.
@@ -181,18 +174,15 @@ class RigidBodies:
         """
         i = int(self.dynamic[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
-        centres = [
-            p[:3] + so3.rotate(p[3:], self.centres[dynamic_index])
-            for p in (previous_pose, pose)
-        ]
+        offset, moments = self.centres[dynamic_index], self.moments[dynamic_index]
+        previous_centre = previous_pose[:3] + so3.rotate(previous_pose[3:], offset)
+        centre = pose[:3] + so3.rotate(pose[3:], offset)
         spin = so3.log(so3.multiply(pose[3:], so3.conjugate(previous_pose[3:]))) / dt
         rotation = so3.multiply(pose[3:], self.axes[dynamic_index])
-        momentum_local = (
-            so3.rotate(so3.conjugate(rotation), spin) * self.moments[dynamic_index]
-        )
-        velocity = (centres[1] - centres[0]) / dt
+        momentum_local = so3.rotate(so3.conjugate(rotation), spin) * moments
+        velocity = (centre - previous_centre) / dt
         momentum = so3.rotate(rotation, momentum_local)
-        return np.concatenate([centres[1], rotation, velocity, momentum, [0.0]])
+        return np.concatenate([centre, rotation, velocity, momentum, [0.0]])
 
     def spins(self, state: FloatArray) -> FloatArray:
         """Return world angular velocities of dynamic bodies ``(N, 3)`` [rad/s]."""
@@ -217,7 +207,7 @@ class RigidBodies:
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.is_dynamic).tolist()
-            for kind in [self.kinds[self.kind_of_body[i]]]
+            for kind in [self.kind_of(i)]
             for shape, at, rotation in kind.shapes
         ]
 
@@ -230,23 +220,18 @@ class RigidBodies:
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
-        first_shape_indices = (
-            len(self.dynamic) + first_collider + np.cumsum(counts) - counts
-        )
+        first_index = len(self.dynamic) + first_collider
+        first_shapes = first_index + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         rows: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
-            a, b = (
-                (first_body, second_body)
-                if self.is_dynamic[first_body]
-                else (second_body, first_body)
-            )
+            a, b = first_body, second_body
+            if not self.is_dynamic[a]:
+                a, b = b, a
             if self.is_dynamic[b]:
                 rows.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
-                shapes = range(
-                    int(first_shape_indices[b]), int(first_shape_indices[b] + counts[b])
-                )
+                shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
                 rows += [(int(dynamic_indices[a]), shape) for shape in shapes]
         return np.array(rows, np.int64).reshape(-1, 2)
 
@@ -255,13 +240,12 @@ class RigidBodies:
         """Collision shapes of all bodies; mesh shapes are convex hulls."""
         rows = [
             (Collider(collider_shape(shape), name=self.names[i]), i, at, rotation)
-            for i, k in enumerate(self.kind_of_body.tolist())
-            for shape, at, rotation in self.kinds[k].shapes
+            for i in range(len(self.names))
+            for shape, at, rotation in self.kind_of(i).shapes
         ]
         colliders, of, at, rotations = zip(*rows, strict=True)
-        return CollisionShapes(
-            colliders, np.array(of), np.array(at), np.array(rotations)
-        )
+        arrays = np.array(of), np.array(at), np.array(rotations)
+        return CollisionShapes(colliders, *arrays)
 
     @cached_property
     def shapes(self) -> tuple[list[ConvexCore], IntArray]:
@@ -279,7 +263,7 @@ class RigidBodies:
     def kernel(
         self,
         joints: IntArray,
-        joint_parameters: FloatArray,
+        parameters: FloatArray,
         excluded: IntArray = NO_PAIRS,
         mass_factors: FloatArray | float = 1.0,
     ) -> Any:
@@ -289,21 +273,15 @@ class RigidBodies:
         ``(Q, 2)``, and factors on the masses ``(N,)``.
         """
         masses = (self.masses * mass_factors)[:, None]
-        mass_properties = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [
-            mass_properties,
-            *self._shape_arrays,
-            joints,
-            joint_parameters,
-            excluded,
-        ]
+        masses = np.concatenate([masses, self.moments], axis=1)
+        arrays: list[Any] = [masses, *self._shape_arrays, joints, parameters, excluded]
         return _kernels.RigidBodies(*arrays)
 
     @cached_property
     def _shape_arrays(self) -> tuple[Any, ...]:
         cores, owners = self.shapes
         faces = [face for core in cores for face in core.faces]
-        models = [self.kinds[self.kind_of_body[self.dynamic[i]]].model for i in owners]
+        models = [self.kind_of(self.dynamic[i]).model for i in owners]
         rows = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)

@@ -34,9 +34,8 @@ class ConvexCore:
 
     def transformed(self, at: FloatArray, rotation: FloatArray) -> ConvexCore:
         """Return the core rotated by a quaternion and moved by ``(3,)`` [m]."""
-        return ConvexCore(
-            at + so3.rotate(rotation, self.points), self.faces, self.radius
-        )
+        points = at + so3.rotate(rotation, self.points)
+        return ConvexCore(points, self.faces, self.radius)
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,20 +60,19 @@ def combine_solids(
 
     The inertia of the result is in [kg m²].
     """
-    masses = np.array(
-        [
-            each_solid.volume * each_density
-            for each_solid, each_density in zip(solids, densities, strict=True)
-        ]
-    )
-    centres = np.array([each_solid.centre for each_solid in solids])
+    masses = np.array([solid.volume for solid in solids]) * np.array(densities)
+    centres = np.array([solid.centre for solid in solids])
     centre = masses @ centres / masses.sum()
     inertia = np.zeros((3, 3))
     for solid, density, mass in zip(solids, densities, masses, strict=True):
-        offset = solid.centre - centre
         inertia += density * solid.inertia
-        inertia += mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
+        inertia += point_inertia(mass, solid.centre - centre)
     return SolidProperties(float(masses.sum()), centre, inertia)
+
+
+def point_inertia(mass: float, offset: FloatArray) -> FloatArray:
+    """Return the inertia ``(3, 3)`` of a point mass at an offset from the origin."""
+    return mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))
 
 
 def core_of(shape: Shape) -> ConvexCore:
@@ -88,9 +86,8 @@ def core_of(shape: Shape) -> ConvexCore:
         case Box():
             half_extents = shape.sizes()
             signs = np.indices((2, 2, 2)).reshape(3, 8)[::-1].T * 2.0 - 1.0
-            return ConvexCore(
-                signs * half_extents, [np.array(face) for face in _BOX_FACES]
-            )
+            faces = [np.array(face) for face in _BOX_FACES]
+            return ConvexCore(signs * half_extents, faces)
         case Mesh():
             return _convex_hull(np.asarray(shape.points, np.float64))
     raise ValueError("a plane is infinite: use it as a collider, not as a body")
@@ -109,10 +106,8 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
     remaining = list(range(len(normals)))
     while remaining:
         reference = remaining[0]
-        is_coplanar = (
-            np.linalg.norm(normals[remaining] - normals[reference], axis=1)
-            < COPLANAR_ANGLE
-        )
+        differences = normals[remaining] - normals[reference]
+        is_coplanar = np.linalg.norm(differences, axis=1) < COPLANAR_ANGLE
         planes.append((normals[reference], np.array(remaining)[is_coplanar]))
         remaining = np.array(remaining)[~is_coplanar].tolist()
     corners = np.unique(hull.simplices)
@@ -123,9 +118,8 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
         face_corners = np.unique(hull.simplices[triangles])
         offsets = points[face_corners] - points[face_corners].mean(axis=0)
         tangent = np.cross(normal, offsets[0])
-        angles = np.arctan2(
-            offsets @ tangent, offsets @ offsets[0] * np.linalg.norm(normal)
-        )
+        parallel = offsets @ offsets[0] * np.linalg.norm(normal)
+        angles = np.arctan2(offsets @ tangent, parallel)
         faces.append(new_indices[face_corners[np.argsort(angles)]])
     return ConvexCore(points[corners], faces)
 
@@ -135,19 +129,22 @@ def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
     match shape:
         case Sphere(radius=r):
             volume = 4 / 3 * np.pi * r**3
-            return SolidProperties(
-                volume, core.points[0], 0.4 * volume * r * r * np.eye(3)
-            )
+            inertia = 0.4 * volume * r * r * np.eye(3)
+            return SolidProperties(volume, core.points[0], inertia)
         case Capsule():
             return _capsule_properties(shape)
         case Box():
             volume = float(np.prod(shape.size))
             squares = np.square(np.asarray(shape.size, np.float64))
-            return SolidProperties(
-                volume, np.zeros(3), np.diag(squares.sum() - squares) * volume / 12
-            )
+            inertia = np.diag(squares.sum() - squares) * volume / 12
+            return SolidProperties(volume, np.zeros(3), inertia)
+    return hull_solid(core)
+
+
+def hull_solid(core: ConvexCore) -> SolidProperties:
+    """Return the mass properties of the hull of a core's points, of density 1."""
     triangles = [
-        (core.points[face[0]], core.points[face[k]], core.points[face[k + 1]])
+        core.points[[face[0], face[k], face[k + 1]]]
         for face in core.faces
         for k in range(1, len(face) - 1)
     ]
@@ -164,9 +161,8 @@ def _capsule_properties(shape: Capsule) -> SolidProperties:
     transverse += caps * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
     axis = np.asarray(shape.axis, np.float64) / np.linalg.norm(shape.axis)
     inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(axis, axis)
-    return SolidProperties(
-        cylinder + caps, np.asarray(shape.centre, np.float64), inertia
-    )
+    centre = np.asarray(shape.centre, np.float64)
+    return SolidProperties(cylinder + caps, centre, inertia)
 
 
 def enclosed_solid(triangles: FloatArray) -> SolidProperties:
@@ -183,19 +179,16 @@ def enclosed_solid(triangles: FloatArray) -> SolidProperties:
     centre = volumes @ corners / 4 / volume
     products = sum(np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corners))
     moment_matrix = np.asarray(products) / 20 - volume * np.outer(centre, centre)
-    return SolidProperties(
-        volume, origin + centre, np.trace(moment_matrix) * np.eye(3) - moment_matrix
-    )
+    inertia = np.trace(moment_matrix) * np.eye(3) - moment_matrix
+    return SolidProperties(volume, origin + centre, inertia)
 
 
 def is_convex(mesh: Mesh, hull_properties: SolidProperties) -> bool:
     """Return whether a closed mesh is convex: equal in volume to its hull."""
     points, triangles = mesh.weld()
     volume = abs(enclosed_solid(points[triangles]).volume)
-    return (
-        abs(volume - hull_properties.volume)
-        <= CONVEX_TOLERANCE * hull_properties.volume
-    )
+    hull_volume = hull_properties.volume
+    return abs(volume - hull_volume) <= CONVEX_TOLERANCE * hull_volume
 
 
 def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
@@ -211,29 +204,17 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     x_axis /= np.linalg.norm(x_axis)
     frame = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     angles = np.arange(FACET_COUNT) * (2 * np.pi / FACET_COUNT)
+    circle = np.stack([np.cos(angles), np.ones(FACET_COUNT), np.sin(angles)], axis=1)
     rings, rings_per_cap = [], FACET_COUNT // 4
-    heights = [-facets for facets in range(rings_per_cap - 1, -1, -1)] + list(
-        range(rings_per_cap)
-    )
-    for i, height in enumerate(heights):
+    for i, height in enumerate([*range(1 - rings_per_cap, 1), *range(rings_per_cap)]):
         angle = height * np.pi / 2 / rings_per_cap
-        ring = np.stack(
-            [
-                np.cos(angles) * np.cos(angle),
-                np.full(FACET_COUNT, np.sin(angle)),
-                np.sin(angles) * np.cos(angle),
-            ],
-            axis=1,
-        )
-        rings.append(
-            (first_end if i < rings_per_cap else last_end) + core.radius * ring @ frame
-        )
+        ring = circle * np.array([np.cos(angle), np.sin(angle), np.cos(angle)])
+        end = first_end if i < rings_per_cap else last_end
+        rings.append(end + core.radius * ring @ frame)
     # A sphere has one ring at its equator.
     rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
-    poles = np.stack(
-        [first_end - core.radius * y_axis, last_end + core.radius * y_axis]
-    )
-    points = np.concatenate([*rings, poles])
+    offset = core.radius * y_axis
+    points = np.concatenate([*rings, [first_end - offset, last_end + offset]])
     count, facets = len(rings), np.arange(FACET_COUNT)
     next_facets = (facets + 1) % FACET_COUNT
     quads = [
@@ -242,21 +223,14 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
                  axis=1)
         for r in range(count - 1)
     ]  # fmt: skip
-    bottom_pole, top_pole = count * FACET_COUNT, count * FACET_COUNT + 1
+    bottom_pole = np.full(FACET_COUNT, count * FACET_COUNT)
     last_ring = (count - 1) * FACET_COUNT
     caps = [
-        np.stack([np.full(FACET_COUNT, bottom_pole), facets, next_facets], axis=1),
+        np.stack([bottom_pole, facets, next_facets], axis=1),
         np.stack(
-            [
-                np.full(FACET_COUNT, top_pole),
-                last_ring + next_facets,
-                last_ring + facets,
-            ],
-            axis=1,
+            [bottom_pole + 1, last_ring + next_facets, last_ring + facets], axis=1
         ),
     ]
-    counts = np.concatenate(
-        [np.full(FACET_COUNT * (count - 1), 4), np.full(2 * FACET_COUNT, 3)]
-    )
+    counts = np.repeat([4, 3], [FACET_COUNT * (count - 1), 2 * FACET_COUNT])
     corners = np.concatenate([*(q.ravel() for q in quads), *(c.ravel() for c in caps)])
     return points, counts, corners

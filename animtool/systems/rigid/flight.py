@@ -44,20 +44,14 @@ JacobianFunction: TypeAlias = Callable[
 
 @dataclass(frozen=True, slots=True)
 class Flight:
-    """Positions and velocities of bodies after a step without contacts.
+    """Positions and velocities of bodies after a step without contacts."""
 
-    Attributes:
-        points: Positions ``(N, 3)`` [m].
-        velocities: Velocities ``(N, 3)`` [m/s].
-        mass_factors: Factors on masses with which the initial force causes the actual
-            change of velocity ``(N,)``.
-        is_unresolved: Mask of bodies whose forces change too fast to be resolved
-            ``(N,)``.
-    """
-
-    points: FloatArray
-    velocities: FloatArray
+    points: FloatArray  # positions (N, 3) [m]
+    velocities: FloatArray  # velocities (N, 3) [m/s]
+    # Factors on masses with which the initial force causes the actual change of
+    # velocity (N,).
     mass_factors: FloatArray
+    # Mask of bodies whose forces change too fast to be resolved (N,).
     is_unresolved: BoolArray
 
 
@@ -71,21 +65,12 @@ def free_flight(
 ) -> Flight:
     """Return positions and velocities ``(N, 3)`` after a step [s] without contacts."""
     end, time, step = t + dt, t, dt
-    start_acceleration, start_jacobians = (
-        acceleration_at(t, x, v),
-        jacobians_at(t, x, v),
-    )
-    points, velocities, acceleration, jacobians = (
-        x,
-        v,
-        start_acceleration,
-        start_jacobians,
-    )
-    substeps_left, min_step, is_unresolved = (
-        MAX_SUBSTEPS,
-        MIN_STEP_FRACTION * dt,
-        np.zeros(len(x), np.bool_),
-    )
+    start_acceleration = acceleration_at(t, x, v)
+    start_jacobians = jacobians_at(t, x, v)
+    points, velocities = x, v
+    acceleration, jacobians = start_acceleration, start_jacobians
+    substeps_left, min_step = MAX_SUBSTEPS, MIN_STEP_FRACTION * dt
+    is_unresolved = np.zeros(len(x), np.bool_)
     while time < end:
         next_state, errors = _substep(
             acceleration_at, time, step, points, velocities, acceleration, jacobians
@@ -100,13 +85,10 @@ def free_flight(
         time = end if step >= end - time else time + step
         if time < end:
             substeps_left -= 1
-            min_step = max(
-                MIN_STEP_FRACTION * dt, (end - time) / max(substeps_left, 1) ** 2
-            )
-            acceleration, jacobians = (
-                acceleration_at(time, *next_state),
-                jacobians_at(time, *next_state),
-            )
+            min_step = (end - time) / max(substeps_left, 1) ** 2
+            min_step = max(MIN_STEP_FRACTION * dt, min_step)
+            acceleration = acceleration_at(time, *next_state)
+            jacobians = jacobians_at(time, *next_state)
             next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
             step = min(max(next_step, min_step), end - time)
     inertias = _inertia_factors(
@@ -133,34 +115,22 @@ def _substep(
     matrices[:, :3, 3:] = np.eye(3)
     matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_velocity
     phi1, phi2 = phi_functions(matrices)
-    linear_change = _multiply(
-        phi1, np.concatenate([h * v, h * h * acceleration], axis=1)
-    )
-    residual_acceleration = (
-        h
-        * h
-        * (
-            acceleration_at(
-                t + h, x + linear_change[:, :3], v + linear_change[:, 3:] / h
-            )
-            - acceleration
-        )
-    )
-    residual_acceleration -= _multiply(by_position, linear_change[:, :3]) + _multiply(
-        by_velocity, linear_change[:, 3:]
-    )
+    rates = np.concatenate([h * v, h * h * acceleration], axis=1)
+    linear_change = _multiply(phi1, rates)
+    dx, dv = linear_change[:, :3], linear_change[:, 3:]
+    end_acceleration = acceleration_at(t + h, x + dx, v + dv / h)
+    residual_acceleration = h * h * (end_acceleration - acceleration)
+    residual_acceleration -= _multiply(by_position, dx) + _multiply(by_velocity, dv)
     correction = _multiply(phi2[:, :, 3:], residual_acceleration)
     total_change = linear_change + correction
-    magnitudes = np.linalg.norm(total_change[:, :3], axis=1) + np.linalg.norm(
-        h * v, axis=1
-    )
+    magnitudes = np.linalg.norm(total_change[:, :3], axis=1)
+    magnitudes += np.linalg.norm(h * v, axis=1)
     magnitudes += np.linalg.norm(h * v + total_change[:, 3:], axis=1)
     error_size = np.linalg.norm(correction, axis=1)
     errors = error_size / (magnitudes + MIN_MOTION)
     errors[~np.isfinite(errors)] = INFINITE_ERROR
-    total_change = np.where(
-        (errors > COARSE_ERROR)[:, None], linear_change, total_change
-    )
+    is_coarse = (errors > COARSE_ERROR)[:, None]
+    total_change = np.where(is_coarse, linear_change, total_change)
     return (x + total_change[:, :3], v + total_change[:, 3:] / h), errors
 
 
@@ -180,13 +150,10 @@ def _inertia_factors(
     # Equal for linear drag.
     z = np.maximum(-np.trace(jacobians, axis1=1, axis2=2) / 3 * dt, 0.0)
     ratios = np.divide(z, -np.expm1(-z), out=np.ones_like(z), where=z > 0)
-    squared_accelerations, projections = (
-        (start_acceleration * start_acceleration).sum(axis=1),
-        (start_acceleration * velocity_change).sum(axis=1),
-    )
-    is_significant = np.sqrt(squared_accelerations) * dt > 1e-6 * np.linalg.norm(
-        v, axis=1
-    )
+    squared_accelerations = (start_acceleration * start_acceleration).sum(axis=1)
+    projections = (start_acceleration * velocity_change).sum(axis=1)
+    min_changes = 1e-6 * np.linalg.norm(v, axis=1)
+    is_significant = np.sqrt(squared_accelerations) * dt > min_changes
     is_significant &= projections > 0
     np.divide(squared_accelerations * dt, projections, out=ratios, where=is_significant)
     return np.asarray(np.maximum(ratios, 1.0))

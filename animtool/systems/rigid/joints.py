@@ -42,9 +42,8 @@ class Joints:
     numbers: FloatArray  # parameters in the kernel's layout (K, 27)
     anchors: Sequence[Poses]  # animated frames of joints without a first dynamic body
     names: Sequence[str] = ()
-    parent_bodies: Sequence[
-        int
-    ] = ()  # parent body of each joint, of all bodies; -1 for none
+    # Parent body of each joint, of all bodies; -1 for none.
+    parent_bodies: Sequence[int] = ()
     notices: Sequence[Fault] = ()
     # Pair of bodies that each joint excludes from collision, as indices of all bodies;
     # -1 for none (K, 2).
@@ -121,9 +120,8 @@ def check_joints(
             if model.to is not None:
                 _body_model(model.to, models_by_name, f"{where}.to")
             if model.to == model.body:
-                refuse(
-                    "SIM061", f"{name!r} joins {model.body!r} to itself", f"{where}.to"
-                )
+                message = f"{name!r} joins {model.body!r} to itself"
+                refuse("SIM061", message, f"{where}.to")
         for key, types in _OPTION_TYPES.items():
             with refusals.collect():
                 if getattr(model, key) is not None and model.type not in types:
@@ -175,15 +173,13 @@ def build_joints(
             frame_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
         else:
             parent = bodies.body_index(model.to, f"{where}.to")
-            if len(poses.sample_times) > 1:
+            if not poses.is_fixed:
                 message = f"{name!r} follows {model.to!r}, so it cannot have moves or "
                 message += "a prim"
                 refuse("SIM061", message, where)
             if parent in dynamic_indices:
-                first_index, frame_a = (
-                    dynamic_indices[parent],
-                    relative_to_principal(bodies, parent, frame),
-                )
+                first_index = dynamic_indices[parent]
+                frame_a = relative_to_principal(bodies, parent, frame)
             else:
                 anchor = bodies.poses[parent]
                 frame_a = relative_frame(anchor.at(bodies.begin), frame)
@@ -283,8 +279,8 @@ def to_body_frame(
     bodies: RigidBodies, dynamic_index: int, frame: FloatArray
 ) -> FloatArray:
     """Transform a frame ``(7,)`` from principal axes to the frame of the body."""
-    kind = bodies.kinds[bodies.kind_of_body[bodies.dynamic[dynamic_index]]]
-    return to_parent_frame(np.concatenate([kind.centre, kind.axes]), frame)
+    kind = bodies.kind_of(bodies.dynamic[dynamic_index])
+    return to_parent_frame(kind.principal_frame, frame)
 
 
 def joint_forces_and_torques(joints: Joints, impulses: FloatArray) -> FloatArray:
@@ -333,14 +329,9 @@ def relative_to_principal(
     bodies: RigidBodies, body: int, frame: FloatArray
 ) -> FloatArray:
     """Return a world frame relative to the principal axes of a body ``(7,)``."""
-    kind, pose = (
-        bodies.kinds[bodies.kind_of_body[body]],
-        bodies.poses[body].at(bodies.begin),
-    )
-    centre = pose[:3] + so3.rotate(pose[3:], kind.centre)
-    return relative_frame(
-        np.concatenate([centre, so3.multiply(pose[3:], kind.axes)]), frame
-    )
+    pose = bodies.poses[body].at(bodies.begin)
+    principal_frame = to_parent_frame(pose, bodies.kind_of(body).principal_frame)
+    return relative_frame(principal_frame, frame)
 
 
 def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[float]:
@@ -360,9 +351,8 @@ def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[flo
             hint = "remove them: full rotations are not counted"
             refuse("SIM061", message, f"{where}.{key}", hint)
     if model.swing is not None:
-        half_angles = (
-            model.swing if isinstance(model.swing, list) else [model.swing] * 2
-        )
+        swings = model.swing
+        half_angles = swings if isinstance(swings, list) else [swings, swings]
         if min(half_angles) <= 0:
             refuse("SIM061", f"the swing of {name!r} must be above 0", f"{where}.swing")
         swing = np.minimum(np.radians(half_angles), MAX_SWING).tolist()
@@ -377,22 +367,19 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
     speed = _motor_speed(model, drive, where)
     is_ball = model.type == "ball"
     if ("target" if is_ball else "rotation") in drive.model_fields_set:
-        invalid_key, valid_key = (
-            ("target", "rotation") if is_ball else ("rotation", "target")
-        )
+        keys = ("target", "rotation") if is_ball else ("rotation", "target")
+        invalid_key, valid_key = keys
         message = f"the drive of a {model.type} has a {valid_key}, not a {invalid_key}"
         refuse("SIM061", message, f"{where}.drive.{invalid_key}", f"{valid_key}: ...")
     rotation = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not rotation.any():
-        refuse(
-            "SIM061", "the rotation of a drive is a zero quaternion", f"{where}.drive"
-        )
+        message = "the rotation of a drive is a zero quaternion"
+        refuse("SIM061", message, f"{where}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # Drives act in the joint's axes.
     axis = _axis_rotation(model, model.name, where)
-    rotation = so3.multiply(
-        so3.multiply(so3.conjugate(axis), so3.normalize(rotation)), axis
-    )
+    rotation = so3.multiply(so3.conjugate(axis), so3.normalize(rotation))
+    rotation = so3.multiply(rotation, axis)
     max_force = -1.0 if drive.most is None else drive.most
     is_rigid = drive.speed is not None and "damping" not in drive.model_fields_set
     damping = RIGID_MOTOR_DAMPING if is_rigid else drive.damping
@@ -412,12 +399,8 @@ def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> 
             refuse("SIM061", message, f"{where}.drive.{key}", "keep one")
     if "damping" in drive.model_fields_set and not drive.damping:
         message = "a motor with zero damping has no effect"
-        refuse(
-            "SIM061",
-            message,
-            f"{where}.drive.damping",
-            "remove it to make the motor rigid",
-        )
+        hint = "remove it to make the motor rigid"
+        refuse("SIM061", message, f"{where}.drive.damping", hint)
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
@@ -425,10 +408,7 @@ def _distance_warnings(
     bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
 ) -> list[Fault]:
     """Return a warning if a joint is far from the body that it moves (SIM127)."""
-    kind, pose = (
-        bodies.kinds[bodies.kind_of_body[body]],
-        bodies.poses[body].at(bodies.begin),
-    )
+    kind, pose = bodies.kind_of(body), bodies.poses[body].at(bodies.begin)
     offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
     if distance <= MAX_RADII * kind.bounding_radius:

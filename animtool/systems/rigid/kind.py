@@ -31,6 +31,7 @@ from animtool.systems.rigid.cores import (
     core_mesh,
     core_of,
     is_convex,
+    point_inertia,
     solid_of,
 )
 from animtool.systems.rigid.pieces import (
@@ -65,8 +66,13 @@ class BodyKind:
     centre: FloatArray  # centre of mass (3,) [m]
     moments: FloatArray  # principal moments of inertia (3,) [kg m²]
     axes: FloatArray  # rotation from principal axes to the body (4,)
-    meshes: tuple[MeshFrame, ...]
+    mesh: MeshFrame  # displayed mesh
     notices: Sequence[Fault] = ()
+
+    @cached_property
+    def principal_frame(self) -> FloatArray:
+        """Centre of mass and principal axes, in the frame of the body ``(7,)``."""
+        return np.concatenate([self.centre, self.axes])
 
     @cached_property
     def bounding_radius(self) -> float:
@@ -106,9 +112,9 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         collision_pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None
-            decomposition = (
-                [] if uses_hull[k] or not is_dynamic else _convex_pieces(shape)
-            )
+            decomposition: list[tuple[Mesh, ConvexCore]] = []
+            if is_dynamic and not uses_hull[k] and is_available():
+                decomposition = convex_pieces(shape)
             fault = _concave_notice(model.name, shape, decomposition)
             notices.append(replace(fault, where=key))
             if decomposition:
@@ -116,21 +122,17 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         cores += [core.transformed(origin, rotation) for _, core in collision_pieces]
         collision_shapes += [(piece, origin, rotation) for piece, _ in collision_pieces]
         is_split = len(collision_pieces) > 1
-        mesh = shape if is_split and isinstance(shape, Mesh) else None
+        split_mesh = shape if is_split and isinstance(shape, Mesh) else None
         display_shapes.append(
-            (mesh, core.transformed(origin, rotation), origin, rotation)
+            (split_mesh, core.transformed(origin, rotation), origin, rotation)
         )
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal_inertia(inertia)
     prototype = parts.get("shows")
-    meshes = (
-        tuple(prototype())
-        if prototype is not None
-        else (_display_mesh(display_shapes),)
-    )
+    mesh = prototype()[0] if prototype else _display_mesh(display_shapes)
     return BodyKind(
-        model, collision_shapes, cores, mass, centre, moments, axes, meshes[:1], notices
+        model, collision_shapes, cores, mass, centre, moments, axes, mesh, notices
     )
 
 
@@ -164,25 +166,13 @@ def _body_shapes(
     ]
     if model.shape is not None:
         if shapes:
-            refuse(
-                "SIM061",
-                f"{model.name!r} has both a shape and shapes",
-                "shapes",
-                "keep one",
-            )
+            message = f"{model.name!r} has both a shape and shapes"
+            refuse("SIM061", message, "shapes", "keep one")
         shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
-        refuse(
-            "SIM061",
-            f"{model.name!r} has no shape",
-            hint="shape: {sphere: {radius: 0.1}}",
-        )
+        hint = "shape: {sphere: {radius: 0.1}}"
+        refuse("SIM061", f"{model.name!r} has no shape", hint=hint)
     return shapes
-
-
-def _convex_pieces(mesh: Mesh) -> list[tuple[Shape, ConvexCore]]:
-    """Return the convex decomposition of a mesh; empty to use the hull instead."""
-    return list(convex_pieces(mesh)) if is_available() else []
 
 
 def _concave_notice(
@@ -192,9 +182,8 @@ def _concave_notice(
     if pieces:
         excess = excess_volume(mesh, [core for _, core in pieces])
         message = f"a mesh of {name!r} collides as "
-        message += (
-            f"{counted(len(pieces), 'convex piece')}, {excess:+.1%} of its volume"
-        )
+        message += f"{counted(len(pieces), 'convex piece')}, {excess:+.1%} of its "
+        message += "volume"
         return Fault("SIM198", message, severity=Severity.NOTE)
     message = f"a mesh of {name!r} is not convex, or open: its convex hull collides"
     hint = "build it from several convex shapes"
@@ -207,9 +196,8 @@ def _mass_properties(
     model: BodyModel, solids: Sequence[SolidProperties]
 ) -> tuple[float, FloatArray, FloatArray]:
     """Return mass [kg], centre of mass [m] and inertia about it ``(3, 3)`` [kg m²]."""
-    densities = [solid.density or model.density for solid in model.shapes] or [
-        model.density
-    ]
+    densities = [shape.density or model.density for shape in model.shapes]
+    densities = densities or [model.density]
     total = sum(
         solid.volume * density for solid, density in zip(solids, densities, strict=True)
     )
@@ -223,9 +211,7 @@ def _mass_properties(
     if model.centre is not None:
         centre = np.array(model.centre, np.float64)
         offset = combined.centre - centre
-        inertia = inertia + mass * (
-            offset @ offset * np.eye(3) - np.outer(offset, offset)
-        )
+        inertia = inertia + point_inertia(mass, offset)
     if model.inertia is not None:
         moments = np.array(model.inertia, np.float64)
         axes = so3.to_matrix(_rotation(model.inertia_axes, model.name, "inertia_axes"))
@@ -282,12 +268,7 @@ def _display_mesh(
     )
 
 
-def check_motion_keys(model: BodyModel) -> None:
-    """Raise SIM061 for keys that a dynamic or kinematic body does not support."""
-    refuse_all("SIM061", _motion_key_problems(model))
-
-
-def _motion_key_problems(model: BodyModel) -> Iterator[Problem]:
+def motion_key_problems(model: BodyModel) -> Iterator[Problem]:
     """Yield a problem for each key that contradicts how a body moves."""
     for key in ("moves", "turns", "prim"):
         if getattr(model, key) and not model.kinematic:
@@ -316,17 +297,12 @@ def copy_placements(
     points, rotations = parts.get("points"), parts.get("rotations")
     if model.grid is not None:
         if points is not None:
-            refuse(
-                "SIM061",
-                f"{model.name!r} has both a grid and points",
-                "points",
-                "keep one",
-            )
+            message = f"{model.name!r} has both a grid and points"
+            refuse("SIM061", message, "points", "keep one")
         counts = np.array(model.grid.count)
         if counts.prod() > MAX_BODIES:
-            refuse(
-                "SIM061", f"{model.name!r} has more than {MAX_BODIES} copies", "grid"
-            )
+            message = f"{model.name!r} has more than {MAX_BODIES} copies"
+            refuse("SIM061", message, "grid")
         x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
         cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
         cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)
@@ -346,9 +322,8 @@ def copy_placements(
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
             refuse("SIM061", f"{message}finite: they must be {(count, columns)}", name)
     if not quaternions.any(axis=1).all():
-        refuse(
-            "SIM061", f"a rotation of {model.name!r} is a zero quaternion", "rotations"
-        )
+        message = f"a rotation of {model.name!r} is a zero quaternion"
+        refuse("SIM061", message, "rotations")
     return np.asarray(points, np.float64), so3.normalize(quaternions)
 
 

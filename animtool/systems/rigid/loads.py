@@ -33,19 +33,13 @@ FREE_FLIGHT_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class StepForces:
-    """Mean forces on bodies over a step, and their free flight.
+    """Mean forces on bodies over a step, and their free flight."""
 
-    Attributes:
-        forces: Forces [N] and torques [N m] ``(N, 6)``.
-        velocities: Velocities to start the step with ``(N, 3)`` [m/s]; None keeps those
-            of the bodies.
-        mass_factors: Factors on the masses ``(N,)``; None is 1.
-        flight: Free flight of bodies without contacts; None if forces are constant.
-    """
-
-    forces: FloatArray
+    forces: FloatArray  # forces [N] and torques [N m] (N, 6)
+    # Velocities to start the step with (N, 3) [m/s]; None keeps those of the bodies.
     velocities: FloatArray | None = None
-    mass_factors: FloatArray | None = None
+    mass_factors: FloatArray | None = None  # factors on the masses (N,); None is 1
+    # Free flight of bodies without contacts; None if forces are constant.
     flight: Flight | None = None
 
     def unexpected_contacts(
@@ -60,14 +54,11 @@ class StepForces:
             return np.zeros(len(is_constrained), np.bool_)
         differences = np.linalg.norm(velocities - flight.velocities, axis=1)
         initial = velocities if self.velocities is None else self.velocities
-        magnitudes = np.linalg.norm(flight.velocities, axis=1) + np.linalg.norm(
-            initial, axis=1
-        )
-        return np.asarray(
-            ~is_constrained
-            & (flight.mass_factors >= UNEXPECTED_CONTACT_FACTOR)
-            & (differences > FREE_FLIGHT_TOLERANCE * magnitudes)
-        )
+        magnitudes = np.linalg.norm(flight.velocities, axis=1)
+        magnitudes += np.linalg.norm(initial, axis=1)
+        is_heavier = flight.mass_factors >= UNEXPECTED_CONTACT_FACTOR
+        is_touched = differences > FREE_FLIGHT_TOLERANCE * magnitudes
+        return np.asarray(~is_constrained & is_heavier & is_touched)
 
     def required_substeps(self, substeps: int, is_constrained: BoolArray) -> int:
         """Return the number of substeps with which to repeat a step."""
@@ -80,12 +71,8 @@ def substeps_for_inertias(substeps: int, inertias: FloatArray) -> int:
     max_factor = float(inertias.max(initial=1.0))
     if not max_factor > MAX_INERTIA_RATIO:
         return substeps
-    return max(
-        substeps,
-        math.ceil(
-            min(substeps * max_factor / MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS)
-        ),
-    )
+    count = min(substeps * max_factor / MAX_INERTIA_RATIO, MAX_CONSTRAINED_SUBSTEPS)
+    return max(substeps, math.ceil(count))
 
 
 class StepForceSolver:
@@ -153,9 +140,8 @@ class StepForceSolver:
             start_velocities = np.where(is_constrained[:, None], v, start_velocities)
             masses = (self._bodies.masses * inertias)[:, None]
             forces[:, :3] = masses * (flight.velocities - start_velocities) / dt
-        return StepForces(
-            forces, start_velocities, inertias if is_heavier.any() else None, flight
-        )
+        mass_factors = inertias if is_heavier.any() else None
+        return StepForces(forces, start_velocities, mass_factors, flight)
 
     def _check(self, step_forces: StepForces, t: float) -> None:
         """Raise SIM102 if forces are not finite, or not resolved."""
@@ -168,16 +154,14 @@ class StepForceSolver:
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
             body = int(np.argmax(step_forces.flight.is_unresolved))
-            message = f"the force on {self._body(body)} changes too fast to be "
-            message += "resolved"
+            message = f"the force on {self._body(body)} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
         """Return the substep count that resolves oscillating and spinning bodies."""
         oscillation_rates, spin_rates = self._rates(t, dt, body_states)
-        oscillation_steps = (
-            float(oscillation_rates.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
-        )
+        max_rate = float(oscillation_rates.max(initial=0.0))
+        oscillation_steps = max_rate * dt / MAX_SUBSTEP_ANGLE
         if not oscillation_steps <= MAX_SUBSTEPS:
             body = int(np.argmax(oscillation_rates))
             message = f"the forces on {self._body(body)} make it oscillate at "
@@ -189,11 +173,8 @@ class StepForceSolver:
                 hint = f"use step: {plain_number(step)}, or {hint}"
             self._stop(t, message, hint)
         rotation_steps = float(spin_rates.max(initial=0.0)) * dt / MAX_SUBSTEP_ANGLE
-        return max(
-            1,
-            math.ceil(oscillation_steps),
-            min(math.ceil(rotation_steps), MAX_SUBSTEPS),
-        )
+        rotation_substeps = min(math.ceil(rotation_steps), MAX_SUBSTEPS)
+        return max(1, math.ceil(oscillation_steps), rotation_substeps)
 
     def constrained_substeps(
         self,
@@ -214,14 +195,9 @@ class StepForceSolver:
         if max_factor > MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             message = f"drag on {self._body(int(np.argmax(inertias)))}, which is in "
             message += f"contact, is too strong for a step of {plain_number(dt)} s"
-            step = floor_to_two_digits(
-                dt * MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS / max_factor
-            )
-            self._stop(
-                t,
-                message,
-                f"use step: {plain_number(step)}, or less drag, or more mass",
-            )
+            factor = MAX_INERTIA_FACTOR * MAX_CONSTRAINED_SUBSTEPS
+            step = plain_number(floor_to_two_digits(dt * factor / max_factor))
+            self._stop(t, message, f"use step: {step}, or less drag, or more mass")
         return substeps_for_inertias(substeps, inertias)
 
     def _rates(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
@@ -230,10 +206,8 @@ class StepForceSolver:
             rates = self._forces.oscillation_rates(t, dt, body_states)
             if self._forces.is_variable:
                 x, v = body_states[:, :3], body_states[:, 7:10]
-                oscillation_rates = _oscillation_rates(
-                    *self._forces.jacobians(t, x, v), dt
-                )
-                rates[0] = np.maximum(rates[0], oscillation_rates)
+                jacobians = self._forces.jacobians(t, x, v)
+                rates[0] = np.maximum(rates[0], _oscillation_rates(*jacobians, dt))
         return rates
 
     def _body(self, body: int) -> str:
@@ -252,22 +226,18 @@ def _oscillation_rates(
     """Return angular frequencies of force Jacobians ``(N,)`` [rad/s]."""
     # An upper bound, so that few need eigenvalues.
     upper_bounds = np.sqrt(np.linalg.norm(by_position, axis=(1, 2)))
-    upper_bounds += (
-        np.linalg.norm(by_velocity - by_velocity.swapaxes(1, 2), axis=(1, 2)) / 2
-    )
+    antisymmetric = by_velocity - by_velocity.swapaxes(1, 2)
+    upper_bounds += np.linalg.norm(antisymmetric, axis=(1, 2)) / 2
     frequencies = np.zeros(len(by_position))
     is_relevant = upper_bounds * dt > MAX_SUBSTEP_ANGLE
     if is_relevant.any():
         matrices = np.zeros((int(is_relevant.sum()), 6, 6))
         matrices[:, :3, 3:] = np.eye(3)
-        matrices[:, 3:, :3], matrices[:, 3:, 3:] = (
-            by_position[is_relevant],
-            by_velocity[is_relevant],
-        )
+        matrices[:, 3:, :3] = by_position[is_relevant]
+        matrices[:, 3:, 3:] = by_velocity[is_relevant]
         is_finite = np.isfinite(matrices).all(axis=(1, 2))
         rates = np.full(len(matrices), np.inf)
-        rates[is_finite] = np.abs(np.linalg.eigvals(matrices[is_finite]).imag).max(
-            axis=1
-        )
+        eigenvalues = np.linalg.eigvals(matrices[is_finite])
+        rates[is_finite] = np.abs(eigenvalues.imag).max(axis=1)
         frequencies[is_relevant] = rates
     return frequencies

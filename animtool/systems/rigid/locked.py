@@ -20,6 +20,7 @@ from animtool.core.errors import Fault, counted, excerpt, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
+from animtool.systems.rigid.joints import to_parent_frame
 
 # Joints with a smaller fraction of their motion left are locked [1].
 LOCKED_MOTION = 1e-6
@@ -30,28 +31,18 @@ MAX_LOOP_BODIES = 64
 # Constrained translations and rotations of a joint in its first frame, by type; the
 # other axes are free.
 _LOCKED_TRANSLATIONS = {0: (0, 1, 2), 1: (0, 1, 2), 2: (0, 1, 2), 3: (1, 2)}
-_LOCKED_ROTATIONS: dict[int, tuple[int, ...]] = {
-    0: (0, 1, 2),
-    1: (1, 2),
-    2: (),
-    3: (0, 1, 2),
-}
+_LOCKED_ROTATIONS = {0: (0, 1, 2), 1: (1, 2), 2: (), 3: (0, 1, 2)}
 
 
 @dataclass(frozen=True, slots=True)
 class LockedJoint:
-    """A joint that other joints prevent from moving.
+    """A joint that other joints prevent from moving."""
 
-    Attributes:
-        joint_index: Index of the joint.
-        blocking_joints: Joints that would each unlock it if removed; empty if several
-            joints together lock it.
-        remaining_motion: Fraction of its motion that remains [1].
-    """
-
-    joint_index: int
+    joint_index: int  # index of the joint
+    # Joints that would each unlock it if removed; empty if several joints together lock
+    # it.
     blocking_joints: tuple[int, ...]
-    remaining_motion: float
+    remaining_motion: float  # fraction of its motion that remains [1]
 
 
 def locked_joints(
@@ -87,19 +78,12 @@ def locked_joints(
                 continue
             blocking_joints = []
             for i, other_joint in enumerate(loop):
-                if other_joint != k:
-                    other_constraints = [
-                        constraints
-                        for j, (constraints, _) in enumerate(rows_by_joint)
-                        if j != i
-                    ]
-                    if (
-                        _remaining_motion(
-                            free_rows, _null_space(other_constraints, body_count)
-                        )
-                        > LOCKED_MOTION
-                    ):
-                        blocking_joints.append(other_joint)
+                if other_joint == k:
+                    continue
+                others = [c for j, (c, _) in enumerate(rows_by_joint) if j != i]
+                null_space_without = _null_space(others, body_count)
+                if _remaining_motion(free_rows, null_space_without) > LOCKED_MOTION:
+                    blocking_joints.append(other_joint)
             locked_list.append(LockedJoint(k, tuple(blocking_joints), remaining_motion))
     return locked_list
 
@@ -111,7 +95,7 @@ def locked_notices(
     start = bodies.initial_states
     frames = np.array(
         [
-            _world_frame(start[row[2]], parameters[7:14])
+            to_parent_frame(start[row[2], :7], parameters[7:14])
             for row, parameters in zip(rows.tolist(), numbers, strict=True)
         ]
     ).reshape(-1, 7)
@@ -123,21 +107,14 @@ def locked_notices(
         if locked.blocking_joints:
             message += "joint" + "s" * (len(locked.blocking_joints) > 1) + " "
             message += ", ".join(excerpt(names[k]) for k in locked.blocking_joints[:3])
-            if len(locked.blocking_joints) > 3:
-                message += (
-                    f" and {counted(len(locked.blocking_joints) - 3, 'more', 'more')}"
-                )
+            other_count = len(locked.blocking_joints) - 3
+            if other_count > 0:
+                message += f" and {counted(other_count, 'more', 'more')}"
         else:
             message += "several other joints"
         hint = "align their axes, or remove one of them"
         notices.append(warning("SIM172", message, hint))
     return notices
-
-
-def _world_frame(body: FloatArray, local_frame: FloatArray) -> FloatArray:
-    """Return a frame of a body in the world ``(7,)``."""
-    origin = body[:3] + so3.rotate(body[3:7], local_frame[:3])
-    return np.concatenate([origin, so3.multiply(body[3:7], local_frame[3:])])
 
 
 def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
@@ -195,22 +172,16 @@ def _constraint_rows(
                 factors[k, 3:] = sign * axis
             else:
                 lever_arm = (frame[:3] - centres[body]) / size
-                factors[k, :3], factors[k, 3:] = (
-                    sign * axis,
-                    sign * np.cross(lever_arm, axis),
-                )
+                factors[k, :3] = sign * axis
+                factors[k, 3:] = sign * np.cross(lever_arm, axis)
         return second, first, factors
 
     constraints = [build_row(axes[i], False) for i in _LOCKED_TRANSLATIONS[kind]]
     constraints += [build_row(axes[i], True) for i in _LOCKED_ROTATIONS[kind]]
-    free_rows = [
-        build_row(axes[i], False)
-        for i in range(3)
-        if i not in _LOCKED_TRANSLATIONS[kind]
-    ]
-    free_rows += [
-        build_row(axes[i], True) for i in range(3) if i not in _LOCKED_ROTATIONS[kind]
-    ]
+    free_translations = sorted({0, 1, 2} - {*_LOCKED_TRANSLATIONS[kind]})
+    free_rotations = sorted({0, 1, 2} - {*_LOCKED_ROTATIONS[kind]})
+    free_rows = [build_row(axes[i], False) for i in free_translations]
+    free_rows += [build_row(axes[i], True) for i in free_rotations]
     return constraints, free_rows
 
 
@@ -245,8 +216,5 @@ def _remaining_motion(
 ) -> float:
     """Return the largest relative motion of a joint within the null space."""
     body_count = len(null_space) // 6
-    return float(
-        np.linalg.norm(
-            _constraint_matrix(free_rows, body_count) @ null_space, axis=1
-        ).max(initial=0.0)
-    )
+    motions = _constraint_matrix(free_rows, body_count) @ null_space
+    return float(np.linalg.norm(motions, axis=1).max(initial=0.0))

@@ -12,6 +12,7 @@ from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.parts import Mass
 from animtool.rig.skeleton import Rig
+from animtool.systems.rigid.cores import point_inertia
 from animtool.systems.rigid.kind import BodyKind, principal_inertia
 
 
@@ -79,11 +80,7 @@ def _combined_body(
     mass_values = np.array([mass.mass for mass in masses])
     centre = (mass_values[:, None] * np.array(centres)).sum(axis=0) / total
     inertia = np.sum(inertias, axis=0)
-    for mass_value, position in zip(
-        mass_values, np.array(centres) - centre, strict=True
-    ):
-        inertia = inertia + mass_value * (
-            (position @ position) * np.eye(3) - np.outer(position, position)
-        )
+    for mass_value, position in zip(mass_values, centres, strict=True):
+        inertia = inertia + point_inertia(mass_value, position - centre)
     moments, axes = principal_inertia(inertia)
     return replace(kind, mass=total, centre=centre, moments=moments, axes=axes)

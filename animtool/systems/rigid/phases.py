@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -12,7 +12,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Collider, Colliders
 from animtool.systems.rigid.bodies import RigidBodies
-from animtool.systems.rigid.joints import Joints
+from animtool.systems.rigid.joints import Joints, subset_joints
 from animtool.systems.rigid.surroundings import StepColliders
 
 # Rounding tolerance of release times at the start of a step, in steps [1].
@@ -21,32 +21,17 @@ RELEASE_TOLERANCE = 1e-9
 
 @dataclass(frozen=True)
 class BodyPhase:
-    """The dynamic bodies and intact joints between two releases or breaks.
+    """The dynamic bodies and intact joints between two releases or breaks."""
 
-    Attributes:
-        phase_index: Index of the phase; contacts of other phases refer to other shapes.
-        bodies: All bodies; those not released yet are kinematic.
-        is_free: Mask of dynamic bodies among those that are ever dynamic ``(N,)``.
-        joints: Intact joints.
-        intact_joints: Indices of intact joints among all joints ``(H,)``.
-        surroundings: Colliders, with kinematic bodies.
-        kernel: Bodies and joints as a kernel object.
-        shapes: Indices of shapes and colliders in the full system ``(S,)``.
-    """
-
+    # Index of the phase; contacts of other phases refer to other shapes.
     phase_index: int
-    bodies: RigidBodies
-    is_free: BoolArray
-    joints: Joints
-    intact_joints: IntArray
-    surroundings: StepColliders
-    kernel: Any
-    shapes: IntArray
-
-    @property
-    def is_complete(self) -> bool:
-        """Whether all bodies are dynamic."""
-        return bool(self.is_free.all())
+    bodies: RigidBodies  # all bodies; those not released yet are kinematic
+    is_free: BoolArray  # mask of dynamic bodies among those that are ever dynamic (N,)
+    joints: Joints  # intact joints
+    intact_joints: IntArray  # indices of intact joints among all joints (H,)
+    surroundings: StepColliders  # colliders, with kinematic bodies
+    kernel: Any  # bodies and joints as a kernel object
+    shapes: IntArray  # indices of shapes and colliders in the full system (S,)
 
     def full_shape_indices(self, indices: IntArray) -> IntArray:
         """Convert shape and collider indices to those of the full system."""
@@ -73,27 +58,20 @@ class BodyPhases:
 
     Args:
         bodies: Bodies after all releases.
-        joints_of: Function that returns the joints of bodies, and their indices among
-            all joints.
-        colliders: Colliders before those of kinematic bodies.
+        joints: All joints.
+        colliders: Colliders before those of kinematic bodies, and other systems.
         static: Colliders after those of kinematic bodies.
-        other_systems: Surfaces and bodies of other systems.
     """
 
     def __init__(
         self,
         bodies: RigidBodies,
-        joints_of: Callable[[RigidBodies], tuple[Joints, IntArray]],
-        colliders: Sequence[Collider],
+        joints: Joints,
+        colliders: Colliders,
         static: Sequence[Collider],
-        other_systems: Colliders,
     ) -> None:
-        self._bodies, self._joints_of = bodies, joints_of
-        self._colliders, self._static, self._other_systems = (
-            list(colliders),
-            list(static),
-            other_systems,
-        )
+        self._bodies, self._joints = bodies, joints
+        self._colliders, self._static = colliders, static
         releases = bodies.releases[bodies.dynamic]
         self._releases = releases
         self._times = np.unique(releases[np.isfinite(releases)])
@@ -132,18 +110,16 @@ class BodyPhases:
             is_dynamic = bodies.is_dynamic.copy()
             is_dynamic[bodies.dynamic[~is_free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
-        joints, intact_joints = self._joints_of(bodies)
-        intact = (
-            np.flatnonzero(~is_broken[intact_joints])
-            if len(is_broken)
-            else intact_joints
-        )
+        joints, intact_joints = subset_joints(self._joints, self._bodies, bodies)
+        intact = intact_joints
+        if len(is_broken):
+            intact = np.flatnonzero(~is_broken[intact_joints])
         if len(intact) < len(intact_joints):
             joints, intact_joints = joints.subset(intact), intact_joints[intact]
         colliders = Colliders(
             [*self._colliders, *bodies.colliders(), *self._static],
-            self._other_systems.sheets,
-            self._other_systems.bodies,
+            self._colliders.sheets,
+            self._colliders.bodies,
         )
         first = len(self._colliders)
         excluded = bodies.excluded_pairs(joints.excluded_pairs, first)
@@ -168,13 +144,12 @@ class BodyPhases:
         for i in bodies.dynamic.tolist():
             dynamic_shapes += range(
                 first_shapes[dynamic_indices[i]],
-                first_shapes[dynamic_indices[i]]
-                + len(all_bodies.kinds[all_bodies.kind_of_body[i]].cores),
+                first_shapes[dynamic_indices[i]] + len(all_bodies.kind_of(i).cores),
             )
         next_collider = count + first
         kinematic_shapes: list[int] = []
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
-            shapes = len(all_bodies.kinds[all_bodies.kind_of_body[i]].shapes)
+            shapes = len(all_bodies.kind_of(i).shapes)
             if all_bodies.is_dynamic[i]:
                 kinematic_shapes += range(
                     first_shapes[dynamic_indices[i]],
@@ -193,16 +168,3 @@ class BodyPhases:
             ],
             np.int64,
         )
-
-
-def kinematic_states(
-    bodies: RigidBodies, dynamic_indices: IntArray, t: float, dt: float
-) -> FloatArray:
-    """Return the states of bodies not yet released ``(H, 14)`` at a time [s].
-
-    The velocities are averages over the step [s] before ``t``.
-    """
-    rows = np.zeros((len(dynamic_indices), 14))
-    for row, dynamic_index in zip(rows, dynamic_indices.tolist(), strict=True):
-        row[:] = bodies.kinematic_state(dynamic_index, t, dt)
-    return rows

@@ -53,21 +53,13 @@ def physics_record(
     Moving colliders and forces other than gravity are left out.
     """
     gravity = [force.acceleration for force in forces if isinstance(force, Gravity)]
-    fixed_colliders = [
-        collider for collider in colliders if len(collider.poses.sample_times) == 1
-    ]
     return Physics(
         [_physics_body(bodies, i) for i in range(len(bodies.names))],
         list(_physics_joints(bodies, joints)),
         [
-            _physics_shape(
-                collider.shape,
-                collider.poses.rows[0],
-                collider.friction,
-                collider.restitution,
-            )
-            for collider in fixed_colliders
-            if not collider.container
+            _physics_shape(one.shape, one.poses.rows[0], one.friction, one.restitution)
+            for one in colliders
+            if one.poses.is_fixed and not one.container
         ],
         np.sum([np.zeros(3), *map(np.asarray, gravity)], axis=0),
     )
@@ -75,7 +67,7 @@ def physics_record(
 
 def _physics_body(bodies: RigidBodies, body: int) -> PhysicsBody:
     """Return a body as a UsdPhysics record."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
+    kind = bodies.kind_of(body)
     model = kind.model
     shapes = [
         _physics_shape(
@@ -123,9 +115,7 @@ def _physics_shape(
             points, corners = shape.weld()
             triangles = corners.astype(np.int64)
     rotation = so3.shortest_rotation(Y_AXIS, axis / np.linalg.norm(axis))
-    frame = np.concatenate(
-        [pose[:3] + so3.rotate(pose[3:], centre), so3.multiply(pose[3:], rotation)]
-    )
+    frame = to_parent_frame(pose, np.concatenate([centre, rotation]))
     return PhysicsShape(kind, size, frame, points, triangles, friction, restitution)
 
 
@@ -260,14 +250,12 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
             target, speed, rotation = -target, -speed, so3.conjugate(rotation)
         if body_pair[1] not in dynamic_numbers:
             continue
-        frame_b, parent, anchor = (
-            _relative_to_principal(bodies, body_pair[1], frames[1]),
-            body_pair[0],
-            Poses(),
-        )
+        parent, body = body_pair
+        frame_b = relative_frame(bodies.kind_of(body).principal_frame, frames[1])
+        anchor = Poses()
         frame_a, parent_index = frames[0], dynamic_numbers.get(parent, -1)
         if parent_index >= 0:
-            frame_a = _relative_to_principal(bodies, parent, frame_a)
+            frame_a = relative_frame(bodies.kind_of(parent).principal_frame, frame_a)
         elif parent >= 0:
             anchor = bodies.poses[parent]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing
@@ -275,9 +263,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         if drive is not None:
             max_force = -1.0 if drive.max_force is None else drive.max_force
             drive_parameters = [drive.stiffness, drive.damping, max_force, speed]
-        rows.append(
-            (JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[body_pair[1]])
-        )
+        rows.append((JOINT_KINDS[joint.kind], parent_index, dynamic_numbers[body]))
         numbers.append(
             [
                 *frame_a,
@@ -293,7 +279,7 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         parent_bodies.append(parent)
         names.append(joint.name)
         is_excluded = parent >= 0 and not joint.contacts
-        pairs.append((body_pair[1], parent) if is_excluded else (-1, -1))
+        pairs.append((body, parent) if is_excluded else (-1, -1))
         breaks.append(joint.break_limits)
     return Joints(
         np.array(rows, np.int64).reshape(-1, 3),
@@ -305,14 +291,6 @@ def stage_joints(physics: Physics, bodies: RigidBodies, first: int) -> Joints:
         np.array(pairs, np.int64).reshape(-1, 2),
         breaks=np.array(breaks, np.float64).reshape(-1, 2),
     )
-
-
-def _relative_to_principal(
-    bodies: RigidBodies, body: int, frame: FloatArray
-) -> FloatArray:
-    """Return a body frame relative to the principal axes of the body ``(7,)``."""
-    kind = bodies.kinds[bodies.kind_of_body[body]]
-    return relative_frame(np.concatenate([kind.centre, kind.axes]), frame)
 
 
 def static_colliders(physics: Physics) -> list[Collider]:

@@ -8,13 +8,13 @@ from importlib.util import find_spec
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
 from animtool.sim.colliders import Mesh
 from animtool.systems.rigid.cores import (
     ConvexCore,
     SolidProperties,
     core_of,
     enclosed_solid,
+    hull_solid,
 )
 
 # Largest deviation of pieces from the mesh, relative to its size; coacd's default.
@@ -81,14 +81,4 @@ def mesh_solid(mesh: Mesh) -> SolidProperties:
 def excess_volume(mesh: Mesh, cores: Sequence[ConvexCore]) -> float:
     """Return the excess volume of the pieces, relative to the mesh volume [1]."""
     volume = mesh_solid(mesh).volume
-    return sum(_core_volume(core) for core in cores) / volume - 1
-
-
-def _core_volume(core: ConvexCore) -> float:
-    """Return the volume of the faces of a convex core [m³]."""
-    triangles: list[FloatArray] = [
-        core.points[[face[0], face[k], face[k + 1]]]
-        for face in core.faces
-        for k in range(1, len(face) - 1)
-    ]
-    return enclosed_solid(np.array(triangles)).volume
+    return sum(hull_solid(core).volume for core in cores) / volume - 1

@@ -77,24 +77,16 @@ class RagdollOptions:
 
 @dataclass(frozen=True)
 class Ragdoll:
-    """The bodies of a rig in the pose of one frame.
+    """The bodies of a rig in the pose of one frame."""
 
-    Attributes:
-        rig: Rig with colliders.
-        joints: Joints with bodies, ascending ``(N,)``.
-        parent_bodies: Parent body of each body, -1 for none ``(N,)``.
-        bodies: Bodies in the same order.
-        frames: Rest frame of each joint relative to the parent body: origin and
-            quaternion, with x along the joint's axis ``(N, 7)``.
-        axes: Rotation of each body's frame to its joint's axes ``(N, 4)``.
-    """
-
-    rig: Rig
-    joints: IntArray
-    parent_bodies: IntArray
-    bodies: RigidBodies
+    rig: Rig  # rig with colliders
+    joints: IntArray  # joints with bodies, ascending (N,)
+    parent_bodies: IntArray  # parent body of each body, -1 for none (N,)
+    bodies: RigidBodies  # bodies in the same order
+    # Rest frame of each joint relative to the parent body: origin and quaternion, with
+    # x along the joint's axis (N, 7).
     frames: FloatArray
-    axes: FloatArray
+    axes: FloatArray  # rotation of each body's frame to its joint's axes (N, 4)
 
 
 def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
@@ -174,11 +166,10 @@ def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
     for i, j in enumerate(joints.tolist()):
         ancestors = [body_of_joint[k] for k in rig.upwards(j)[1:] if k in body_of_joint]
         # Branches below a joint without a body are attached to the first of them.
-        parents[i] = (
-            ancestors[0]
-            if ancestors
-            else body_of_root.setdefault(movable_root(rig, j), i)
-        )
+        if ancestors:
+            parents[i] = ancestors[0]
+        else:
+            parents[i] = body_of_root.setdefault(movable_root(rig, j), i)
         if parents[i] == i:
             parents[i] = -1
     return parents

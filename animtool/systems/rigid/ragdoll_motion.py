@@ -110,16 +110,12 @@ def ragdoll_transforms(
     root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
     root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
     frame_count, joints = len(origins), len(rig.joints)
-    positions, world_rotations = (
-        np.zeros((frame_count, joints, 3)),
-        np.zeros((frame_count, joints, 4)),
-    )
+    positions = np.zeros((frame_count, joints, 3))
+    world_rotations = np.zeros((frame_count, joints, 4))
     for j, joint in enumerate(rig.joints):
         if j in rigid_joints:
-            new_translations[:, j], new_rotations[:, j] = (
-                translations[0, j],
-                rotations[0, j],
-            )
+            new_translations[:, j] = translations[0, j]
+            new_rotations[:, j] = rotations[0, j]
         parent = joint.parent
         if j in body_of_joint or j in root_joints:
             i = root_joints[j] if j in root_joints else body_of_joint[j]
@@ -127,11 +123,10 @@ def ragdoll_transforms(
                 rig, int(ragdoll.joints[i]), j, translations[0], rotations[0]
             )
             joint_rotations = so3.multiply(body_rotations[:, i], frame_on_body[3:])
-            world_to_parent = (
-                so3.IDENTITY
-                if parent < 0
-                else so3.conjugate(world_rotations[:, parent])
-            )
+            if parent < 0:
+                world_to_parent = so3.IDENTITY
+            else:
+                world_to_parent = so3.conjugate(world_rotations[:, parent])
             new_rotations[:, j] = so3.multiply(world_to_parent, joint_rotations)
             new_translations[:, j] = translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:
@@ -141,10 +136,8 @@ def ragdoll_transforms(
                 offset = origin - (0 if parent < 0 else positions[:, parent])
                 new_translations[:, j] = so3.rotate(world_to_parent, offset)
         if parent < 0:
-            positions[:, j], world_rotations[:, j] = (
-                new_translations[:, j],
-                new_rotations[:, j],
-            )
+            positions[:, j] = new_translations[:, j]
+            world_rotations[:, j] = new_rotations[:, j]
         else:
             positions[:, j] = positions[:, parent] + so3.rotate(
                 world_rotations[:, parent], new_translations[:, j]

@@ -18,40 +18,31 @@ from animtool.systems.rigid.bodies import RigidBodies
 
 @dataclass(frozen=True, slots=True)
 class RigidState:
-    """State of bodies, with the impulses of contacts and joints.
+    """State of bodies, with the impulses of contacts and joints."""
 
-    Attributes:
-        motion: For each of N bodies: centre of mass [m], orientation of the principal
-            axes (x, y, z, w), velocity [m/s], angular momentum [kg m²/s], and how long
-            it has been slow [s] ``(N, 14)``.
-        pairs: The two shapes of each contact point ``(M, 2)``.
-        contacts: Position of each contact point on the first body [m], and its force
-            [N] ``(M, 6)``.
-        held: Constraint impulses of joints ``(K, 12)``.
-        deepest: Largest penetration depth so far, and in the first step [m] ``(2,)``.
-        deepest_pairs: The shapes of these penetrations ``(2, 2)``; colliders are
-            numbered after the bodies' shapes, -1 is none.
-        broken: Time at which each joint broke [s], infinite if it has not, and the
-            force [N] and torque [N m] at that time ``(K, 3)``; ``(0, 3)`` if no joint
-            can break.
-        pressing: Number of contact points with a force.
-        awake: Number of bodies that are awake.
-        residual: Change of velocities in the last iteration [m/s].
-        follows: Largest step that resolves the fastest oscillating drive [s].
-        swinging: Joint of that drive; -1 is none.
-    """
-
+    # For each of N bodies: centre of mass [m], orientation of the principal axes (x, y,
+    # z, w), velocity [m/s], angular momentum [kg m²/s], and how long it has been slow
+    # [s] (N, 14).
     motion: FloatArray
+    # The two shapes of each contact point (M, 2).
     pairs: IntArray = field(metadata=growing())
+    # Position of each contact point on the first body [m], and its force [N] (M, 6).
     contacts: FloatArray = field(metadata=growing())
-    held: FloatArray
+    held: FloatArray  # constraint impulses of joints (K, 12)
+    # Largest penetration depth so far, and in the first step [m] (2,).
     deepest: FloatArray
+    # The shapes of these penetrations (2, 2); colliders are numbered after the bodies'
+    # shapes, -1 is none.
     deepest_pairs: IntArray
+    # Time at which each joint broke [s], infinite if it has not, and the force [N] and
+    # torque [N m] at that time (K, 3); (0, 3) if no joint can break.
     broken: FloatArray
-    pressing: int = 0
-    awake: int = 0
-    residual: float = 0.0
+    pressing: int = 0  # number of contact points with a force
+    awake: int = 0  # number of bodies that are awake
+    residual: float = 0.0  # change of velocities in the last iteration [m/s]
+    # Largest step that resolves the fastest oscillating drive [s].
     follows: float = field(default=0.0, metadata=added())
+    # Joint of that drive; -1 is none.
     swinging: int = field(default=-1, metadata=added())
 
 
@@ -76,14 +67,10 @@ class RigidStates:
 
     def poses(self, state: RigidState, t: float) -> FloatArray:
         """Return the poses of collision shapes ``(C, 7)`` at a time [s]."""
-        bodies = self.bodies
-        frames = self.body_poses(state, t)[bodies.collision_shapes.body_of_shape]
-        at, rotation = (
-            bodies.collision_shapes.origins,
-            bodies.collision_shapes.rotations,
-        )
-        origins = frames[:, :3] + so3.rotate(frames[:, 3:], at)
-        rotations = so3.multiply(frames[:, 3:], rotation)
+        shapes = self.bodies.collision_shapes
+        frames = self.body_poses(state, t)[shapes.body_of_shape]
+        origins = frames[:, :3] + so3.rotate(frames[:, 3:], shapes.origins)
+        rotations = so3.multiply(frames[:, 3:], shapes.rotations)
         return np.concatenate([origins, rotations], axis=1)
 
     @cached_property
@@ -182,9 +169,6 @@ class RigidStates:
 
         Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """
-        motion, moments = state.motion, self.bodies.moments
-        inverse_inertia = np.divide(
-            1.0, moments, out=np.zeros_like(moments), where=moments > 0
-        )
+        motion, inverse_moments = state.motion, self.bodies.inverse_moments
         axes = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (axes * inverse_inertia[:, None]) @ axes.swapaxes(1, 2)
+        return motion[:, :3], (axes * inverse_moments[:, None]) @ axes.swapaxes(1, 2)

@@ -26,7 +26,6 @@ from animtool.systems.rigid.joints import (
     check_joints,
     concatenate_joints,
     joint_forces_and_torques,
-    subset_joints,
 )
 from animtool.systems.rigid.loads import StepForces, StepForceSolver
 from animtool.systems.rigid.locked import locked_notices
@@ -35,7 +34,7 @@ from animtool.systems.rigid.notices import (
     depth_notices,
     oscillation_notices,
 )
-from animtool.systems.rigid.phases import BodyPhase, BodyPhases, kinematic_states
+from animtool.systems.rigid.phases import BodyPhase, BodyPhases
 from animtool.systems.rigid.physics import (
     body_entries,
     physics_record,
@@ -73,21 +72,15 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     refusals.check()
     joints = [build_joints(spec.joints, parts.get("joints", ()), bodies)]
     first_stage_body = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
-    static_stage_colliders: list[Collider] = []
+    static: list[Collider] = []
     for stage in stages:
         joints.append(stage_joints(stage, bodies, first_stage_body))
         first_stage_body += len(stage.bodies)
-        static_stage_colliders += static_colliders(stage)
+        static += static_colliders(stage)
     forces = parts.get("forces", ())
     all_joints = concatenate_joints(joints) if stages else joints[0]
     return RigidSimulation(
-        spec,
-        context.begin,
-        bodies,
-        all_joints,
-        colliders,
-        forces,
-        static_stage_colliders,
+        spec, context.begin, bodies, all_joints, colliders, forces, static
     )
 
 
@@ -107,13 +100,7 @@ class RigidSimulation(RigidStates):
         """Start at a time [s]; ``static`` colliders come after those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._phases = BodyPhases(
-            bodies,
-            lambda phase_bodies: subset_joints(joints, bodies, phase_bodies),
-            list(colliders),
-            static,
-            colliders,
-        )
+        self._phases = BodyPhases(bodies, joints, colliders, static)
         self._forces = BodyForces(bodies, forces, begin)
         self._force_solver = StepForceSolver(spec.name, bodies, self._forces)
         last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
@@ -246,25 +233,13 @@ class RigidSimulation(RigidStates):
             dt,
             *self._kernel_settings,
         )
-        (
-            next_motion,
-            pairs,
-            contacts,
-            impulses,
-            depth,
-            residual,
-            pressing,
-            _,
-            awake,
-            _,
-        ) = result[:10]
-        if not phase.is_complete:
+        next_motion, pairs, contacts, impulses, depth, residual, pressing = result[:7]
+        awake = result[8]
+        if not is_free.all():
             motion = motion.copy()
             motion[is_free] = next_motion
-            kinematic_indices = np.flatnonzero(~is_free)
-            motion[kinematic_indices] = kinematic_states(
-                self.bodies, kinematic_indices, t + dt, dt
-            )
+            for i in np.flatnonzero(~is_free).tolist():
+                motion[i] = self.bodies.kinematic_state(i, t + dt, dt)
             next_motion = motion
         self._check(next_motion, t + dt)
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
@@ -373,15 +348,12 @@ class RigidSimulation(RigidStates):
         velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             pose, step = bodies.poses[i].at(t), self._spec.step
-            before, after = (
-                bodies.poses[i].at(t - step / 2),
-                bodies.poses[i].at(t + step / 2),
-            )
+            before = bodies.poses[i].at(t - step / 2)
+            after = bodies.poses[i].at(t + step / 2)
             points[i], rotations[i] = pose[:3], pose[3:]
             velocities[i] = (after[:3] - before[:3]) / step
             rotation = so3.multiply(after[3:], so3.conjugate(before[3:]))
             spins[i] = so3.log(rotation) / step
-        meshes = tuple(kind.meshes[0] for kind in bodies.kinds)
         return TransformsFrame(
             np.arange(count),
             points,
@@ -390,7 +362,7 @@ class RigidSimulation(RigidStates):
             spins,
             np.ones((count, 3)),
             bodies.kind_of_body,
-            meshes,
+            tuple(kind.mesh for kind in bodies.kinds),
             names=tuple(bodies.names),
             xforms=self._spec.prims == "xforms",
             static=bodies.static,
@@ -414,12 +386,8 @@ class RigidSimulation(RigidStates):
         """Return kinetic energy, and potential energy of conservative forces."""
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
-        moments = bodies.moments
-        inverse_inertia = np.divide(
-            1.0, moments, out=np.zeros_like(moments), where=moments > 0
-        )
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((local**2 * inverse_inertia).sum())
+        kinetic += 0.5 * float((local**2 * bodies.inverse_moments).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002

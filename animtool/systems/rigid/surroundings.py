@@ -41,11 +41,9 @@ class BodyForces:
 
         The fields `forces` are evaluated at the start of the step.
         """
-        wrenches, x, v = (
-            self.push_wrenches(t, dt, body_states),
-            body_states[:, :3],
-            body_states[:, 7:10],
-        )
+        wrenches = self.push_wrenches(t, dt, body_states)
+        x = body_states[:, :3]
+        v = body_states[:, 7:10]
         for force in self.forces:
             wrenches[:, :3] += force.force(t, x, v, self._particles)
         return wrenches

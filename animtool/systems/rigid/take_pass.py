@@ -40,7 +40,6 @@ from animtool.systems.rigid.ragdoll_motion import (
     ragdoll_transforms,
     ragdoll_velocities,
 )
-from animtool.systems.rigid.shared import RigidState
 
 # Tolerated overshoot of joint limits [rad].
 ANGLE_TOLERANCE = math.radians(1.0)
@@ -73,28 +72,23 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward_kinematics(rig, translations, rotations, scales)
-    pose = WorldTransforms(
-        world.positions[first_index : first_index + 1],
-        world.linear[first_index : first_index + 1],
-    )
+    frame = slice(first_index, first_index + 1)
+    pose = WorldTransforms(world.positions[frame], world.linear[frame])
     ragdoll = build_ragdoll(rig, pose, options)
     coordinates = project_to_coordinates(rig, LocalTransforms(translations, rotations))
     targets = DriveTargets(
         ragdoll, times - times[first_index], coordinates, coordinate_slices(rig)
     )
-    shifted_colliders = [
-        _shift_times(collider, float(times[first_index]))
-        for collider in options.colliders
-    ]
     speeds = ragdoll_velocities(ragdoll, world, times, first_index)
-    colliders = Colliders(shifted_colliders)
+    start_time = float(times[first_index])
+    colliders = Colliders([_shift_times(one, start_time) for one in options.colliders])
     run = _start_run(ragdoll, options, targets, speeds, colliders)
     origins, frame_rotations = [], []
     for k in range(first_index, clock.count):
-        frame = run.at(float(times[k] - times[first_index]))
-        assert isinstance(frame, TransformsFrame)
-        origins.append(frame.points)
-        frame_rotations.append(frame.rotations)
+        bodies = run.at(float(times[k] - times[first_index]))
+        assert isinstance(bodies, TransformsFrame)
+        origins.append(bodies.points)
+        frame_rotations.append(bodies.rotations)
         if context.progress is not None:
             context.progress((k + 1 - first_index) / (clock.count - first_index))
     fall_transforms = ragdoll_transforms(
@@ -106,9 +100,8 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     )
     weights = _blend_weights(codes, first_index, last_index, options)[first_index:]
     blended = [translations.copy(), rotations.copy()]
-    blended[0][first_index:] += weights[:, None, None] * (
-        fall_transforms[0] - translations[first_index:]
-    )
+    changes = fall_transforms[0] - translations[first_index:]
+    blended[0][first_index:] += weights[:, None, None] * changes
     blended[1][first_index:] = so3.slerp(
         rotations[first_index:],
         so3.align_signs(fall_transforms[1], rotations[first_index]),
@@ -120,16 +113,15 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
     context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
-    context.notices.extend(
-        _notices(ragdoll, run, fall_transforms, float(codes[first_index]))
-    )
+    first_frame = float(codes[first_index])
+    context.notices.extend(_notices(ragdoll, run, fall_transforms, first_frame))
     return replace(take, motion=motion)
 
 
 def _shift_times(collider: Collider, t: float) -> Collider:
     """Return a collider with its sample times shifted so that ``t`` [s] becomes 0."""
     poses = collider.poses
-    if len(poses.sample_times) == 1:
+    if poses.is_fixed:
         return collider
     return replace(collider, poses=replace(poses, times=poses.sample_times - t))
 
@@ -158,9 +150,7 @@ def _start_run(
     initial_state = simulation.initial()
     motion = initial_state.motion.copy()
     motion[:, 7:13] = velocities
-    state: ReachedState[RigidState] = ReachedState(
-        0, replace(initial_state, motion=motion)
-    )
+    state = ReachedState(0, replace(initial_state, motion=motion))
     return SimulationRun("ragdoll", simulation, 0.0, options.step, state)
 
 
@@ -242,12 +232,8 @@ def _notices(
 ) -> list[Fault]:
     """Return the notices of a run, including the joint that exceeds its limits most.
 
-    Args:
-        ragdoll: The ragdoll.
-        run: The simulation run of the ragdoll.
-        fall_transforms: Local translations ``(F, J, 3)`` and rotations ``(F, J, 4)`` of
-            all joints in the fall.
-        first_frame: First frame of the fall.
+    ``fall_transforms`` are local translations ``(F, J, 3)`` and rotations ``(F, J, 4)``
+    of all joints in the fall, which begins at ``first_frame``.
     """
     rig = ragdoll.rig
     mass = float(ragdoll.bodies.masses.sum())
@@ -267,11 +253,10 @@ def _notices(
         excess = overshoot / (SLIDE_TOLERANCE if is_prismatic else ANGLE_TOLERANCE)
         if excess > worst_excess:
             worst_excess, worst_joint = excess, rig.joints[j].name
-            overshoot_text = (
-                length_text(overshoot, 2)
-                if is_prismatic
-                else angle_text(math.degrees(overshoot), 2)
-            )
+            if is_prismatic:
+                overshoot_text = length_text(overshoot, 2)
+            else:
+                overshoot_text = angle_text(math.degrees(overshoot), 2)
             worst_text = f"joint {worst_joint!r} exceeds its limits by {overshoot_text}"
     if worst_text:
         message += f"; {worst_text}, the most of all"

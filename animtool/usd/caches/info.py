@@ -148,11 +148,9 @@ def animated_point_prims(path: Path) -> list[PointPrim]:
 
 def _summarize_prim(prim: Any) -> PointPrim:
     reader = PointReader(prim)
-    times, is_instancer, has_values = (
-        reader.times,
-        reader.is_instancer,
-        reader.has_value,
-    )
+    times = reader.times
+    is_instancer = reader.is_instancer
+    has_values = reader.has_value
     codes = reader.codes
     sample_codes = time_codes_of(times)
     point_counts = array_lengths(reader.attr, sample_codes)

@@ -288,10 +288,8 @@ class MeshSource:
             OptionError: The points, faces or transform are invalid (SIM051).
         """
         time = Usd.TimeCode.EarliestTime() if code is None else Usd.TimeCode(code)
-        points, (counts, indices) = (
-            self._reader.points_at(time),
-            self._reader.faces(time),
-        )
+        points = self._reader.points_at(time)
+        counts, indices = self._reader.faces(time)
         _check_mesh(points, counts, indices, str(self._reader.prim.GetPath()))
         world = self._reader.world_from_prim(time)
         world_points = transform_points(points, world) * self._unit

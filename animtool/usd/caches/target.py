@@ -19,7 +19,7 @@ from animtool.usd.caches.writer import PointSpace
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import attribute_spec, author_xform_order, prim_spec
 from animtool.usd.rigs.mesh_read import bound_meshes, bound_strands
-from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS
+from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, skeleton_bindings
 from animtool.usd.rigs.target import RigTarget, compose_over_rig
 
 # A transform between mesh and skeleton closer to identity than this is rounding.
@@ -34,9 +34,8 @@ class TargetMesh:
     path: str  # prim path in a layer over the rig
     space: PointSpace  # space of its points, in the rig's unit
     has_normals: bool  # whether it has normals that a cache can replace
-    blocked_attributes: tuple[
-        str, ...
-    ]  # attributes that are invalid for deformed points
+    # Attributes that are invalid for deformed points.
+    blocked_attributes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,14 +254,9 @@ def _count_notice(
 
 def _static_mesh_notice(root: Any, deformed: set[Any], path: Path) -> list[Fault]:
     """Report meshes that UsdSkel animated and the cache leaves static."""
-    cache = UsdSkel.Cache()
-    cache.Populate(UsdSkel.Root(root), Usd.TraverseInstanceProxies())
-    bindings = cache.ComputeSkelBindings(
-        UsdSkel.Root(root), Usd.TraverseInstanceProxies()
-    )
     static_meshes = [
         str(query.GetPrim().GetPath())
-        for binding in bindings
+        for binding in skeleton_bindings(UsdSkel.Root(root))
         for query in binding.GetSkinningTargets()
         if query.GetPrim().GetPath() not in deformed
     ]

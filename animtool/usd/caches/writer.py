@@ -221,11 +221,9 @@ class PointWriter:
         on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
-        self._every_frame, self._with_default, self._on_added = (
-            every_frame,
-            with_default,
-            on_added,
-        )
+        self._every_frame = every_frame
+        self._with_default = with_default
+        self._on_added = on_added
         self._channels: dict[str, SampleWriter] = {}
 
     def add(self, block: Block) -> None:
@@ -385,3 +383,9 @@ def bounds(
     else:
         lowest, highest = (points - padding).min(axis=0), (points + padding).max(axis=0)
     return np.stack([lowest, highest]).astype(np.float32)
+
+
+def bounds_corners(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
+    box = np.stack([points.min(axis=0), points.max(axis=0)])
+    return np.asarray(box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T)

@@ -29,10 +29,8 @@ def check_types(subject: StageSubject) -> Iterator[Fault]:
     Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
     for attr in subject.attributes:
-        authored_type, expected_type = (
-            attr.GetPropertyStack()[0].typeName,
-            _expected_type(attr),
-        )
+        authored_type = attr.GetPropertyStack()[0].typeName
+        expected_type = _expected_type(attr)
         if expected_type is not None and authored_type.type != expected_type.type:
             message = (
                 f"it is {authored_type}, but its schema has {expected_type}; "

@@ -8,9 +8,9 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pxr import UsdValidation
+from pxr import UsdSkel, UsdValidation
 
-from animtool.core.errors import Fault, FormatError, Severity
+from animtool.core.errors import AnimtoolError, Fault, FormatError, Severity
 from animtool.core.record import dataclass
 from animtool.core.rules import finding
 from animtool.usd.checks.animation import (
@@ -41,8 +41,10 @@ from animtool.usd.checks.subject import StageSubject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.faults import matrix_array
 from animtool.usd.layers.sdf import find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
+from animtool.usd.rigs.prims import skeleton_rig, stored_data
 
 # Keyword of animtool's validator in UsdValidation, so that it does not run twice.
 ANIMTOOL_KEYWORD = "animtool"
@@ -162,10 +164,37 @@ def inspect_layer(path: Path | str) -> Inspection:
                 fault.code in {"USD253", "USD260"} for fault in findings
             )
             takes = _takes(subject, path) if has_units else []
+            if has_units and all(fault.code != "USD267" for fault in findings):
+                findings += _resized_rigs(subject, path)
     except FormatError as error:
         return Inspection(list(error.faults))
     faults = [replace(fault, path=str(path)) for fault in _distinct_faults(findings)]
     return Inspection(faults, takes, subject.has_only_overs)
+
+
+def _resized_rigs(subject: StageSubject, path: Path) -> list[Fault]:
+    """Return warnings about Skeletons in another unit than they were written in."""
+    notices: list[Fault] = []
+    for skeleton in subject.of_type(UsdSkel.Skeleton):
+        custom_data = stored_data(skeleton.GetPrim())
+        if not custom_data.get("rig"):
+            continue
+        from animtool.usd.rigs.stored import merge_rig
+
+        try:
+            usd_skeleton = skeleton_rig(skeleton, path, is_animated=False)
+            _, rig_notices = merge_rig(
+                usd_skeleton.rig,
+                custom_data,
+                usd_skeleton.tokens,
+                matrix_array(skeleton.GetRestTransformsAttr()),
+                matrix_array(skeleton.GetBindTransformsAttr()),
+                path,
+            )
+        except AnimtoolError:  # the findings contain the reason
+            continue
+        notices += [notice for notice in rig_notices if notice.code == "USD126"]
+    return notices
 
 
 def check_layer(path: Path | str) -> list[Fault]:

@@ -64,9 +64,8 @@ class AnimationTake:
     has_rest: bool  # whether the Skeleton is on the stage
     # Names of joints that influence points; None without a skinned mesh.
     influencing_joints: frozenset[str] | None
-    bind_positions: (
-        FloatArray | None
-    )  # joint positions of the bind pose, world ``(J, 3)`` [m]
+    # Joint positions of the bind pose, world ``(J, 3)`` [m].
+    bind_positions: FloatArray | None
     frames_per_second: float | None  # framesPerSecond, if authored
     is_reduced: bool  # whether redundant samples were removed
 

@@ -48,10 +48,8 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
                 if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                     raise NotFixableError("a point has no weights")
                 is_off = np.abs(weight_sums - 1) > ROUNDING
-                changed_points, point_count = (
-                    changed_points + int(is_off.sum()),
-                    point_count + len(rows),
-                )
+                changed_points = changed_points + int(is_off.sum())
+                point_count = point_count + len(rows)
                 rows = rows / np.where(is_off, weight_sums, 1.0)
                 new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
             return new_arrays

@@ -95,10 +95,8 @@ def author_rates(target: FixTarget, _: Fault) -> Edit:
     layer = target.layer
 
     def edit() -> Change:
-        has_time_code_rate, has_frame_rate = (
-            layer.HasTimeCodesPerSecond(),
-            layer.HasFramesPerSecond(),
-        )
+        has_time_code_rate = layer.HasTimeCodesPerSecond()
+        has_frame_rate = layer.HasFramesPerSecond()
         rate = layer.timeCodesPerSecond if has_time_code_rate else ASSUMED_RATE
         if has_frame_rate and not has_time_code_rate:
             rate = layer.framesPerSecond

@@ -255,11 +255,9 @@ class ChunkedWriter:
             open_writers: Yields one writer per prim for a file, numbered from 0; the
                 file is complete when the context exits.
         """
-        self.files, self._chunk_size, self._open_writers = (
-            files,
-            chunk_size,
-            open_writers,
-        )
+        self.files = files
+        self._chunk_size = chunk_size
+        self._open_writers = open_writers
         self._next_samples = [0] * prim_count
         self._open_chunks: dict[
             int, tuple[ExitStack, Sequence[FrameWriter[Block]]]

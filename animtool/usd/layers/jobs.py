@@ -114,9 +114,8 @@ class Rounding:
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
     joint_index: int = 0  # joint with the largest error
-    has_rounded_scales: bool = (
-        False  # whether scales were rounded too, to UsdSkel's float16
-    )
+    # Whether scales were rounded too, to UsdSkel's float16.
+    has_rounded_scales: bool = False
 
     def count(self, block: WrittenBlock) -> None:
         """Update the largest rounding errors with those of a block."""

@@ -94,6 +94,15 @@ def distinct_names(
     return UsdNames(names, originals, notices)
 
 
+def replace_prefix(path: object, old: str, new: str) -> str:
+    """Return a prim path with the path of an ancestor replaced.
+
+    >>> replace_prefix("/hero/Rig/Skel", "/hero", "/World/hero")
+    '/World/hero/Rig/Skel'
+    """
+    return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(old), Sdf.Path(new)))
+
+
 @dataclass(frozen=True, slots=True)
 class RigPaths:
     """Prim paths of a character."""
@@ -109,3 +118,8 @@ class RigPaths:
         """Return the default paths below a model."""
         root = f"{model}/Rig"
         return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)
+
+    def moved(self, model: str) -> RigPaths:
+        """Return the paths below another path of the model."""
+        paths = (self.model, self.root, self.skeleton, self.animation, self.binding)
+        return RigPaths(*(replace_prefix(path, self.model, model) for path in paths))

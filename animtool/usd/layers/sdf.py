@@ -409,11 +409,9 @@ class SampleWriter:
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set = attr.layer.SetTimeSample
-        self._make, self._every_frame, self._has_default = (
-            make,
-            every_frame,
-            with_default,
-        )
+        self._make = make
+        self._every_frame = every_frame
+        self._has_default = with_default
         self._letter = float_letter(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
         self._first_value: npt.NDArray[Any] | None = None

@@ -14,7 +14,6 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
 from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
-from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.physics.stage import (
     AXIS_VECTORS,
     MAX_FORCE,
@@ -61,9 +60,7 @@ def read_joint(
     axis = prim.GetAttribute("physics:axis")
     axis_name = str((axis.Get() if axis else None) or "X")
     if axis_name not in AXIS_VECTORS:
-        PrimLocation.from_prim(source.path, axis).fail(
-            "SIM051", f"is {axis_name!r}", "X, Y or Z"
-        )
+        source.fail(axis, f"is {axis_name!r}", "X, Y or Z")
     axis_rotation = so3.shortest_rotation(AXIS_VECTORS["X"], AXIS_VECTORS[axis_name])
     bodies, frames = [], []
     for side in (0, 1):
@@ -132,7 +129,7 @@ def _resolve_body(
     if not prim:
         message = f"body{side} refers to {excerpt(str(target))}, which does not exist"
         hint = nearest_prim(source.stage, str(target))
-        PrimLocation.from_prim(source.path, joint).fail("SIM051", message, hint)
+        source.fail(joint, message, hint)
     pose, scale = source.pose(source.matrix(prim))
     local_frame = np.concatenate([local_frame[:3] * scale, local_frame[3:]])
     joint_pose = np.concatenate(
@@ -150,11 +147,9 @@ def _resolve_body(
         if is_body(ancestor):
             message = (
                 f"is attached to {excerpt(str(ancestor.GetPath()))}, a body that is "
+                "not supported: attached to the world instead"
             )
-            message += "not "
-            source.add_notice(
-                joint, f"{message}supported: attached to the world instead"
-            )
+            source.add_notice(joint, message)
             break
     return -1, source.to_y_up(joint_pose)
 
@@ -214,8 +209,9 @@ def _valid_range(
     if upper - lower > max_range * (1 + 1e-6):
         message = (
             "has a range of more than 360 degrees, but full rotations are not counted: "
+            "the limit is ignored"
         )
-        source.add_notice(prim, f"{message}the limit is ignored")
+        source.add_notice(prim, message)
         return None
     return lower, upper
 

@@ -69,18 +69,14 @@ def read_shapes(
         case "Sphere":
             kind_name, sizes = "sphere", (values["radius"] * scale_unit,)
         case "Capsule":
-            kind_name, sizes = (
-                "capsule",
-                (values["radius"] * scale_unit, values["height"] * scale_unit),
-            )
+            kind_name = "capsule"
+            sizes = (values["radius"] * scale_unit, values["height"] * scale_unit)
         case "Cube":
             scaled_sides = [
                 side * source.meters_per_unit for side in np.abs(scale).tolist()
             ]
-            kind_name, sizes = (
-                "box",
-                tuple(side * values["size"] for side in scaled_sides),
-            )
+            kind_name = "box"
+            sizes = tuple(side * values["size"] for side in scaled_sides)
         case "Plane" if is_static:
             kind_name = "plane"
         case "Mesh":
@@ -125,9 +121,7 @@ def _prim_axis(source: PhysicsStage, prim: Any) -> FloatArray:
     attribute = prim.GetAttribute("axis")
     axis = str(attribute.Get())
     if axis not in AXIS_VECTORS:
-        PrimLocation.from_prim(source.path, attribute).fail(
-            "SIM051", f"is {axis!r}", "X, Y or Z"
-        )
+        source.fail(attribute, f"is {axis!r}", "X, Y or Z")
     return np.asarray(AXIS_VECTORS[axis], np.float64)
 
 
@@ -139,19 +133,12 @@ def _read_mesh(
     points, (counts, vertex_indices) = reader.points_at(time), reader.faces(time)
     if not len(points) or not len(counts):
         return points, np.zeros((0, 3), np.int64)
-    location, message = (
-        PrimLocation.from_prim(source.path, prim),
-        mesh_fault(points, counts, vertex_indices),
-    )
-    if message:
-        location.fail("SIM051", message)
+    if message := mesh_fault(points, counts, vertex_indices):
+        source.fail(prim, message)
     points = points * scale * source.meters_per_unit
-    largest_coordinate = float(np.abs(points).max())
-    if largest_coordinate > MAX_NUMBER:
-        location.fail(
-            "SIM051",
-            f"has a point at {largest_coordinate:g} m; the limit is {MAX_NUMBER:g}",
-        )
+    largest = float(np.abs(points).max())
+    if largest > MAX_NUMBER:
+        source.fail(prim, f"has a point at {largest:g} m; the limit is {MAX_NUMBER:g}")
     return points, triangulate(counts, vertex_indices).astype(np.int64)
 
 
@@ -222,11 +209,10 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
     if not shaped_indices:
         message = (
             f"{counted(len(body_prims), 'rigid body', 'rigid bodies')}, but no shape "
-            "is "
+            f"is read: {source.notices[0].message}"
         )
-        message += f"read: {source.notices[0].message}"
         hint = "supported shapes are spheres, capsules, cubes and meshes"
-        PrimLocation.from_prim(source.path, root).fail("SIM051", message, hint)
+        source.fail(root, message, hint)
     body_index = {
         str(body_prims[k].GetPath()): body_number
         for body_number, k in enumerate(shaped_indices)
@@ -310,14 +296,13 @@ def _kinematic_poses(
     source: PhysicsStage, prim: Any
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return times [s] and poses of a kinematic body; no times if it is static."""
-    codes = transform_times(prim)
-    if len(codes) < 2:
+    sample_codes, rows = transform_times(prim), []
+    if len(sample_codes) < 2:
         return np.zeros(1), None
-    sample_codes, rows = sorted(codes), []
     if not max(abs(sample_codes[0]), abs(sample_codes[-1])) <= MAX_NUMBER:
         message = f"moves from time code {sample_codes[0]:g} to {sample_codes[-1]:g}"
         hint = f"the limit is {MAX_NUMBER:g}"
-        PrimLocation.from_prim(source.path, prim).fail("SIM051", message, hint)
+        source.fail(prim, message, hint)
     for code in sample_codes:
         source.cache.SetTime(Usd.TimeCode(code))
         rows.append(source.to_y_up(source.pose(source.matrix(prim))[0]))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 from pxr import Usd, UsdGeom, UsdPhysics
@@ -74,6 +74,10 @@ class PhysicsStage:
             self.notices.append(fault)
             self._reported_messages.add(text)
 
+    def fail(self, prim: Any, message: str, hint: str | None = None) -> NoReturn:
+        """Raise a fault at a prim or an attribute (SIM051)."""
+        PrimLocation.from_prim(self.path, prim).fail("SIM051", message, hint)
+
     def numbers(
         self, attribute: Any, count: int, minimum: float = -MAX_NUMBER
     ) -> FloatArray | None:
@@ -86,14 +90,14 @@ class PhysicsStage:
         row = np.array(value).reshape(-1)
         if row.shape != (count,) or row.dtype.kind not in "fiu":
             message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
-            PrimLocation.from_prim(self.path, attribute).fail("SIM051", message)
+            self.fail(attribute, message)
         row = row.astype(np.float64)
         out_of_range = row[~((row >= minimum) & (row <= MAX_NUMBER))]
         if len(out_of_range):
             message = (
                 f"has {out_of_range[0]:g}: it must be {minimum:g} to {MAX_NUMBER:g}"
             )
-            PrimLocation.from_prim(self.path, attribute).fail("SIM051", message)
+            self.fail(attribute, message)
         return row
 
     def number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
@@ -117,7 +121,7 @@ class PhysicsStage:
             message = (
                 f"has {out_of_range[0]:g} in its transform; the limit is {limit:g}"
             )
-            PrimLocation.from_prim(self.path, prim).fail("SIM051", message)
+            self.fail(prim, message)
         return matrix
 
     def pose(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -70,11 +70,9 @@ class PhysicsWriter:
         up_rotation: FloatArray,
     ) -> None:
         self._layer, self._root, self._unit = spec.layer, str(spec.path), unit
-        self._xform_names, self._physics, self._up_rotation = (
-            xform_names,
-            physics,
-            up_rotation,
-        )
+        self._xform_names = xform_names
+        self._physics = physics
+        self._up_rotation = up_rotation
         self._materials: dict[tuple[float, float], str] = {}
 
     def write(self) -> None:
@@ -127,10 +125,8 @@ class PhysicsWriter:
         attribute_spec(spec, "physics:rigidBodyEnabled", _TYPES.Bool, True)
         attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, body.kinematic)
         if not body.kinematic:
-            velocity_name, angular_velocity_name = (
-                "physics:velocity",
-                "physics:angularVelocity",
-            )
+            velocity_name = "physics:velocity"
+            angular_velocity_name = "physics:angularVelocity"
             self._author_vector(spec, velocity_name, body.velocity, _TYPES.Vector3f)
             angular_velocity = Gf.Vec3f(*np.degrees(body.spin).tolist())
             attribute_spec(
@@ -259,11 +255,9 @@ class PhysicsWriter:
     def _write_drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
         """Write a drive; return the schemas to apply."""
         if kind == "prismatic":
-            axes, position_unit, gain_unit = (
-                {"linear": drive.target},
-                1 / self._unit,
-                1.0,
-            )
+            axes = {"linear": drive.target}
+            position_unit = 1 / self._unit
+            gain_unit = 1.0
             force_unit = 1 / self._unit
         else:
             force_unit = 1 / self._unit**2

@@ -309,10 +309,8 @@ class _CharacterGroup:
             motion = track.roots[:, i] - rest + foot_correction
         half_angles = track.headings[:, i] / 2
         heading_rotations = np.zeros((len(half_angles), 4))
-        heading_rotations[:, 1], heading_rotations[:, 3] = (
-            np.sin(half_angles),
-            np.cos(half_angles),
-        )
+        heading_rotations[:, 1] = np.sin(half_angles)
+        heading_rotations[:, 3] = np.cos(half_angles)
         hip_offset = so3.rotate(
             self.upright, so3.rotate(heading_rotations, motion * track.scales[i])
         )

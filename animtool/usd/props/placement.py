@@ -19,8 +19,8 @@ from animtool.motion.transforms import (
     apply_placement,
     transform_by_matrices,
 )
-from animtool.rig.placement import IDENTITY_TOLERANCE, Placement
-from animtool.usd.layers.names import TAKE_SET, RigPaths
+from animtool.rig.placement import IDENTITY_TOLERANCE, Placement, placement_matrices
+from animtool.usd.layers.names import TAKE_SET, RigPaths, replace_prefix
 
 if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
@@ -50,7 +50,7 @@ class PropPlacements:
         """Return the layer path of a stage prim."""
         if not self.variant:
             return path
-        return str(Sdf.Path(path).ReplacePrefix(self.model, self.variant))
+        return replace_prefix(path, self.model, self.variant)
 
     def to_parent_space(
         self, track: Track, path: str, codes: FloatArray, transforms: Transforms
@@ -89,16 +89,14 @@ class PropPlacements:
         if rig_placement.unsupported_reason:
             # The rig was read without this transform, which its stage applies again.
             return transforms
-        placement_matrices = (
-            self.target.placement(codes) if rig_placement.is_animated else rig_placement
-        ).fixed
+        if rig_placement.is_animated:
+            rig_placement = self.target.placement(codes)
+        placement = rig_placement.fixed
         if self.rig_from_take is not None:
-            placement_matrices = placement_matrices.after(self.rig_from_take(codes))
-        return (
-            transforms
-            if placement_matrices.simplified().is_identity
-            else apply_placement(transforms, placement_matrices)
-        )
+            placement = placement.after(self.rig_from_take(codes))
+        if placement.simplified().is_identity:
+            return transforms
+        return apply_placement(transforms, placement)
 
 
 def build_prop_placements(
@@ -181,16 +179,10 @@ def parent_from_take(
     parent_matrices = parent_from_space(target, path, codes, in_skeleton_space=True)
     if rig_from_take is None:
         return parent_matrices
-    placement, meters_per_unit = (
-        rig_from_take(codes),
-        target.skeleton.rig.meters_per_unit,
-    )
+    placement = rig_from_take(codes)
     if placement.is_identity:
         return parent_matrices
-    rig_matrices = np.tile(np.eye(4), (len(placement.sizes), 1, 1))
-    rig_matrices[:, :3, :3] = so3.to_matrix(placement.rotations)
-    rig_matrices[:, :3, :3] *= placement.sizes[:, None, None]
-    rig_matrices[:, :3, 3] = placement.translations / meters_per_unit
+    rig_matrices = placement_matrices(placement, target.skeleton.rig.meters_per_unit)
     return rig_matrices if parent_matrices is None else parent_matrices @ rig_matrices
 
 
@@ -200,18 +192,12 @@ def _premultiply(transforms: Transforms, matrices: FloatArray) -> Transforms:
 
     translations, rotations, scales = decompose(matrices.swapaxes(1, 2))
     uniform_scales = np.cbrt(np.abs(scales).prod(axis=-1))
-    similarity_matrices = np.tile(np.eye(4), (len(matrices), 1, 1))
-    similarity_matrices[:, :3, :3] = (
-        so3.to_matrix(rotations) * uniform_scales[:, None, None]
-    )
-    similarity_matrices[:, :3, 3] = translations
+    similarity = Placement(translations, rotations, uniform_scales)
     if (
-        np.abs(similarity_matrices - matrices).max()
+        np.abs(placement_matrices(similarity) - matrices).max()
         <= IDENTITY_TOLERANCE * np.abs(matrices).max()
     ):
-        return apply_placement(
-            transforms, Placement(translations, rotations, uniform_scales)
-        )
+        return apply_placement(transforms, similarity)
     return transform_by_matrices(transforms, matrices)
 
 

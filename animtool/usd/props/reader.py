@@ -34,6 +34,7 @@ from animtool.usd.rigs.prims import (
     find_prim,
     nearest_prim,
     open_stage,
+    sample_times,
     self_and_ancestors,
     up_axis,
 )
@@ -264,10 +265,7 @@ class _PrimSampler:
     def find_constants(self) -> None:
         """Collect sample times, and detect constant transforms, values and scales."""
         varying_objects = list(self._varying_sources())
-        sample_times = {
-            time for source in varying_objects for time in source.GetTimeSamples()
-        }
-        self.keys = np.array(sorted(sample_times))
+        self.keys = np.array(sample_times(varying_objects))
         codes = self.keys
         if not len(codes):
             codes = np.array([self.stage.GetStartTimeCode()])

@@ -290,9 +290,8 @@ class SimulatedJob:
     names: Sequence[str]  # legal, unique names of the prims
     metadata: StageMetadata  # metadata of the layer
     meters_per_unit: float  # length unit below the model [m]
-    rotation: FloatArray | None = (
-        None  # from Y up to the layer's up axis (4,); None for Y
-    )
+    # From Y up to the layer's up axis (4,); None for Y.
+    rotation: FloatArray | None = None
     # From the world of a take to the space of the model at all time codes: column
     # vectors in the model's unit ``(F, 4, 4)``, or one matrix; None is the identity.
     placement_matrices: FloatArray | None = None
@@ -392,12 +391,12 @@ def _write_blocks(
     prims: Sequence[SimulatedPrim],
     rows: FrameRows,
     layer: Any,
-    byte_counter: GrowingLayer
-    | None = None,  # counts the bytes of each row; None for chunks
+    byte_counter: GrowingLayer | None = None,
 ) -> Iterator[Block]:
     """Yield blocks of frames; create the prims at the first frame.
 
     Prims are rotated to the layer's up axis, or get the placement of a rig.
+    ``byte_counter`` counts the bytes of each row; None for chunks.
     """
     types = Sdf.ValueTypeNames
     for i, (code, frames) in enumerate(rows):

@@ -29,6 +29,7 @@ from animtool.usd.caches.writer import (
     FramePrim,
     author_values,
     bounds,
+    bounds_corners,
 )
 from animtool.usd.layers.names import RigPaths, UsdNames, distinct_names
 from animtool.usd.layers.sdf import (
@@ -282,7 +283,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return ids, orientations, spins, scales, prototype indices and extent."""
-        box_corners = np.stack([_bounds_corners(mesh.points) for mesh in frame.meshes])
+        box_corners = np.stack([bounds_corners(mesh.points) for mesh in frame.meshes])
         corners = box_corners[frame.mesh_indices] * (
             frame.scales[:, None] / writer.unit
         )
@@ -398,9 +399,3 @@ def _write_prototypes(
     for path, mesh in zip(paths, meshes, strict=True):
         writer.write_static(spec.layer, path, mesh)
     return paths
-
-
-def _bounds_corners(points: FloatArray) -> FloatArray:
-    """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
-    return box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T

@@ -45,9 +45,8 @@ class RigJointMap:
     # Returns the placement from take space to the rig's space at time codes ``(F,)``;
     # None is the identity.
     rig_from_take: Callable[[FloatArray], Placement] | None = None
-    take_roots: IntArray = field(
-        default_factory=lambda: _NO_JOINTS
-    )  # root joints of the take
+    # Root joints of the take.
+    take_roots: IntArray = field(default_factory=lambda: _NO_JOINTS)
     world_scale: float = 1.0  # length of a world metre in the rig's space [m]
 
     def map_placed_motion(self, codes: FloatArray, motion: Motion) -> Motion:

@@ -24,7 +24,7 @@ from animtool.rig.parts import (
     Subdivision,
 )
 from animtool.rig.placed import transform_rig
-from animtool.rig.placement import Placement, placement_matrix
+from animtool.rig.placement import Placement, placement_matrices
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
 from animtool.usd.caches.reader import PointReader, transform_points
 from animtool.usd.layers.faults import PrimLocation, bind_faults
@@ -132,7 +132,7 @@ def _read_mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = read_float_rows(PointReader(prim).attr, 3, location, "USD265")
+    points = read_float_rows(PointReader(prim).attr, location, "USD265")
     if not len(points):
         location.fail("USD017", "the mesh has no points")
     normals = None
@@ -141,7 +141,7 @@ def _read_mesh(
         len(authored_normals) == len(points)
         and mesh.GetNormalsInterpolation() == "vertex"
     ):
-        normals = read_float_rows(mesh.GetNormalsAttr(), 3, location)
+        normals = read_float_rows(mesh.GetNormalsAttr(), location)
     elif len(authored_normals):
         message = "normals that are not one per vertex are skipped"
         notices.append(location.fault("USD116", message, severity=Severity.NOTE))
@@ -262,7 +262,7 @@ def _read_shape(
     shape: Any, name: str, mesh: str, point_count: int, where: str
 ) -> Shape:
     location = PrimLocation.from_prim(where, shape)
-    deltas = read_float_rows(shape.GetOffsetsAttr(), 3, location, "USD243")
+    deltas = read_float_rows(shape.GetOffsetsAttr(), location, "USD243")
     vertices = integer_array(shape.GetPointIndicesAttr())
     row_count = len(vertices) or point_count
     inbetween_prims = shape.GetInbetweens()
@@ -283,7 +283,7 @@ def _read_shape(
     def offset_rows(attr: Any) -> LoadedArray | None:
         if not attr or not attr.HasAuthoredValue():
             return None
-        values = read_float_rows(attr, 3, location, "USD243")
+        values = read_float_rows(attr, location, "USD243")
         if len(values) != row_count:
             location.fail(
                 "USD242" if attr.GetName().endswith("normalOffsets") else "USD240",
@@ -293,10 +293,8 @@ def _read_shape(
 
     inbetweens = []
     for inbetween in inbetween_prims:
-        weight, normals = (
-            inbetween.GetWeight(),
-            offset_rows(inbetween.GetNormalOffsetsAttr()),
-        )
+        weight = inbetween.GetWeight()
+        normals = offset_rows(inbetween.GetNormalOffsetsAttr())
         if normals is not None and not len(array_value(inbetween.GetAttr())):
             offsets: LoadedArray | None = LoadedArray(np.zeros((row_count, 3)))
         else:
@@ -368,7 +366,7 @@ def _strand_points(
     counts = integer_array(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = read_float_rows(PointReader(curves.GetPrim()).attr, 3, location, "USD265")
+    values = read_float_rows(PointReader(curves.GetPrim()).attr, location, "USD265")
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
@@ -445,7 +443,7 @@ def _stage_meshes(
     bind[:, :3, 3] *= rig.meters_per_unit
     if placement is not None and not placement.is_identity:
         rig = transform_rig(rig, placement)
-        bind = placement_matrix(placement) @ bind
+        bind = placement_matrices(placement)[0] @ bind
         # The scale is already in the bone lengths; joints cannot store it.
         bind[:, :3, :3] /= placement.size
     return StageMeshes(surfaces_of(rig), strands_of(rig), bind, rig.up, notices)

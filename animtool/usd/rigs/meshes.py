@@ -36,7 +36,7 @@ from animtool.usd.layers.sdf import (
     author_xform_order,
     prim_spec,
 )
-from animtool.usd.rigs.skeleton import STRANDS_SCOPE
+from animtool.usd.rigs.skeleton import STRANDS_SCOPE, author_influences
 
 # Blend shapes that move a smaller fraction of the vertices are written with indices; an
 # index takes a third of the space of an offset.
@@ -217,10 +217,6 @@ def _to_float32(values: FloatArray, where: str) -> Float32Array:
     return np.ascontiguousarray(narrow_floats(values, "f", labels))
 
 
-def _vec3f(values: FloatArray, where: str) -> Any:
-    return Vt.Vec3fArray.FromNumpy(_to_float32(values, where))
-
-
 def _author_skin(
     spec: Any,
     surface: Surface,
@@ -236,16 +232,7 @@ def _author_skin(
     if (surface.geom_bind != np.eye(4)).any():
         bind = _stage_matrix(surface.geom_bind, meters_per_unit)
         attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
-    joint_indices = np.ascontiguousarray(indices.ravel(), np.int32)
-    joint_weights = np.ascontiguousarray(weights.ravel(), np.float32)
-    for name, kind, values in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
-        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(joint_weights)),
-    ):
-        attr = attribute_spec(
-            spec, f"primvars:skel:{name}", kind, values, interpolation="vertex"
-        )
-        attr.SetInfo("elementSize", indices.shape[1])
+    author_influences(spec, indices, weights)
     method = _SKIN_METHODS[skin.method]
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
@@ -257,10 +244,8 @@ def _pad_influences(influences: Influences) -> tuple[IntArray, FloatArray]:
     """Return joints and weights ``(V, I)``, with I the largest influence count."""
     counts = np.diff(influences.row_starts)
     is_influence = np.arange(max(1, int(counts.max(initial=1)))) < counts[:, None]
-    joints, weights = (
-        np.zeros(is_influence.shape, np.int64),
-        np.zeros(is_influence.shape),
-    )
+    joints = np.zeros(is_influence.shape, np.int64)
+    weights = np.zeros(is_influence.shape)
     joints[is_influence], weights[is_influence] = influences.joints, influences.weights
     return joints, weights
 
@@ -295,57 +280,41 @@ def _author_shapes(
 
 
 def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> None:
-    delta_arrays = [shape.deltas, *(inbetween.deltas for inbetween in shape.inbetweens)]
-    normal_offsets = [
-        shape.normals,
-        *(inbetween.normals for inbetween in shape.inbetweens),
-    ]
-    offset_arrays = [
-        offset_array
-        for offset_array in [*delta_arrays, *normal_offsets]
-        if offset_array is not None
-    ]
+    steps = shape.inbetweens
+    offset_arrays = [shape.deltas, *(step.deltas for step in steps)]
+    normal_arrays = [shape.normals, *(step.normals for step in steps)]
     is_displaced = np.any(
-        [offset_array.any(axis=1) for offset_array in offset_arrays], axis=0
+        [
+            offsets.any(axis=1)
+            for offsets in (*offset_arrays, *normal_arrays)
+            if offsets is not None
+        ],
+        axis=0,
     )
     vertices, selected_rows = shape.vertices, slice(None)
     if vertices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
         vertices = np.flatnonzero(is_displaced)
         selected_rows = is_displaced
-    attribute_spec(
-        spec,
-        "offsets",
-        _TYPES.Vector3fArray,
-        _vec3f(shape.deltas[selected_rows] / meters_per_unit, f"{spec.path}.offsets"),
-        uniform=True,
-    )
+
+    def author_rows(name: str, rows: FloatArray) -> Any:
+        """Author the selected rows of an array, and return the attribute."""
+        values = _to_float32(rows[selected_rows], f"{spec.path}.{name}")
+        array = Vt.Vec3fArray.FromNumpy(values)
+        return attribute_spec(spec, name, _TYPES.Vector3fArray, array, uniform=True)
+
+    author_rows("offsets", shape.deltas / meters_per_unit)
     if shape.normals is not None:
-        normals = _vec3f(shape.normals[selected_rows], f"{spec.path}.normalOffsets")
-        attribute_spec(
-            spec, "normalOffsets", _TYPES.Vector3fArray, normals, uniform=True
-        )
+        author_rows("normalOffsets", shape.normals)
     if vertices is not None:
         points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
         attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
-    for i, inbetween in enumerate(shape.inbetweens):
+    for i, step in enumerate(steps):
         name = f"inbetweens:step_{i + 1}"
-        deltas = _vec3f(
-            inbetween.deltas[selected_rows] / meters_per_unit, f"{spec.path}.{name}"
-        )
-        attr = attribute_spec(spec, name, _TYPES.Vector3fArray, deltas, uniform=True)
-        check_value(inbetween.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
-        attr.SetInfo("weight", inbetween.at)
-        if inbetween.normals is not None:
-            attribute_spec(
-                spec,
-                f"{name}:normalOffsets",
-                _TYPES.Vector3fArray,
-                _vec3f(
-                    inbetween.normals[selected_rows],
-                    f"{spec.path}.{name}:normalOffsets",
-                ),
-                uniform=True,
-            )
+        attr = author_rows(name, step.deltas / meters_per_unit)
+        check_value(step.at, "f", ValueLabels(f"{spec.path}.{name}", "the weight"))
+        attr.SetInfo("weight", step.at)
+        if step.normals is not None:
+            author_rows(f"{name}:normalOffsets", step.normals)
 
 
 # A bone is drawn as an octahedron; position of its widest part, relative to the length.
@@ -412,19 +381,8 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
     _author_color(spec, BONE_COLOR)
     # Marks the mesh, so that readers do not take it for a mesh of the rig.
     spec.SetInfo("customData", {"animtool": {"bones": True}})
-    joint_indices = np.repeat(joints, 6).astype(np.int32)
-    for name, kind, value in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
-        (
-            "jointWeights",
-            _TYPES.FloatArray,
-            Vt.FloatArray.FromNumpy(np.ones(len(joint_indices), np.float32)),
-        ),
-    ):
-        attr = attribute_spec(
-            spec, f"primvars:skel:{name}", kind, value, interpolation="vertex"
-        )
-        attr.SetInfo("elementSize", 1)
+    joint_indices = np.repeat(joints, 6)[:, None]
+    author_influences(spec, joint_indices, np.ones(joint_indices.shape))
     identity = Gf.Matrix4d(1.0)
     attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, identity)
     author_relationship(spec, "skel:skeleton", paths.skeleton)
@@ -437,10 +395,8 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
     Both are ``(B, 6, 3)``.
     """
     directions = segments[:, 1] - segments[:, 0]
-    head, tail = (
-        segments[:, 0] + END_GAP * directions,
-        segments[:, 1] - END_GAP * directions,
-    )
+    head = segments[:, 0] + END_GAP * directions
+    tail = segments[:, 1] - END_GAP * directions
     lengths = np.linalg.norm(directions, axis=-1, keepdims=True)
     unit_directions = directions / lengths
     # The cross product with the coordinate axis least along the bone is never

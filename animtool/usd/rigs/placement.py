@@ -26,7 +26,7 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.props.prim_transforms import world_matrices
-from animtool.usd.rigs.prims import decompose, self_and_ancestors, up_axis
+from animtool.usd.rigs.prims import decompose, sample_times, self_and_ancestors, up_axis
 
 # Tolerance of scale factors, and of cosines between axes, in float32.
 SCALE_TOLERANCE = 1e-5
@@ -149,12 +149,7 @@ def _placement_times(skeleton: Any, codes: Sequence[float] | None) -> list[float
     stage = skeleton.GetStage()
     if stage.HasAuthoredMetadata("startTimeCode"):
         return [float(stage.GetStartTimeCode())]
-    sample_times = [
-        time
-        for xformable in animated_ancestors(skeleton)
-        for time in xformable.GetTimeSamples()
-    ]
-    return [min(sample_times, default=0.0)]
+    return [min(sample_times(animated_ancestors(skeleton)), default=0.0)]
 
 
 def fixed_matrices(skeleton: Any, codes: Sequence[float]) -> FloatArray:
@@ -211,10 +206,8 @@ class _StageUnits:
     def from_skeleton(skeleton: Any, rig: Rig, matrix: FloatArray) -> _StageUnits:
         """Return the conversion for a Skeleton with a world matrix."""
         stage = skeleton.GetStage()
-        meters_per_unit, stage_up = (
-            float(UsdGeom.GetStageMetersPerUnit(stage)),
-            up_axis(stage),
-        )
+        meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(stage))
+        stage_up = up_axis(stage)
         mismatches = []
         scale_factor = meters_per_unit / rig.meters_per_unit
         _, rotation, scales = decompose(matrix)

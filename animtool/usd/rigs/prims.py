@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Iterable, Iterator, Sequence, Sized
 from dataclasses import replace
 from itertools import islice
 from pathlib import Path
@@ -29,6 +29,7 @@ from animtool.usd.layers.faults import (
     MIN_METADATA,
     PrimLocation,
     joint_order_faults,
+    joint_parents,
     unit_and_axis_faults,
 )
 from animtool.usd.layers.sdf import check_prim_path, find_layer
@@ -143,10 +144,14 @@ def self_and_ancestors(prim: Any) -> Iterator[Any]:
         prim = prim.GetParent()
 
 
-def transform_times(prim: Any) -> set[float]:
-    """Return the sample times of a prim's world transform."""
-    xformables = filter(None, map(UsdGeom.Xformable, self_and_ancestors(prim)))
-    return {time for xformable in xformables for time in xformable.GetTimeSamples()}
+def sample_times(sources: Iterable[Any]) -> list[float]:
+    """Return the time codes at which attributes or xformables have samples, sorted."""
+    return sorted({time for source in sources for time in source.GetTimeSamples()})
+
+
+def transform_times(prim: Any) -> list[float]:
+    """Return the sample times of a prim's world transform, sorted."""
+    return sample_times(filter(None, map(UsdGeom.Xformable, self_and_ancestors(prim))))
 
 
 def find_skeletons(stage: Any, root_path: str = "/") -> list[Any]:
@@ -239,7 +244,6 @@ def rig_from_tokens(
     ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if
     valid.
     """
-    index = {token: i for i, token in enumerate(tokens)}
     where.refuse(joint_order_faults(f"{where.where}.joints", tokens))
     if not isinstance(custom_data, dict) or not all(
         isinstance(custom_data.get(key, {}), dict) for key in ("names", "pins")
@@ -254,9 +258,9 @@ def rig_from_tokens(
     )
     translations, rotations, scales = decompose(rest)
     joints: list[Joint] = []
+    parents = joint_parents(tokens).tolist()
     unique_names = numbered_names(token.rpartition("/")[2] for token in tokens)
     for i, token in enumerate(tokens):
-        parent = _parent_index(token, index)
         leaf = token.rpartition("/")[2]
         if match := _CONTROL_CHARACTER.search(f"{leaf}{original_names.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
@@ -268,7 +272,7 @@ def rig_from_tokens(
         joints.append(
             Joint(
                 unique,
-                parent,
+                parents[i],
                 translation=(x, y, z),
                 rotation=(a, b, c, w),
                 source_name=_source_name(
@@ -294,14 +298,6 @@ def _source_name(stored_name: Any, joint_name: str, leaf: str, unique: str) -> s
         return str(stored_name)
     name = joint_name or leaf
     return "" if name == unique else name
-
-
-def _parent_index(token: str, index: dict[str, int]) -> int:
-    """Return the nearest ancestor joint, as UsdSkel.Topology does; -1 for none."""
-    while token := token.rpartition("/")[0]:
-        if token in index:
-            return index[token]
-    return -1
 
 
 def _parse_joint_extras(

@@ -97,10 +97,8 @@ def collapsed_bone_faults(skeleton: Any, joints: Sequence[str]) -> Iterator[Faul
     bind_lengths, rest_lengths = (
         _bone_lengths(pose, parents) for pose in (bind, rest_in_skeleton)
     )
-    max_length, max_bind_length = (
-        rest_lengths.max(initial=0.0),
-        bind_lengths.max(initial=0.0),
-    )
+    max_length = rest_lengths.max(initial=0.0)
+    max_bind_length = bind_lengths.max(initial=0.0)
     is_collapsed = (rest_lengths > MIN_BONE_LENGTH * max_length) & (
         bind_lengths < MAX_COLLAPSED_LENGTH * max_bind_length
     )

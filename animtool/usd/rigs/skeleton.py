@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import numpy.typing as npt
 from pxr import Gf, Sdf, Vt
 
 from animtool.core.array_types import FloatArray
@@ -316,11 +317,26 @@ def _bind_to_joint(spec: Any, token: str) -> None:
     apply_schemas(spec, ["SkelBindingAPI"])
     joints = Vt.TokenArray([token])
     attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
-    for name, kind, value in (
-        ("jointIndices", _TYPES.IntArray, Vt.IntArray([0])),
-        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray([1.0])),
+    author_influences(spec, np.zeros((1, 1)), np.ones((1, 1)), "constant")
+
+
+def author_influences(
+    spec: Any,
+    joints: npt.NDArray[Any],
+    weights: npt.NDArray[Any],
+    interpolation: str = "vertex",
+) -> None:
+    """Author the joint influences ``(V, I)`` of a prim.
+
+    With the interpolation ``constant``, all points have those of a single row.
+    """
+    joint_indices = np.ascontiguousarray(joints.ravel(), np.int32)
+    joint_weights = np.ascontiguousarray(weights.ravel(), np.float32)
+    for name, kind, values in (
+        ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
+        ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(joint_weights)),
     ):
         attr = attribute_spec(
-            spec, f"primvars:skel:{name}", kind, value, interpolation="constant"
+            spec, f"primvars:skel:{name}", kind, values, interpolation=interpolation
         )
-        attr.SetInfo("elementSize", 1)
+        attr.SetInfo("elementSize", joints.shape[1])

@@ -42,16 +42,20 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.TraverseInstanceProxies())
-    bindings = cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
     return [
         query
-        for binding in bindings
+        for binding in skeleton_bindings(root)
         if binding.GetSkeleton().GetPrim() == skeleton.GetPrim()
         for query in binding.GetSkinningTargets()
         if query.GetPrim().IsA(schema)
     ]
+
+
+def skeleton_bindings(root: Any) -> Any:
+    """Return the `UsdSkel.Binding` of each Skeleton below a SkelRoot."""
+    cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()
+    cache.Populate(root, predicate)
+    return cache.ComputeSkelBindings(root, predicate)
 
 
 # Attributes that bind a prim's points to joints and shapes.
@@ -127,14 +131,14 @@ def unique_name(name: str, used_names: set[str]) -> str:
 
 
 def read_float_rows(
-    attr: Any, width: int, location: PrimLocation, code: str = "USD017"
+    attr: Any, location: PrimLocation, code: str = "USD017"
 ) -> FloatArray:
-    """Return the rows of an attribute ``(N, width)``.
+    """Return the rows of an attribute ``(N, 3)``.
 
     ``code`` is that of the fault for non-finite rows.
     """
     # The earliest time also reads values that have samples but no default.
-    values = number_rows(attr, width, Usd.TimeCode.EarliestTime())
+    values = number_rows(attr, 3, Usd.TimeCode.EarliestTime())
     if not np.isfinite(values).all():
         message = f"{attr.GetName()} contain a value that is not finite"
         location.fail(code, message)

@@ -63,14 +63,10 @@ def merge_attachments(
         elif entry.kind == AttachKind.CLOTH and _is_valid_cloth(
             entry, vertex_counts, pins
         ):
-            pin_values = (
-                np.array(pins[entry.name], float) if entry.name in pins else None
-            )
-            attachments.append(
-                replace(
-                    entry, pins=None if pin_values is None else LoadedArray(pin_values)
-                )
-            )
+            pin_array = None
+            if entry.name in pins:
+                pin_array = LoadedArray(np.array(pins[entry.name], float))
+            attachments.append(replace(entry, pins=pin_array))
         elif entry.kind in {AttachKind.STRANDS, AttachKind.CLOTH}:
             dropped_names.append(entry.name)
         else:

@@ -17,7 +17,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.composition import unresolved_hint
-from animtool.usd.layers.names import RigPaths, UsdNames
+from animtool.usd.layers.names import RigPaths, UsdNames, replace_prefix
 from animtool.usd.layers.sdf import check_prim_path, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.placement import (
@@ -54,9 +54,8 @@ class RigTarget:
     fps: Fraction  # time codes per second of the stage
     start: Fraction | None  # start time code of the stage, if authored
     placing_ops: list[str]  # transform operations that place the SkelRoot
-    has_root_motion: (
-        bool  # whether the SkelRoot also has root motion, which the take replaces
-    )
+    # Whether the SkelRoot also has root motion, which the take replaces.
+    has_root_motion: bool
     skeleton_count: int  # number of skeletons below the SkelRoot
     unit: float  # length unit of the stage [m]; the rig has its own
     up: UpAxis  # up axis of the stage
@@ -82,13 +81,11 @@ class RigTarget:
 
     def to_stage_path(self, path: str) -> str:
         """Return the path on the rig's stage of a prim in the layer."""
-        model = Sdf.Path(self.stage_model)
-        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.paths.model), model))
+        return replace_prefix(path, self.paths.model, self.stage_model)
 
     def to_layer_path(self, path: Any) -> str:
         """Return the path in the layer of a prim on the rig's stage."""
-        model = Sdf.Path(self.paths.model)
-        return str(Sdf.Path(path).ReplacePrefix(Sdf.Path(self.stage_model), model))
+        return replace_prefix(path, self.stage_model, self.paths.model)
 
 
 def open_target(path: Path, prim_path: str | None) -> RigTarget:
@@ -114,7 +111,7 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
         _binding_path(prim, root, model_path),
     )
     if new_path is not None:
-        paths = _rebase_paths(paths, str(model_path), new_path)
+        paths = paths.moved(new_path)
     start = None
     if stage.HasAuthoredMetadata("startTimeCode"):
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
@@ -226,21 +223,6 @@ def _binding_path(skeleton: Any, root: Any, model: Any) -> str:
             return str(prim.GetPath())
         prim = prim.GetParent()
     return str(root.GetPath())
-
-
-def _rebase_paths(paths: RigPaths, old_model: str, new_model: str) -> RigPaths:
-    def rebase(path: str) -> str:
-        return str(
-            Sdf.Path(path).ReplacePrefix(Sdf.Path(old_model), Sdf.Path(new_model))
-        )
-
-    return RigPaths(
-        rebase(paths.model),
-        rebase(paths.root),
-        rebase(paths.skeleton),
-        rebase(paths.animation),
-        rebase(paths.binding),
-    )
 
 
 def compose_over_rig(target: RigTarget, layer: Any) -> Any:

@@ -8,13 +8,13 @@ import numpy as np
 from pxr import Usd, UsdGeom, UsdSkel
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
+from animtool.usd.caches.writer import bounds_corners
 from animtool.usd.props.prim_transforms import world_matrices
 from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
-from animtool.usd.rigs.prims import number_rows
-from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_rig_mesh
+from animtool.usd.rigs.prims import number_rows, sample_times
+from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_rig_mesh, skeleton_bindings
 
 # Maximum times at which a transform is evaluated.
 MAX_SAMPLED_TIMES = 256
@@ -56,11 +56,9 @@ def animated_mesh_notice(
 
 def _skinned_paths(root: Any) -> set[Any]:
     """Return the paths of skinned prims below a SkelRoot."""
-    cache = UsdSkel.Cache()
-    cache.Populate(root, Usd.TraverseInstanceProxies())
     return {
         query.GetPrim().GetPath()
-        for binding in cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies())
+        for binding in skeleton_bindings(root)
         for query in binding.GetSkinningTargets()
         if query.HasJointInfluences()
     }
@@ -72,9 +70,7 @@ def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
         *animated_ancestors(prim),
         *(animated_ancestors(skeleton) if choice == DROP else ()),
     ]
-    times = sorted(
-        {time for xformable in xformables for time in xformable.GetTimeSamples()}
-    )
+    times = sample_times(xformables)
     if len(times) < 2:
         return 0.0
     sample_positions = np.linspace(
@@ -84,17 +80,9 @@ def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
     matrices = world_matrices(prim, codes)
     if choice == DROP:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
-    corners = _bounds_corners(prim)
+    points = number_rows(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
+    corners = bounds_corners(points) if len(points) else np.zeros((1, 3))
     positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
     distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
     return float(distance) * float(unit) if np.isfinite(distance) else 0.0
-
-
-def _bounds_corners(prim: Any) -> FloatArray:
-    """Return the corners ``(8, 3)`` of a mesh's bounds."""
-    points = number_rows(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
-    if not len(points):
-        return np.zeros((1, 3))
-    box = np.stack([points.min(axis=0), points.max(axis=0)])
-    return np.asarray(box[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T)

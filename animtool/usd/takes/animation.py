@@ -34,6 +34,7 @@ from animtool.usd.rigs.prims import (
     check_animatable,
     number_rows,
     rig_from_tokens,
+    sample_times,
     stored_data,
     up_axis,
 )
@@ -81,7 +82,7 @@ def read_animation(
         *([] if prim is None else animated_ancestors(prim)),
     ]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
-    times = sorted({time for source in sources for time in source.GetTimeSamples()})
+    times = sample_times(sources)
     grid = find_sample_grid(stage, animation, times, where)
     if prim is not None and has_animated_rotation_or_scale(prim):
         grid = refine_to_frames(grid, stage, where)

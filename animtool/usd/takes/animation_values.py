@@ -286,10 +286,8 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
     gaps = np.diff(codes)
     # Attributes that drift differently have samples of one frame at almost equal times.
     gaps = gaps[gaps > MAX_FRAME_DRIFT * np.quantile(gaps, 0.75, method="lower")]
-    median_gap, mean_gap = (
-        Fraction(float(np.median(gaps))),
-        Fraction(float(gaps.mean())),
-    )
+    median_gap = Fraction(float(np.median(gaps)))
+    mean_gap = Fraction(float(gaps.mean()))
     steps = [
         median_gap.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
     ]

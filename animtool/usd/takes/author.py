@@ -282,10 +282,8 @@ def _stage_metadata(job: UsdJob, takes: Sequence[WrittenTake]) -> StageMetadata:
     if job.target is not None:
         unit, up = job.target.unit, job.target.up
     spans = [take.span for take in takes]
-    first_code, last_code = (
-        min(take_span.first for take_span in spans),
-        max(take_span.last for take_span in spans),
-    )
+    first_code = min(take_span.first for take_span in spans)
+    last_code = max(take_span.last for take_span in spans)
     span = FrameSpan(first_code, last_code, job.fps)
     return StageMetadata(default_prim, span, unit, up, job.shot)
 

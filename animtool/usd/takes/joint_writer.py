@@ -126,10 +126,8 @@ def _extract_root_motion(
     root_translations = translations[:, first_root] - so3.rotate(
         root_rotations, rest_translation
     )
-    translations[:, first_root], rotations[:, first_root] = (
-        rest_translation,
-        rest_rotation,
-    )
+    translations[:, first_root] = rest_translation
+    rotations[:, first_root] = rest_rotation
     inverse_rotations = so3.conjugate(root_rotations)
     for root in other_roots:
         translations[:, root] = so3.rotate(

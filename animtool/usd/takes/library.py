@@ -23,7 +23,7 @@ from animtool.core.errors import Fault, OptionError, OutputError, excerpt, liste
 from animtool.core.names import most_similar
 from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
-from animtool.usd.layers.names import TAKE_SET, RigPaths
+from animtool.usd.layers.names import TAKE_SET, RigPaths, replace_prefix
 from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
 from animtool.usd.rigs.prims import (
     find_skeletons,
@@ -49,16 +49,11 @@ def take_paths(paths: RigPaths, name: str) -> RigPaths:
     """
     if not name:
         return paths
-    model = Sdf.Path(paths.model)
-    variant = model.AppendVariantSelection(TAKE_SET, name)
-
-    def path_in_take(path: str) -> str:
-        return str(Sdf.Path(path).ReplacePrefix(model, variant))
-
+    variant = str(Sdf.Path(paths.model).AppendVariantSelection(TAKE_SET, name))
     return replace(
         paths,
-        root=path_in_take(paths.root),
-        binding=path_in_take(paths.binding),
+        root=replace_prefix(paths.root, paths.model, variant),
+        binding=replace_prefix(paths.binding, paths.model, variant),
         animation=f"{paths.animation}_{name}",
     )
 

@@ -10,6 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.maths import so3
 from animtool.motion.reorient import placement_notice, remove_placement
 from animtool.motion.take import TakeStream
 from animtool.rig.kinematics import rest_world
@@ -93,52 +94,38 @@ def convert_over_rig(
         rig, local_rig, rig_placement.upright_scale.size
     ):
         has_no_rest, choice = False, choice or KEEP
-    if rig_placement.unsupported_reason or has_no_rest or not is_transformed:
-        # Without a rest pose the take is in the space of its rig, which is this one.
-        stream = remove_placement(stream) if choice == DROP else stream
-        keep_placement = choice != DROP
-        notices += placement_notice(
-            rig,
-            where,
-            is_kept=keep_placement,
-            rig_placement=rig_placement.heading_placement,
-        )
-        return OverRig(stream, _IDENTITY_PLACEMENT, None, notices)
-    has_placement = rig_placement.is_animated or not heading_placement.is_identity
-    keep_placement = choice == KEEP or (
-        choice is None and (stream.rig.has_animated_parents or not has_placement)
+    # Without a rest pose the take is in the space of its rig, which is this one.
+    is_in_rig_space = (
+        bool(rig_placement.unsupported_reason) or has_no_rest or not is_transformed
     )
+    has_placement = rig_placement.is_animated or not heading_placement.is_identity
+    if is_in_rig_space:
+        keep_placement = choice != DROP
+    else:
+        keep_placement = choice == KEEP or (
+            choice is None and (stream.rig.has_animated_parents or not has_placement)
+        )
     notices += placement_notice(
-        rig,
-        where,
-        is_kept=keep_placement,
-        rig_placement=rig_placement.heading_placement,
+        rig, where, is_kept=keep_placement, rig_placement=heading_placement
     )
     if not keep_placement:
-        inverse_scale = rig_placement.upright_scale.inverse()
-        rig_from_take = None if inverse_scale.is_identity else lambda _: inverse_scale
+        stream = remove_placement(stream)
+    if is_in_rig_space:
+        identity = Placement.from_rotation(so3.IDENTITY)
+        return OverRig(stream, identity, None, notices)
+    upright_scale = rig_placement.upright_scale
+    if keep_placement and rig_placement.is_animated:
         return OverRig(
-            remove_placement(stream),
-            rig_placement.upright_scale,
-            rig_from_take,
+            stream,
+            upright_scale,
+            lambda codes: placement_at(codes).fixed.inverse(),
             notices,
         )
-    if not rig_placement.is_animated:
-        inverse_scale = rig_placement.fixed.inverse()
-        return OverRig(
-            stream, rig_placement.upright_scale, lambda _: inverse_scale, notices
-        )
+    inverse = (rig_placement.fixed if keep_placement else upright_scale).inverse()
+    is_needed = keep_placement or not inverse.is_identity
     return OverRig(
-        stream,
-        rig_placement.upright_scale,
-        lambda codes: placement_at(codes).fixed.inverse(),
-        notices,
+        stream, upright_scale, (lambda _: inverse) if is_needed else None, notices
     )
-
-
-_IDENTITY_PLACEMENT = Placement(
-    np.zeros((1, 3)), np.array([[0.0, 0.0, 0.0, 1.0]]), np.ones(1)
-)
 
 
 # Rest poses closer than this, relative to their size, are equal.

@@ -53,6 +53,7 @@ from animtool.usd.rigs.prims import (
     composition_notices,
     find_skeletons,
     open_stage,
+    sample_times,
     search_root,
     skeleton_rig,
     skipped_skeletons_notice,
@@ -373,11 +374,10 @@ def _animated_take(
     where = PrimLocation.from_prim(path, animation)
     animation_motion = read_animation(stage, skeleton, animation, prim, where)
     ancestors = [] if prim is None else animated_ancestors(prim)
-    sample_times = sorted(
-        {time for xformable in ancestors for time in xformable.GetTimeSamples()}
-    )
     codes = animation_motion.clock.times.tolist()
-    ancestor_codes = nearest_samples(sample_times, codes, animation_motion.drift)
+    ancestor_codes = nearest_samples(
+        sample_times(ancestors), codes, animation_motion.drift
+    )
     rig = skeleton.rig
     placement, notices = _find_placement(prim, rig, ancestor_codes, where, choice)
     motion = _apply_placement(animation_motion.motion, rig, placement, choice)

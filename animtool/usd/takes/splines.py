@@ -175,10 +175,8 @@ def _build_segments(curves: Curves, index: int) -> list[_CurveSegment]:
     out_handle, in_handle = curves.outs[index].copy(), curves.ins[index + 1].copy()
     if kind is SegmentKind.CUBIC:
         out_handle[0], in_handle[0] = duration / 3, -duration / 3
-    out_handle, in_handle = (
-        _clamp_handle(out_handle, duration),
-        _clamp_handle(in_handle, duration),
-    )
+    out_handle = _clamp_handle(out_handle, duration)
+    in_handle = _clamp_handle(in_handle, duration)
     start_time = float(end_points[0, 0])
     control_points = np.stack(
         [

@@ -27,10 +27,6 @@ class PlannedFix:
     # Findings with a fix that remain, and why.
     unfixed_findings: list[tuple[Fault, str]] = field(default_factory=list)
 
-    def diff_text(self) -> str:
-        """Return the changes as text."""
-        return self.draft.diff_text()
-
 
 def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
     """Return a file with all safe fixes applied in memory.
@@ -70,16 +66,13 @@ def with_fixable(report: Report) -> Report:
     """Return a report that marks findings with a safe fix."""
     fixable_by_path: dict[str, list[Fault]] = {}
     for fault in report.findings:
-        if fault.path is None or is_package(Path(fault.path)):
-            continue
-        if not has_fixes(Path(fault.path)):
-            continue
-        if has_fix(fault.code):
-            fixable_by_path.setdefault(fault.path, []).append(fault)
+        path = Path(fault.path or "")
+        if has_fixes(path) and not is_package(path) and has_fix(fault.code):
+            fixable_by_path.setdefault(str(fault.path), []).append(fault)
     fixable_faults = (
         fault
-        for path, faults in fixable_by_path.items()
-        for fault in _open_draft(Path(path)).fixable(faults)
+        for fixable_path, faults in fixable_by_path.items()
+        for fault in _open_draft(Path(fixable_path)).fixable(faults)
     )
     return replace(report, fixable=frozenset(fixable_faults))
 

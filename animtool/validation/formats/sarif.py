@@ -15,7 +15,7 @@ from pathlib import PurePath
 from typing import Any
 from urllib.parse import quote
 
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault
 from animtool.core.quantities import printable_json
 from animtool.core.rules import Rule, all_rules, page_text
 from animtool.core.source_lines import SourceLineCache
@@ -23,11 +23,6 @@ from animtool.validation.run import Report
 
 SCHEMA = "https://json.schemastore.org/sarif-2.1.0.json"
 MAX_SNIPPET_LENGTH = 1000
-_SARIF_LEVELS = {
-    Severity.ERROR: "error",
-    Severity.WARNING: "warning",
-    Severity.NOTE: "note",
-}
 
 
 def sarif_report(report: Report) -> str:
@@ -36,11 +31,7 @@ def sarif_report(report: Report) -> str:
     rules, _ = all_rules()
     sources = SourceLineCache()
     rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
-    driver = {
-        "name": "animtool",
-        "version": version("animtool"),
-        "rules": rule_objects,
-    }
+    driver = {"name": "animtool", "version": version("animtool"), "rules": rule_objects}
     rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
     results = [_result_object(fault, rule_index, sources) for fault in report.findings]
     _number_duplicates(results)
@@ -59,7 +50,7 @@ def _rule_object(rule: Rule) -> dict[str, Any]:
     rule_object: dict[str, Any] = {
         "id": rule.code,
         "shortDescription": {"text": rule.title},
-        "defaultConfiguration": {"level": _SARIF_LEVELS[rule.severity]},
+        "defaultConfiguration": {"level": str(rule.severity)},
     }
     text = page_text(rule.code)
     if text is not None:
@@ -75,7 +66,8 @@ def _result_object(
     result: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
-        "level": _SARIF_LEVELS[fault.severity],
+        # Its levels are error, warning and note, too.
+        "level": str(fault.severity),
         # Doubled braces are not placeholders (3.11.5).
         "message": {"text": text.replace("{", "{{").replace("}", "}}")},
     }

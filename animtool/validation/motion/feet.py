@@ -19,8 +19,6 @@ from animtool.validation.motion.contacts import (
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 
-# Body travel relative to foot travel.
-
 # Interval over which velocities are measured [s].
 VELOCITY_SECONDS = 0.1
 # Hips slower than this [size/s], or a shorter time [s], show no ratio. Feet that slide
@@ -134,10 +132,8 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     lowest_heights = subject.heights[:, contacts.feet].min(axis=1) / subject.size
     long_slides = []
     for first_frame, end_frame in runs(is_sliding):
-        last_frame, seconds = (
-            end_frame - 1,
-            (end_frame - first_frame) * subject.interval,
-        )
+        last_frame = end_frame - 1
+        seconds = (end_frame - first_frame) * subject.interval
         if _is_landing(
             slowest_speeds[first_frame:end_frame], lowest_heights[first_frame:end_frame]
         ):

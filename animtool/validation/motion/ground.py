@@ -219,10 +219,8 @@ def _foot_ground(
     is_split = contacts.is_level & contacts.is_level[contacts.partners] & ~has_ground
     is_split &= np.abs(higher_ground - shared_ground) < PLANTED_HEIGHT * subject.size
     if rests_at_zero:
-        ground, has_ground = (
-            np.where(is_split, higher_ground, ground),
-            has_ground | is_split,
-        )
+        ground = np.where(is_split, higher_ground, ground)
+        has_ground = has_ground | is_split
     return ground, has_ground
 
 
@@ -275,10 +273,8 @@ def _is_climbing(
     """
     size = subject.size
     window = max(1, round(STEP_SECONDS / subject.interval))
-    is_high, is_low = (
-        clearance > AIR_HEIGHT * size,
-        np.abs(clearance) < PLANTED_HEIGHT * size,
-    )
+    is_high = clearance > AIR_HEIGHT * size
+    is_low = np.abs(clearance) < PLANTED_HEIGHT * size
     is_step = (static & is_high).any(axis=1) & (static & is_low).any(axis=1)
     is_step = np.asarray(is_step)
     if (

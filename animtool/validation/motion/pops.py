@@ -63,13 +63,25 @@ def _find_pops(
 ) -> list[_PopSteps]:
     """Return the rotation pops and translation pops of roots or of the other joints."""
     moving_joints = [*subject.take.rig.roots, *body_carriers(subject)]
-    rotating_joints, translating_joints = (
+    rotating, translating = (
         np.flatnonzero(np.isin(joints, moving_joints) == roots)
         for joints in (subject.rotating_joints, subject.translating_joints)
     )
+    is_ignored = subject.cuts()
+    is_ignored[:1] = True
+    rotation_pops = find_rotation_pops(
+        subject.rotation_steps[:, rotating], subject.interval, is_ignored
+    )
+    shift_pops = find_translation_pops(
+        subject.translation_steps[:, translating],
+        subject.interval,
+        is_ignored,
+        min_shift * subject.size,
+        SHIFT_NOISE * subject.size,
+    )
     return [
-        _rotation_pops(subject, rotating_joints),
-        _shift_pops(subject, translating_joints, min_shift),
+        _PopSteps(subject.rotating_joints[rotating], *rotation_pops, "rad"),
+        _PopSteps(subject.translating_joints[translating], *shift_pops, "m"),
     ]
 
 
@@ -102,34 +114,6 @@ def _pop_fault(
     if other_names:
         message += f"; also {listed(other_names)}"
     yield subject.fault(code, joint, step, message, hint)
-
-
-def _rotation_pops(subject: MotionSubject, columns: IntArray) -> _PopSteps:
-    flags, amounts = find_rotation_pops(
-        subject.rotation_steps[:, columns], subject.interval, _ignored_steps(subject)
-    )
-    return _PopSteps(subject.rotating_joints[columns], flags, amounts, "rad")
-
-
-def _shift_pops(
-    subject: MotionSubject, columns: IntArray, min_shift: float
-) -> _PopSteps:
-    size = subject.size
-    flags, amounts = find_translation_pops(
-        subject.translation_steps[:, columns],
-        subject.interval,
-        _ignored_steps(subject),
-        min_shift * size,
-        SHIFT_NOISE * size,
-    )
-    return _PopSteps(subject.translating_joints[columns], flags, amounts, "m")
-
-
-def _ignored_steps(subject: MotionSubject) -> BoolArray:
-    """Return a mask of the steps that are cuts, including the first step."""
-    cuts = subject.cuts()
-    cuts[:1] = True
-    return cuts
 
 
 def reference_pose(subject: MotionSubject) -> Iterator[Fault]:

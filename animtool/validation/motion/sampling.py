@@ -112,12 +112,10 @@ MIN_JOINT_FRACTION = 0.5
 # Joints that move at most this many steps contradict a loss. Their fraction, weighted
 # by squared steps, is limited; and if there are not few joints, so is the remaining
 # difference [1].
-CONTRADICTING_STEPS, MAX_CONTRADICTING_FEW, MAX_CONTRADICTING, GOOD_REMAINDER = (
-    1.25,
-    0.15,
-    0.4,
-    0.2,
-)
+CONTRADICTING_STEPS = 1.25
+MAX_CONTRADICTING_FEW = 0.15
+MAX_CONTRADICTING = 0.4
+GOOD_REMAINDER = 0.2
 # If hardly any difference remains, fast joints such as a landing foot may contradict,
 # and fewer joints must agree [1].
 CERTAIN_REMAINDER, CERTAIN_CONTRADICTING, CERTAIN_JOINTS = 0.04, 0.8, 0.4
@@ -207,10 +205,8 @@ def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     steps_before_2, steps_before_1, middle_steps, steps_after_1, steps_after_2 = (
         steps[i : count - 4 + i] for i in range(5)
     )
-    near_steps, far_steps = (
-        0.5 * (steps_before_1 + steps_after_1),
-        0.5 * (steps_before_2 + steps_after_2),
-    )
+    near_steps = 0.5 * (steps_before_1 + steps_after_1)
+    far_steps = 0.5 * (steps_before_2 + steps_after_2)
     predicted_step = _predicted_step(near_steps, far_steps, 0)
     deviations = _squared_lengths(middle_steps - predicted_step)
     squared_steps = _squared_lengths(predicted_step)
@@ -355,15 +351,6 @@ def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
     return np.asarray(speeds < STATIC_SPEED * np.median(moving_speeds))
 
 
-def _is_abrupt(speeds: FloatArray, typical_speed: float, first: int, last: int) -> bool:
-    """Return whether motion stops abruptly before a run of steps and resumes after."""
-    if first == 0 or last == len(speeds) - 1:
-        return False
-    return bool(
-        min(speeds[first - 1], speeds[last + 1]) > MIN_LOSS_PACE * typical_speed
-    )
-
-
 def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     """Return a mask of repeated frames, and whether they recur regularly."""
     is_static = _repeated_steps(subject)
@@ -374,7 +361,12 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
     is_repeat = np.zeros(len(is_static), bool)
     starts = []
     for first, end in runs(is_static):
-        if _is_abrupt(speeds, typical_speed, first, end - 1):
+        # The motion stops abruptly before these steps, and resumes after.
+        if (
+            first
+            and end < len(speeds)
+            and min(speeds[first - 1], speeds[end]) > MIN_LOSS_PACE * typical_speed
+        ):
             is_repeat[first:end] = True
             starts.append(first)
     gaps = np.diff(starts)

@@ -228,9 +228,8 @@ def _full_take_swap(
     names = subject.take.rig.names
     message = (
         f"{names[left_hip]!r} is on the right of the body, and {names[right_hip]!r} on "
-        "the "
-        f"left, in {np.count_nonzero(is_swapped)} of {subject.frames} frames, by the "
-        "direction of the feet"
+        f"the left, in {np.count_nonzero(is_swapped)} of {subject.frames} frames, by "
+        "the direction of the feet"
     )
     hint = "the names are swapped, or the motion is mirrored: the pass mirror swaps it"
     yield subject.fault(

@@ -94,8 +94,7 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
     repeat_text = f"; {bone_count - 1} more bones change too" if bone_count > 1 else ""
     message = (
         f"the bone to {subject.take.rig.joints[joint_index].name!r} is {length:.3g} m "
-        "long at "
-        f"frame {subject.time_text(frame)}, but {rest_length:.3g} m at "
+        f"long at frame {subject.time_text(frame)}, but {rest_length:.3g} m at "
         f"rest{repeat_text}"
     )
     hint = "translations replace those of the rest pose; they are not added"
@@ -134,8 +133,7 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     if factor is not None:
         message = (
             f"the bones are {_factor_text(factor)} as long as those of the rig at "
-            "rest: "
-            "the animation uses another unit"
+            "rest: the animation uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
@@ -170,9 +168,8 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
     if not fitting_units:
         return
     message = (
-        f"the character spans {_length_text(size)}; "
-        f"{_factor_text(fitting_units[0])} the size it would "
-        f"span {_length_text(size * fitting_units[0])}"
+        f"the character spans {_length_text(size)}; {_factor_text(fitting_units[0])} "
+        f"the size it would span {_length_text(size * fitting_units[0])}"
     )
     unit = subject.take.rig.meters_per_unit
     hint = f"its unit is {unit:g} m; probably {unit * fitting_units[0]:g} m is meant"

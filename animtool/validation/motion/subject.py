@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
+from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
@@ -252,3 +253,15 @@ class MotionSubject:
     def time_text(self, frame: int) -> str:
         """Return the time code of a frame for a message."""
         return f"{self.times[frame]:.10g}"
+
+
+def faults_at(path: Path, where: str) -> FaultAt:
+    """Return a function that locates every fault of a take at one place in a file."""
+
+    def fault_at(
+        code: str, joint: str, frame: float | None, message: str, hint: str
+    ) -> Fault:
+        del joint, frame
+        return Fault(code, message, str(path), (), hint, where=where)
+
+    return fault_at

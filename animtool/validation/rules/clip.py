@@ -165,10 +165,8 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
 
 def _full_circle_text(channel: ClipChannel, key: int) -> str:
     """Return text on an angle that rotates a full circle after a key."""
-    first_angles, second_angles = (
-        np.degrees(channel.values[key]),
-        np.degrees(channel.values[key + 1]),
-    )
+    first_angles = np.degrees(channel.values[key])
+    second_angles = np.degrees(channel.values[key + 1])
     axis = int(np.argmax(np.abs(second_angles - first_angles)))
     frames = float(channel.times[key + 1] - channel.times[key])
     angle = abs(float(second_angles[axis] - first_angles[axis]))
@@ -176,10 +174,9 @@ def _full_circle_text(channel: ClipChannel, key: int) -> str:
     return (
         f"{channel.target!r}{name} rotates by {angle:.4g}{DEGREE}, from "
         f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[key]:g} to "
-        f"{second_angles[axis]:.5g}{DEGREE} "
-        f"at frame {channel.times[key + 1]:g}, {angle / frames:.3g}{DEGREE} per frame; "
-        "the "
-        f"shortest path is {math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
+        f"{second_angles[axis]:.5g}{DEGREE} at frame {channel.times[key + 1]:g}, "
+        f"{angle / frames:.3g}{DEGREE} per frame; the shortest path is "
+        f"{math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
     )
 
 
@@ -236,10 +233,8 @@ def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
     before and after.
     """
-    steps, is_interpolated = (
-        np.diff(channel.values, axis=0),
-        _interpolated_keys(channel),
-    )
+    steps = np.diff(channel.values, axis=0)
+    is_interpolated = _interpolated_keys(channel)
     short_steps = np.remainder(steps + math.pi, math.tau) - math.pi
     is_wrap = (
         (np.abs(steps) > WRAP_ANGLE)

@@ -74,14 +74,12 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
     for joint in rig.rig.joints:
         excess = _limit_excess(joint, sweep.driven.targets)
         for control, frame in sweep.worst_frames(excess):
-            excess_text = value_text(
-                rig, joint, abs(float(sweep.broadcast(excess)[frame]))
-            )
+            largest_excess = abs(float(sweep.broadcast(excess)[frame]))
+            excess_text = value_text(rig, joint, largest_excess)
             message = (
                 f"{sweep.frame_text(frame)} drives {joint.name!r} {excess_text} "
-                "beyond its "
+                "beyond its limits"
             )
-            message += "limits"
             location = _affecting_drive(rig, control, f"joint/{joint.name}.")
             hint = "widen the limits, or reduce the drive"
             yield rig.fault("RIG204", location, message, hint)

@@ -11,7 +11,7 @@ from animtool.core.errors import Fault
 from animtool.rig.drivers import SLIDE, SWING, TWIST, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
-from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, value_text
+from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, range_text, value_text
 from animtool.validation.subjects.rig import RigSubject
 
 # Number of sampled values of each coordinate, with the others at rest, and of samples
@@ -33,18 +33,15 @@ def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
         worst_sample = int(np.argmax(np.abs(excess)))
         if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
             continue
-        lower, upper = joint.limits.low, joint.limits.high
+        reached = value_text(rig, joint, float(values[worst_sample]))
+        limits = range_text(rig, joint, joint.limits.low, joint.limits.high)
         message = (
-            f"the driver of {joint.name!r} reaches "
-            f"{value_text(rig, joint, float(values[worst_sample]))} within the limits "
-            "of "
-            f"its inputs; its limits are {value_text(rig, joint, lower)} to "
-            f"{value_text(rig, joint, upper)}"
+            f"the driver of {joint.name!r} reaches {reached} within the limits of its "
+            f"inputs; its limits are {limits}"
         )
         location = (*rig.at("joints", joint.name), "driven")
-        yield rig.fault(
-            "RIG223", location, message, "widen the limits, or reduce the driver"
-        )
+        hint = "widen the limits, or reduce the driver"
+        yield rig.fault("RIG223", location, message, hint)
 
 
 def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:

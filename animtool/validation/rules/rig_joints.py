@@ -27,32 +27,23 @@ PERPENDICULAR_COSINE = 0.1
 def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
     """Yield joints whose rest pose is outside their limits (RIG201)."""
     for joint in rig.rig.joints:
-        location = (*rig.at("joints", joint.name), "limits")
-        hint = "limits are relative to the rest pose, which is 0"
         match joint.limits:
             case RangeLimit(lower, upper):
-                value = 0.0 if joint.mimic is None else joint.mimic.offset
-                if lower - LIMIT_TOLERANCE <= value <= upper + LIMIT_TOLERANCE:
-                    continue
-                limit_texts = [value_text(rig, joint, end) for end in (lower, upper)]
-                range_text = " to ".join(limit_texts)
-                message = (
-                    f"the limits of {joint.name!r} are {range_text}, which exclude its "
-                    "rest pose"
-                )
-            case BallLimit(twist=(lower, upper)) if (
-                not lower <= LIMIT_TOLERANCE or not upper >= -LIMIT_TOLERANCE
-            ):
-                limit_texts = [value_text(rig, joint, end) for end in (lower, upper)]
-                range_text = " to ".join(limit_texts)
-                message = (
-                    f"the twist limits of {joint.name!r} are {range_text}, which "
-                    "exclude its rest pose"
-                )
+                noun = "limits"
+                rest = 0.0 if joint.mimic is None else joint.mimic.offset
+            case BallLimit(twist=(lower, upper)):
+                noun, rest = "twist limits", 0.0
             case _:
                 continue
-        if joint.name in rig.mirrored:
+        is_inside = lower - LIMIT_TOLERANCE <= rest <= upper + LIMIT_TOLERANCE
+        if is_inside or joint.name in rig.mirrored:
             continue
+        message = (
+            f"the {noun} of {joint.name!r} are {range_text(rig, joint, lower, upper)}, "
+            "which exclude its rest pose"
+        )
+        location = (*rig.at("joints", joint.name), "limits")
+        hint = "limits are relative to the rest pose, which is 0"
         yield rig.fault("RIG201", location, message, hint)
 
 
@@ -106,16 +97,20 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
             value = joint.mimic.gain * source_limit + joint.mimic.offset
             if abs(float(joint.limits.excess(np.array(value)))) <= LIMIT_TOLERANCE:
                 continue
-            lower, upper = joint.limits.low, joint.limits.high
+            limits = range_text(rig, joint, joint.limits.low, joint.limits.high)
             message = (
                 f"{joint.name!r} reaches {value_text(rig, joint, value)} where "
                 f"{source.name!r} is at {value_text(rig, source, source_limit)}; its "
-                f"limits are {value_text(rig, joint, lower)} to "
-                f"{value_text(rig, joint, upper)}"
+                f"limits are {limits}"
             )
             location = (*rig.at("joints", joint.name), "limits")
             yield rig.fault("RIG205", location, message, "widen them, or reduce gain")
             break
+
+
+def range_text(rig: RigSubject, joint: Joint, lower: float, upper: float) -> str:
+    """Return a range of a joint coordinate in the rig's unit."""
+    return f"{value_text(rig, joint, lower)} to {value_text(rig, joint, upper)}"
 
 
 def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
@@ -232,19 +227,15 @@ def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
 
 @lru_cache(maxsize=1)
 def _mirror_pairs(rig: RigSubject) -> tuple[list[tuple[Joint, Joint]], BoolArray]:
-    """Return the left/right joint pairs, and a mask of pairs that are mirror images."""
-    pairs = _stated_pairs(rig)
-    return pairs, _are_mirror_images(rig, pairs)
-
-
-def _stated_pairs(rig: RigSubject) -> list[tuple[Joint, Joint]]:
-    """Return the left/right joint pairs in which both joints are in the file."""
+    """Return the left/right joint pairs in a file, and a mask of mirror images."""
     partners = pair_sides(rig.rig.names, rig.rig.parents).partners.tolist()
-    return [
+    # A joint that is mirrored has its partner from the file's reader.
+    pairs = [
         (joint, rig.rig.joints[partner])
         for i, (joint, partner) in enumerate(zip(rig.rig.joints, partners, strict=True))
         if partner > i and not joint.mirror
     ]
+    return pairs, _are_mirror_images(rig, pairs)
 
 
 def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> BoolArray:

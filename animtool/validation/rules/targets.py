@@ -117,9 +117,8 @@ def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
         else:
             message = (
                 f"targets another {listed(kind_names)} of {second_goal.name!r} than "
-                "the goal on "
+                f"the goal on line {first_goal.location[0]}: both are missed"
             )
-            message += f"line {first_goal.location[0]}: both are missed"
             hint = "remove one, give it another priority, or other frames: during"
         yield subject.fault(
             "TGT202", ("goals", second_index, "effector"), message, hint
@@ -183,9 +182,8 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
                 span_first, span_last = span
                 message = (
                     f"{goal.name!r} is held from {span_first:g} to {span_last:g}, when "
-                    "it "
+                    "it is not active"
                 )
-                message += "is not active"
                 hint = "hold applies only inside the spans of during"
                 yield subject.fault("TGT204", ("goals", i, "hold"), message, hint)
 
@@ -348,8 +346,8 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             if isinstance(track.values["position"], Constant | Keyed | ArrayRows)
         ]
         points = [
-            sampled_targets.points(goal_index)[0][sampled_targets.points(goal_index)[1]]
-            for goal_index in goal_indices
+            goal_points[is_active]
+            for goal_points, is_active in map(sampled_targets.points, goal_indices)
         ]
         all_points = np.concatenate(points) if points else np.zeros((0, 3))
         if not len(all_points):
@@ -386,15 +384,11 @@ def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
                 track, first_time, last_time
             ):
                 frames_text = f"from {outside_times[0]:g} to {outside_times[-1]:g} is"
-                frames_text = (
-                    f"has a key at {outside_times[0]:g}, which is used"
-                    if are_keys
-                    else frames_text
-                )
+                if are_keys:
+                    frames_text = f"has a key at {outside_times[0]:g}, which is used"
                 message = (
                     f"the {key} of {track.name!r} {frames_text} in no frame of the "
-                    "take,"
+                    f"take, which has {first_time:g} to {last_time:g}"
                 )
-                message += f" which has {first_time:g} to {last_time:g}"
                 hint = "frame numbers of targets are those of the take"
                 yield sampled_targets.fault("TGT207", goal_index, key, message, hint)

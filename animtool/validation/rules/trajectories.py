@@ -1,10 +1,11 @@
-"""Rules on marker files: gaps, spikes, names and sizes."""
+"""Marker files as subjects, and rules on their gaps, spikes, names and sizes."""
 
 from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -12,7 +13,10 @@ from animtool.capture.markers.spikes import find_spikes
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed, percent_text
-from animtool.validation.subjects.trajectories import MarkersSubject
+from animtool.core.record import dataclass
+from animtool.core.rules import Kind
+from animtool.motion.markers import Markers
+from animtool.validation.subjects.subject import CheckedFile
 
 # Fraction of its frames in which a marker may be missing.
 MISSING_FRACTION = 0.1
@@ -27,6 +31,39 @@ SAME_FRACTION = 0.5
 MAX_LISTED_MARKERS = 12
 # Frames per block of the comparison of all marker pairs.
 BLOCK_FRAMES = 64
+
+
+@dataclass(frozen=True, eq=False)
+class MarkersSubject:
+    """Markers and their file."""
+
+    path: Path  # the file
+    markers: Markers  # all markers
+
+    def fault(
+        self, code: str, message: str, hint: str | None = None, where: str | None = None
+    ) -> Fault:
+        """Return a fault of the file, or of a marker."""
+        return Fault(code, message, str(self.path), (), hint, where=where)
+
+
+def open_trajectories(path: Path) -> CheckedFile:
+    """Return the subject of a C3D, TRC or npz marker file, with every frame read."""
+    from animtool.formats.marker_files import open_markers
+
+    markers = open_markers(path)
+    faults = [notice.in_file(path) for notice in markers.notices]
+    return CheckedFile(Kind.TRAJECTORIES, faults, MarkersSubject(path, markers))
+
+
+def open_coordinates(path: Path) -> CheckedFile:
+    """Open a MOT or STO file for checking, as trajectories if it has markers."""
+    from animtool.formats.marker_files import is_marker_file
+    from animtool.scene.sources.open import open_source
+
+    if is_marker_file(path):
+        return open_trajectories(path)
+    return CheckedFile(Kind.COORDINATES, list(open_source(path).notices))
 
 
 def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
@@ -60,9 +97,8 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
         names = list(dict.fromkeys(spike.marker for spike in outliers))
         message = (
             f"{counted(len(outliers), 'spike')} of "
-            f"{listed(names, MAX_LISTED_MARKERS)}; the "
-            f"largest, {1000 * largest.size:.3g} mm, of {largest.marker} at frame "
-            f"{frame}"
+            f"{listed(names, MAX_LISTED_MARKERS)}; the largest, "
+            f"{1000 * largest.size:.3g} mm, of {largest.marker} at frame {frame}"
         )
         hint = "animtool mocap fill removes them"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))

@@ -1,4 +1,4 @@
-"""BVH and USD files as subjects: a take."""
+"""Captures, robots and USD files as subjects: reader faults, and takes."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.core.errors import Fault
-from animtool.core.files.reading import open_input
+from animtool.core.files.reading import note_input, open_input
 from animtool.core.record import dataclass
 from animtool.core.rules import Kind
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.skeleton import Rig
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.motion.subject import MotionSubject, faults_at
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
@@ -91,6 +92,21 @@ def _read_take(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     return CheckedFile(kind, faults), stream, take
 
 
+def open_urdf(path: Path) -> CheckedFile:
+    """Return the faults of a URDF file."""
+    return _read_robot(Kind.URDF, path)
+
+
+def open_mjcf(path: Path) -> CheckedFile:
+    """Return the faults of an MJCF file."""
+    return _read_robot(Kind.MJCF, path)
+
+
+def _read_robot(kind: Kind, path: Path) -> CheckedFile:
+    note_input(path)
+    return CheckedFile(kind, list(Rig.load(path).notices))
+
+
 def open_usd(path: Path) -> CheckedFile:
     """Return the faults of a USD layer and its dependencies, and its takes."""
     from animtool.usd.checks import inspect_layer
@@ -103,16 +119,9 @@ def open_usd(path: Path) -> CheckedFile:
 
 def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
     """Return a take of a layer; its faults are located at its prim."""
-
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del joint, frame
-        return Fault(code, message, str(path), (), hint, where=take.path)
-
     return MotionSubject(
         take.take,
-        fault_at,
+        faults_at(path, take.path),
         take.codes,
         take.frame_range,
         has_rest=take.has_rest,

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
@@ -97,27 +95,15 @@ def open_clip_document(document: Document) -> CheckedFile:
         return CheckedFile(Kind.CLIP, [replace(fault, severity=Severity.NOTE)])
     rig = load_clip_rig(file)
     clip = load_clip(file, rig)
-    path = document.path
     checked_file = CheckedFile(Kind.CLIP, list(clip.notices))
-    take = _clip_take(
-        path, lambda: clip_stream(file, clip, rig).collect(), checked_file
-    )
-    if take is not None:
-        checked_file.faults += take.notices
-        take = replace(take, notices=(*take.notices, *clip.notices))
-        units = file_units(file.model, rig)
-        subject = ClipSubject(document, clip, rig, take, units)
-        motion = MotionSubject(take, subject.fault_at, intended_cuts=subject.cuts)
-        checked_file.subject, checked_file.takes = subject, (motion,)
-    return checked_file
-
-
-def _clip_take(
-    path: Path, sample: Callable[[], Take], checked_file: CheckedFile
-) -> Take | None:
-    """Return a clip's take; faults without location get the file's name."""
     try:
-        return sample()
+        take = clip_stream(file, clip, rig).collect()
     except AnimtoolError as error:
-        checked_file.faults += [fault.in_file(path) for fault in error.faults]
-        return None
+        checked_file.faults += [fault.in_file(document.path) for fault in error.faults]
+        return checked_file
+    checked_file.faults += take.notices
+    take = replace(take, notices=(*take.notices, *clip.notices))
+    subject = ClipSubject(document, clip, rig, take, file_units(file.model, rig))
+    motion = MotionSubject(take, subject.fault_at, intended_cuts=subject.cuts)
+    checked_file.subject, checked_file.takes = subject, (motion,)
+    return checked_file

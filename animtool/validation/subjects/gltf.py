@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import note_input
 from animtool.core.rules import Kind
-from animtool.formats.characters.choice import CharacterNodes, find_characters
+from animtool.formats.characters.choice import find_characters
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.document import Gltf
 from animtool.formats.gltf.document import open_gltf as open_document
@@ -35,7 +35,7 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
 from animtool.rig.parts import Skin
 from animtool.rig.skeleton import Rig
-from animtool.validation.motion.subject import MotionSubject
+from animtool.validation.motion.subject import MotionSubject, faults_at
 from animtool.validation.subjects.subject import CheckedFile
 
 # Keys with this spacing are samples [frame].
@@ -50,17 +50,12 @@ def open_gltf(path: Path) -> CheckedFile:
     take_subjects: list[MotionSubject] = []
     if gltf.nodes:
         for character in find_characters(gltf):
-            built_rig = _build_rig(gltf, character, faults)
+            built_rig = build_rig(gltf, character, gltf.path.stem)
+            faults += built_rig.notices
             take_subjects += _clip_subjects(gltf, built_rig, faults)
     return CheckedFile(
         Kind.GLTF, [*gltf.notes.notices, *faults], takes=tuple(take_subjects)
     )
-
-
-def _build_rig(gltf: Gltf, character: CharacterNodes, faults: list[Fault]) -> GltfRig:
-    built_rig = build_rig(gltf, character, gltf.path.stem)
-    faults += built_rig.notices
-    return built_rig
 
 
 def _clip_subjects(
@@ -114,10 +109,8 @@ def _trim_to_keys(
         first_frame = int(np.searchsorted(clock.times, codes[0]))
         if not 0 < first_frame < clock.count:
             return subject
-        codes, motion = (
-            clock.times[first_frame:],
-            take.motion.select(slice(first_frame, None)),
-        )
+        codes = clock.times[first_frame:]
+        motion = take.motion.select(slice(first_frame, None))
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
     return replace(subject, take=take, codes=codes, frame_range=frame_range)
@@ -125,19 +118,12 @@ def _trim_to_keys(
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
     """Return a clip as a motion subject; faults are located at the clip."""
-
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del joint, frame
-        return Fault(code, message, str(path), (), hint, where=where)
-
     skins = [
         mesh.skin for mesh in rig.meshes if mesh.skin and len(mesh.skin.joints) > 1
     ]
     return MotionSubject(
         replace(take, curve=None),
-        fault_at,
+        faults_at(path, where),
         influencing=_influencing_joints(rig, skins) if skins else None,
         bind=_bind_positions(rig, skins),
     )

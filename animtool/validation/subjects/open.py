@@ -147,10 +147,10 @@ _OPENERS = {
     Kind.USD: "animtool.validation.subjects.capture:open_usd",
     Kind.GLTF: "animtool.validation.subjects.gltf:open_gltf",
     Kind.FBX: "animtool.validation.subjects.fbx:open_fbx",
-    Kind.URDF: "animtool.validation.subjects.robots:open_urdf",
-    Kind.MJCF: "animtool.validation.subjects.robots:open_mjcf",
-    Kind.TRAJECTORIES: "animtool.validation.subjects.trajectories:open_trajectories",
-    Kind.COORDINATES: "animtool.validation.subjects.trajectories:open_coordinates",
+    Kind.URDF: "animtool.validation.subjects.capture:open_urdf",
+    Kind.MJCF: "animtool.validation.subjects.capture:open_mjcf",
+    Kind.TRAJECTORIES: "animtool.validation.rules.trajectories:open_trajectories",
+    Kind.COORDINATES: "animtool.validation.rules.trajectories:open_coordinates",
 }
 # Kinds of files that are not written by hand.
 _KINDS_BY_READER = {
@@ -175,28 +175,24 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     ``values``: batch values of the variables of a scene.
     """
     reader = reader_of(path)
-    if reader in _KINDS_BY_READER:
-        return _call_opener(_KINDS_BY_READER[reader], path)
-    if reader is None and not path.exists():
+    if reader is DOCUMENT:
+        return open_document(read_document(path), values)
+    if reader is not None:
+        return _call_opener(_KINDS_BY_READER.get(reader, Kind.TAKE), path)
+    if not path.exists():
         raise unreadable_error(path, "does not exist")
-    if reader is not None and reader is not DOCUMENT:
-        return _call_opener(Kind.TAKE, path)
-    if reader is None and path.suffix.lower() in EXPORT_HINTS:
+    if path.suffix.lower() in EXPORT_HINTS:
         raise OptionError(export_fault(path))
-    if reader is None:
-        hint = f"supported: {', '.join(readable_suffixes())}"
-        message = "is not a kind of file that is checked"
-        raise OptionError(Fault("IO002", message, str(path), (), hint))
-    return open_document(read_document(path), values)
+    hint = f"supported: {', '.join(readable_suffixes())}"
+    message = "is not a kind of file that is checked"
+    raise OptionError(Fault("IO002", message, str(path), (), hint))
 
 
 def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
     """Return the subject of a text document, like `open_file`."""
     kind = Kind(version_of(document, MIGRATION_STEPS)[0])
-    if kind is Kind.SCENE and values is not None:
-        checked_file = _call_opener(kind, document, values)
-    else:
-        checked_file = _call_opener(kind, document)
+    scene_values = (values,) if kind is Kind.SCENE else ()
+    checked_file = _call_opener(kind, document, *scene_values)
     checked_file.document = document
     return checked_file
 

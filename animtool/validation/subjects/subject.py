@@ -23,9 +23,8 @@ class CheckedFile:
     faults: list[Fault] = field(default_factory=list)
     # Subject of the rules of its kind; None if the reader refused the file.
     subject: Any = None
-    document: Document | None = (
-        None  # its text; None for files that are not written by hand
-    )
+    # Its text; None for files that are not written by hand.
+    document: Document | None = None
     # Its motion for the motion rules, one entry per character or take.
     takes: tuple[MotionSubject, ...] = ()
     # Name of the severity profile requested by its content, if any.

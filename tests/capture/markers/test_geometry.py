@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
-from animtool.capture.markers.geometry import fit_shape, marker_distances, mean_shape
+from animtool.capture.markers.geometry import (
+    fit_shape,
+    marker_distances,
+    mean_shape,
+    positions_by_column,
+)
 from animtool.maths import so3
 
 SHAPE = np.array([[0.0, 0, 0], [0.3, 0, 0], [0, 0.2, 0], [0, 0, 0.1]])
@@ -37,13 +42,14 @@ def test_a_shape_is_turned_and_never_mirrored() -> None:
     assert np.abs(off).max() > 0.02
 
 
-def test_weights_choose_which_points_a_shape_is_fitted_to() -> None:
-    """The fourth is off by a metre, and does not count."""
-    points = SHAPE[None] + [0.5, 0.0, 0.0]
-    points[0, 3] += 1.0
-    rotations, shifts = fit_shape(points, SHAPE, np.array([[1.0, 2.0, 3.0, 0.0]]))
-    assert_allclose(rotations[0], np.eye(3), atol=1e-12)
-    assert_allclose(shifts[0], [0.5, 0.0, 0.0], atol=1e-12)
+def test_positions_by_the_column_of_their_id() -> None:
+    ids = np.array([[1, 0], [2, -1], [0, 2]])
+    positions = np.arange(18.0).reshape(3, 2, 3)
+    found = positions_by_column(positions, ids, np.array([1, -1, 0]), 2)
+    wanted = np.full((3, 2, 3), np.nan)
+    wanted[0, 1], wanted[1, 0] = positions[0, 1], positions[1, 0]
+    wanted[2] = positions[2, [1, 0]]
+    assert_array_equal(found, wanted)
 
 
 def test_the_mean_shape_is_that_of_the_median() -> None:

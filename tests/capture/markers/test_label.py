@@ -6,7 +6,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
 from support.clouds import MARKER_SETS, cloud
 from support.faults import raises
 from support.figures import check_figures
@@ -22,7 +21,6 @@ from animtool.capture.markers.label import (
     _matching_markers,
     _merge_seeds,
     _rigid_groups,
-    _run_positions,
     _shape_error,
     label_points,
 )
@@ -203,17 +201,6 @@ def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
     first, last = np.array([9, 21]), np.array([39, 51])
     window, runs = _base_frames(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
     assert (window, runs.tolist()) == (slice(0, 40), [0])
-
-
-def test_a_window_holds_the_runs_that_are_asked_for() -> None:
-    ids = np.array([[0, 1], [1, 0], [2, -1], [0, 2]])
-    tracklets = Tracklets(ids, np.array([0, 0, 2]), np.array([3, 1, 3]))
-    positions = np.arange(24.0).reshape(4, 2, 3)
-    found = _run_positions(positions, tracklets, np.array([2, 0]), slice(1, 4))
-    wanted = np.full((3, 2, 3), np.nan)
-    wanted[0, 1], wanted[1, 0] = positions[1, 1], positions[2, 0]
-    wanted[2] = positions[3, [1, 0]]
-    assert_array_equal(found, wanted)
 
 
 @pytest.mark.parametrize("said", [[False, True], [True, False], [True, True]])

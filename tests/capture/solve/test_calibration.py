@@ -122,7 +122,7 @@ def unsettled(**fixed: bool) -> _CalibrationState:
 def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
     """Covariance of bones without sides: 0.07^2, and 0.25^2 that all of them share."""
     work = unsettled(LWRA=True)
-    bones, size = len(work.bone_groups), len(work.bone_groups) + work.offsets.size
+    bones, size = len(work.bones), len(work.bones) + work.offsets.size
     assert (bones, work._side_pairs()) == (5, [(1, 3), (2, 4)])
     work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
     work.offsets = 1.05 * work.initial_offsets

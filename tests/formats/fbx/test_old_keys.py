@@ -18,7 +18,7 @@ from animtool.formats.fbx.curves import (
     FbxCurve,
 )
 from animtool.formats.fbx.elements import Element
-from animtool.formats.fbx.old_keys import read_channel_curve
+from animtool.formats.fbx.old_keys import WEIGHTED_LAYOUT, read_channel_curve
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
 from animtool.formats.file_notices import FileNotices
 
@@ -27,7 +27,8 @@ def read(keys: list[Any], version: int = 4005) -> tuple[FbxCurve, list[str]]:
     """Return a curve of keys, and the codes of what was said of it."""
     rows = [Element("KeyVer", [version], ""), Element("Key", keys, "line 1")]
     notes = FileNotices(str(Path("arm.fbx")))
-    curve = read_channel_curve(Element("Channel", ["X"], "", rows), notes)
+    element = Element("Channel", ["X"], "", rows)
+    curve = read_channel_curve(element, notes, WEIGHTED_LAYOUT)
     assert curve is not None
     return curve, [fault.code for fault in notes.notices]
 

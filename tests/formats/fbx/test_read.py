@@ -302,6 +302,18 @@ def test_what_is_broken_is_refused_at_its_place(
     assert where.startswith("line " if form is as_text else "byte ")
 
 
+@pytest.mark.parametrize("form", FORMS[:2])
+def test_integers_may_be_written_as_floats(
+    tmp_path: Path, form: Callable[[list[Tree]], bytes]
+) -> None:
+    trees = small_fbx()
+    put(part(trees, "AnimationCurve", 16), "KeyTime", array([0.0, TICKS], "<f8"))
+    read_fbx(written(tmp_path, form(trees)))
+    for time in (0.5, np.nan, 1e300):
+        put(part(trees, "AnimationCurve", 16), "KeyTime", array([0.0, time], "<f8"))
+        assert code_of(tmp_path, form(trees))[0] == "FBX005"
+
+
 def test_lengths_that_lead_out_of_the_file_are_refused(tmp_path: Path) -> None:
     content = bytearray(as_binary(small_fbx()))
     for at, code in ((27, "FBX002"), (31, "FBX002"), (35, "FBX002")):

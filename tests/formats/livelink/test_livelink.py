@@ -15,7 +15,8 @@ from animtool.core.errors import FormatError, OptionError
 from animtool.formats.livelink.columns import ANGLE_COLUMNS, APP_SHAPES
 from animtool.formats.livelink.read import read_livelink
 from animtool.formats.livelink.timecodes import row_frames
-from animtool.formats.livelink.write import timecode, write_livelink
+from animtool.formats.livelink.write import build_livelink_text, timecode
+from animtool.formats.take_text import write_text
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -203,7 +204,8 @@ def test_it_comes_back_as_it_was_written(tmp_path: Path) -> None:
     path = tmp_path / "a.csv"
     path.write_text(text, "utf-8")
     take = read_livelink(path).collect()
-    assert not write_livelink(take, tmp_path / "b.csv")
+    copy = tmp_path / "b.csv"
+    assert not write_text(take, copy, build_livelink_text, overwrite=False)
     again = read_livelink(tmp_path / "b.csv").collect()
     assert take.motion.weights is not None
     assert again.motion.weights is not None
@@ -256,20 +258,20 @@ def test_on_a_rig(write: Write, tmp_path: Path) -> None:
     assert take.motion.weights.dense()[:, 1, 0].tolist() == pytest.approx([0.1, 0.15])
 
 
-def test_what_a_recording_does_not_hold(write: Write, tmp_path: Path) -> None:
+def test_what_a_recording_does_not_hold(write: Write) -> None:
     take = read_livelink(write(rows(1, 2))).collect()
     from dataclasses import replace
 
     shapes = (Shape("grin"), *take.rig.shapes[1:])
     odd = replace(take, rig=replace(take.rig, shapes=shapes))
-    (notice,) = write_livelink(odd, tmp_path / "odd.csv")
+    (notice,) = build_livelink_text(odd).notices
     assert notice.code == "LLF111"
     none = replace(take, rig=replace(take.rig, shapes=(Shape("a"), Shape("b"))))
     with raises(OptionError, "LLF008"):
-        write_livelink(none, tmp_path / "none.csv")
+        build_livelink_text(none)
     slow = replace(take, clock=replace(take.clock, fps=Fraction(47, 2)))
     with raises(OptionError, "LLF009"):
-        write_livelink(slow, tmp_path / "slow.csv")
+        build_livelink_text(slow)
 
 
 @pytest.mark.parametrize("value", ["1e300", "-1e19", "1e38"])

@@ -22,7 +22,8 @@ from animtool.formats.mot.coordinates import (
     list_coordinates,
 )
 from animtool.formats.mot.read import read_mot, read_mot_rig
-from animtool.formats.mot.write import write_mot
+from animtool.formats.mot.write import build_mot_text
+from animtool.formats.take_text import write_text
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -290,14 +291,16 @@ def test_what_is_written_is_read_again(
     take = Take(RIG, Clock(Fraction(30), Fraction(7), Fraction(1), len(q)), motion)
     rig = folder / "leg.rig.yaml"
     rig.write_text(rig_text(RIG), "utf-8")
-    assert write_mot(take, folder / "a.mot") == []
+    assert write_text(take, folder / "a.mot", build_mot_text, overwrite=False) == []
     again = read_mot(folder / "a.mot", rig=rig)
     assert again.notices == []
     found = again.collect()
     assert found.clock == take.clock
     back = found.world().positions
     assert back == pytest.approx(take.world().positions, abs=1e-8)
-    write_mot(replace(found, rig=RIG), folder / "b.mot")
+    write_text(
+        replace(found, rig=RIG), folder / "b.mot", build_mot_text, overwrite=False
+    )
 
 
 def test_commands_read_and_write_it(
@@ -347,10 +350,10 @@ def test_what_the_format_cannot_hold(tmp_path: Path) -> None:
     )
     clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
     take = Take(rig, clock, motion)
-    assert codes(list(write_mot(take, tmp_path / "a.mot"))) == ["MOF108", "MOF109"]
+    assert codes(build_mot_text(take).notices) == ["MOF108", "MOF109"]
     fixed = Rig("wall", (Joint("stone", -1, JointType.FIXED),))
     with pytest.raises(AnimtoolError) as error:
-        write_mot(replace(take, rig=fixed), tmp_path / "b.mot")
+        build_mot_text(replace(take, rig=fixed))
     assert error.value.code == "MOF008"
     assert not (tmp_path / "b.mot").exists()
 

@@ -10,7 +10,8 @@ import numpy as np
 from animtool.core.clock import Clock
 from animtool.core.errors import AnimtoolError
 from animtool.formats.mot.read import read_mot
-from animtool.formats.mot.write import write_mot
+from animtool.formats.mot.write import build_mot_text
+from animtool.formats.take_text import write_text
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -48,7 +49,8 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
     still = Motion(
         Channel.static(RIG.rest_translations, 4), Channel.static(RIG.rest_rotations, 4)
     )
-    write_mot(Take(RIG, Clock(100, 1, 1, 4), still), path)
+    take = Take(RIG, Clock(100, 1, 1, 4), still)
+    write_text(take, path, build_mot_text, overwrite=False)
     semicolons = UNEVEN.replace("\t", ";")
     texts = [UNEVEN, semicolons, semicolons.replace(".", ","), VECTORS]
     seeds = [path.read_bytes(), *[text.encode() for text in texts]]

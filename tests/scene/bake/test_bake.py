@@ -115,7 +115,9 @@ def test_the_first_frame_is_that_of_whoever_states_it_first(
         (tmp_path / "animtool.toml").write_text(f"start = {project}\n")
 
     def stated(frame: int | None) -> Any:
-        return SimpleNamespace(start=None if frame is None else Fraction(frame))
+        first = Fraction(1 if frame is None else frame)
+        start = None if frame is None else first
+        return SimpleNamespace(start=start, first_frame=first)
 
     options = BakeOptions(start=stated(asked).start)
     found = start_of(options, stated(rig), stated(source), tmp_path / "a.bvh")

@@ -24,13 +24,13 @@ def drawn(**keys: Any) -> tuple[Any, ...]:
         {"name": "all", "route": ["a"], "radius": 0.25, **keys}
     )
     parts = {"place": BoxShape((40.0, 1.0, 40.0)), "poses": Poses.fixed()}
-    return _sample_population(population, parts, 0.0, FRAME)
+    return tuple(_sample_population(population, parts, 0.0, FRAME, 0).values())
 
 
 def test_agents_like_speeds_about_the_mean_and_none_less_than_a_third() -> None:
     """Normal ones, cut at two deviations; sizes are as often larger as smaller."""
     speed = {"mean": 1.2, "spread": 0.2}
-    _, speeds, gives, delays, _, offsets, sizes, chances, groups = drawn(
+    _, speeds, _, gives, delays, groups, _, offsets, sizes, chances = drawn(
         count=4000, speed=speed, delay=8.0, size=0.25
     )
     assert speeds.min() == pytest.approx(0.8)
@@ -55,7 +55,7 @@ def test_agents_like_speeds_about_the_mean_and_none_less_than_a_third() -> None:
 
 def test_those_of_a_group_begin_side_by_side_about_its_middle() -> None:
     """1.3 of both radii apart; the last has two of three, and all go one way."""
-    starts, speeds, _, delays, sides, offsets, sizes, chances, groups = drawn(
+    starts, speeds, _, _, delays, groups, sides, offsets, sizes, chances = drawn(
         count=8, group=3, delay=5.0, size=0.3
     )
     assert groups.tolist() == [0, 0, 0, 1, 1, 1, 2, 2]
@@ -72,8 +72,8 @@ def test_those_of_a_group_begin_side_by_side_about_its_middle() -> None:
 def test_places_of_a_file_are_seen_from_the_ground() -> None:
     population = PopulationModel.model_validate({"name": "all", "route": ["a"]})
     points = np.array([[1.0, 5, 2], [4, 0, -1]])
-    starts = _sample_population(population, {"points": points}, 0.0, FRAME)[0]
-    assert_allclose(starts, [[0, 0], [3, -3]])
+    sample = _sample_population(population, {"points": points}, 0.0, FRAME, 0)
+    assert_allclose(sample["starts"], [[0, 0], [3, -3]])
 
 
 def test_keys_that_do_not_fit_are_told_with_their_place() -> None:

@@ -24,7 +24,6 @@ from animtool.systems.crowds.falls import (
     Falls,
     FallSimulator,
     _step_ragdoll,
-    is_at_rest,
 )
 from animtool.systems.crowds.ground import GroundFrame, Terrain
 
@@ -110,13 +109,12 @@ def test_who_is_slow_for_long_rests(biped: Rig) -> None:
     assert falls.slow.tolist() == [0.0]
     falls = own.step(falls, 0.0, STEP)
     assert falls.slow.tolist() == [pytest.approx(STEP)]
-    assert not is_at_rest(falls).any()
+    assert not (falls.slow >= REST_TIME).any()
     falls = own.step(falls, STEP, STEP)
     assert falls.slow.tolist() == [0.0]
     still = Falls(
         falls.agents, falls.positions, falls.turns, falls.motion, np.array([REST_TIME])
     )
-    assert is_at_rest(still).tolist() == [True]
     after = own.step(still, 2 * STEP, STEP)
     assert_allclose(after.motion, still.motion, rtol=0, atol=0)
     assert after.slow.tolist() == [REST_TIME]
@@ -134,9 +132,9 @@ def test_who_fell_lies_on_the_ground_and_rests(biped: Rig) -> None:
     falls = own.add_falls(own.no_falls(), np.array([0]), [leaning], [leaning], STEP)
     for k in range(3 * 96):
         falls = own.step(falls, k * STEP, STEP)
-        if is_at_rest(falls).all():
+        if (falls.slow >= REST_TIME).all():
             break
-    assert is_at_rest(falls).all()
+    assert (falls.slow >= REST_TIME).all()
     heights = world(biped, own, falls)[:, 1]
     assert heights.max() < 0.6
     assert heights.min() > -0.05

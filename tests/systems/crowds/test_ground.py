@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+from typing import Any
+
 import numpy as np
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
+from animtool.motion.frames import MeshFrame
+from animtool.sim.colliders import Poses
+from animtool.systems.crowds.beginning import ground_of
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
@@ -77,3 +83,15 @@ def test_a_frame_turns_about_its_origin_and_back() -> None:
     assert_allclose(frame.vector_to_local(np.array([1.0, 0, 0])), [0, 0, 1], atol=1e-12)
     ahead = so3.rotate(rotations_about_y(np.array([0.5])), np.array([0.0, 0, 1]))
     assert_allclose(ahead, [[np.sin(0.5), 0, np.cos(0.5)]])
+
+
+def test_the_ground_may_be_a_mesh_of_a_file() -> None:
+    points = np.array([[0.0, 1, 0], [0, 1, 4], [4, 1, 4], [4, 1, 0]])
+    mesh = MeshFrame(points, np.zeros((4, 3)), np.array([4]), np.arange(4))
+    context: Any = SimpleNamespace(
+        parts={"ground": {"poses": Poses(), "mesh": lambda: (mesh,)}}, begin=0.0
+    )
+    _, terrain = ground_of(context)
+    heights, _ = terrain(np.array([[1.0, 2.0], [5.0, 2.0]]))
+    assert heights[0] == 1
+    assert np.isnan(heights[1])

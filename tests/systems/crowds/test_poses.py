@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose
 
 from animtool.maths import so3
 from animtool.systems.crowds.poses import (
-    MAX_EXTENSION,
     MAX_TILT,
     PHASE_COUNT,
     _ankle_targets,
@@ -21,6 +20,7 @@ from animtool.systems.crowds.poses import (
     _tilt_rotations,
     idle_frames,
 )
+from animtool.systems.crowds.reach import MAX_EXTENSION
 
 # Who stands on ankles 0.1 m high, with balls 0.15 m ahead.
 WALKER: Any = SimpleNamespace(

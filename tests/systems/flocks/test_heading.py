@@ -25,14 +25,15 @@ from animtool.systems.flocks.flock import (
 )
 from animtool.systems.flocks.members import (
     Members,
-    _key_problems,
     _start_motion,
     interaction_radius,
+    key_problems,
     max_speed,
 )
 from animtool.systems.flocks.rules import (
     FlockRule,
     build_rules,
+    check_pair_count,
     max_pairs,
     rule_accelerations,
 )
@@ -232,7 +233,7 @@ def test_ends_of_what_species_may_be(own: Any, domain: Any, wheres: list[str]) -
             **({"domain": domain} if domain else {}),
         }
     )
-    assert [where for _, where, _ in _key_problems(spec)] == wheres
+    assert [where for _, where, _ in key_problems(spec)] == wheres
 
 
 def test_who_is_seen_farthest_and_how_fast_one_may_be() -> None:
@@ -291,9 +292,9 @@ def test_pulls_of_all_rules_add_up_for_those_that_they_are_of() -> None:
 def test_as_many_pairs_as_each_may_have_are_looked_at() -> None:
     assert max_pairs(10) == 2e9
     assert max_pairs(200_000) == 4e9
-    Spacing._check(3, 10.0, 10.0)
+    check_pair_count(3, 10.0, 10.0, "")
     with pytest.raises(ToleranceError, match="3 members are so close") as error:
-        Spacing._check(3, 10.1, 10.0)
+        check_pair_count(3, 10.1, 10.0, "")
     assert error.value.code == "SIM107"
 
 

@@ -78,8 +78,8 @@ def test_it_weighs_what_the_mesh_does(tmp_path: Path) -> None:
     assert "SIM198" in found.codes()
     assert "SIM125" not in found.codes()
     # It is shown as it is.
-    assert_allclose(own.meshes[0].points.max(axis=0), [2, 2, 1])
-    assert len(own.meshes[0].counts) == len(np.asarray(bracket().triangles))
+    assert_allclose(own.mesh.points.max(axis=0), [2, 2, 1])
+    assert len(own.mesh.counts) == len(np.asarray(bracket().triangles))
 
 
 @pytest.mark.slow

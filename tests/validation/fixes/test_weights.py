@@ -67,7 +67,7 @@ def test_a_plan_writes_nothing(loose: Path) -> None:
     before = sorted(path.name for path in loose.parent.iterdir())
     plan = plan_file(loose, ValidateOptions())
     assert [path.name for path in plan.draft.arrays] == ["body_weights.npz"]
-    assert "+" in plan.diff_text()
+    assert "+" in plan.draft.diff_text()
     assert sorted(path.name for path in loose.parent.iterdir()) == before
 
 

@@ -127,10 +127,9 @@ class Friction(Force):
     ) -> tuple[FloatArray, FloatArray]:
         """Return zero, and force over velocity: friction never reverses motion."""
         speed = np.sqrt((v * v).sum(axis=1) + self.smooth**2)
-        coefficients = (self.deceleration * particles.masses / speed)[
-            :, None, None
-        ] * np.eye(3)
-        return np.zeros_like(coefficients), -coefficients
+        coefficients = self.deceleration * particles.masses / speed
+        drag = coefficients[:, None, None] * np.eye(3)
+        return np.zeros_like(drag), -drag
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return the damping coefficient of the force [kg/s]."""

@@ -104,9 +104,8 @@ class Electromagnetic(Force):
     def turning(self, particles: ParticleState) -> float:
         """Return the largest rate at which the force rotates velocities [rad/s]."""
         field = float(np.linalg.norm(self.magnetic))
-        return field * float(
-            (np.abs(particles.charges) / particles.masses).max(initial=0.0)
-        )
+        charges_per_mass = np.abs(particles.charges) / particles.masses
+        return field * float(charges_per_mass.max(initial=0.0))
 
 
 # Number of particles processed at once, to limit memory.

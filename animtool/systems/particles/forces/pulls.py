@@ -77,12 +77,8 @@ class Central(Force):
         """Return forces ``(N, 3)`` [N]."""
         offsets = np.asarray(self.centre) - x
         distance = self._distance(x)[:, None]
-        return np.asarray(
-            particles.masses[:, None]
-            * offsets
-            * self.strength
-            * distance ** (self.power - 1)
-        )
+        unit_force = particles.masses[:, None] * offsets * self.strength
+        return np.asarray(unit_force * distance ** (self.power - 1))
 
     def _distance(self, x: FloatArray) -> FloatArray:
         """Return the softened distances from the centre ``(N,)`` [m]."""
@@ -126,9 +122,8 @@ class Spring(Force):
             offsets, length, out=np.zeros_like(offsets), where=length > 0
         )
         rate = (v * directions).sum(axis=1)[:, None]
-        return np.asarray(
-            -(self.k * (length - self.rest) + self.kd * rate) * directions
-        )
+        tension = self.k * (length - self.rest) + self.kd * rate
+        return np.asarray(-tension * directions)
 
     def slopes(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
