@@ -37,9 +37,8 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
         smallest_axes = np.eye(3)[np.abs(a[is_opposite]).argmin(axis=-1)]
         axes = np.cross(a[is_opposite], smallest_axes)
         axes /= np.linalg.norm(axes, axis=-1, keepdims=True)
-        rotations[is_opposite] = np.concatenate(
-            [axes, np.zeros((len(axes), 1))], axis=-1
-        )
+        no_scalars = np.zeros((len(axes), 1))
+        rotations[is_opposite] = np.concatenate([axes, no_scalars], axis=-1)
     return np.where(has_length, rotations, so3.IDENTITY)
 
 
@@ -77,9 +76,8 @@ def chain_rotations(
         result[:, k] = _clamp_to_limits(rig.joints[joint], local, animated_local)
         world = so3.multiply(world, animated_local)
         # World rotation of the joints so far relative to the animation.
-        relative_rotation = so3.multiply(
-            so3.multiply(parent, result[:, k]), so3.conjugate(world)
-        )
+        simulated_world = so3.multiply(parent, result[:, k])
+        relative_rotation = so3.multiply(simulated_world, so3.conjugate(world))
     return result
 
 

@@ -152,10 +152,9 @@ class CharacterColliders:
         self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
         points = body.network.points
+        depths = bind_depths(capsules, rig, points, radius / scale)
         # Allowed signed distances from capsules, at most 0 ``(C, N)`` [m].
-        self._allowed_depths = scale * bind_depths(
-            capsules, rig, points, radius / scale
-        )
+        self._allowed_depths = scale * depths
         rigid_depths = np.zeros((self._colliders.rigid, len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]

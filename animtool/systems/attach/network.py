@@ -157,13 +157,13 @@ def surface_defects(network: Network) -> list[str]:
     degenerate_count = int((~np.cross(b - a, c - a).any(axis=1)).sum())
     face_counts = edge_counts(np.full(len(corners), 3), corners.ravel())[1]
     nonmanifold_count = int((face_counts > 2).sum())
-    defects = {
-        f"{counted(degenerate_count, 'triangle')} without area": degenerate_count,
-        f"{counted(nonmanifold_count, 'edge')} of more than two triangles": (
-            nonmanifold_count
-        ),
-    }
-    return [text for text, count in defects.items() if count]
+    defects = []
+    if degenerate_count:
+        defects.append(f"{counted(degenerate_count, 'triangle')} without area")
+    if nonmanifold_count:
+        edges = counted(nonmanifold_count, "edge")
+        defects.append(f"{edges} of more than two triangles")
+    return defects
 
 
 def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
@@ -175,9 +175,8 @@ def fold_pairs(counts: IntArray, indices: IntArray) -> IntArray:
     >>> fold_pairs(np.array([3, 3]), np.array([0, 1, 2, 1, 0, 3])).tolist()
     [[2, 3]]
     """
-    first_corners, sizes = np.repeat(
-        [np.cumsum(counts) - counts, counts], counts, axis=1
-    )
+    starts = np.cumsum(counts) - counts
+    first_corners, sizes = np.repeat([starts, counts], counts, axis=1)
     corner_offsets = np.arange(len(indices)) - first_corners
     edge_corners = directed_edges(counts, indices)
     # Neighbours of the first end of a side, and of the second.

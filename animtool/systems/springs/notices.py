@@ -36,10 +36,9 @@ def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
         hint += "several sides"
         notices.append(warning("SIM123", message, hint))
     if simulation.min_applied_fraction < 1:
+        fraction = f"{simulation.min_applied_fraction:.0%}"
         message = "what presses on a rigid body is heavier than the body: only "
-        message += (
-            f"{simulation.min_applied_fraction:.0%} of the push acts, to keep it stable"
-        )
+        message += f"{fraction} of the push acts, to keep it stable"
         hint = "give the body more mass, or less to what rests on it"
         notices.append(warning("SIM135", message, hint))
     return notices + piercing_notices(simulation.grid.piercing)
@@ -51,9 +50,8 @@ def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     limit, h = choice.limit, choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {plain_number(h)} s"
-        notices.append(
-            warning("SIM101", message, f"it is stable up to {plain_number(limit)} s")
-        )
+        hint = f"it is stable up to {plain_number(limit)} s"
+        notices.append(warning("SIM101", message, hint))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
@@ -102,10 +100,8 @@ def _convergence_hint(simulation: SpringSimulation) -> str:
     spring_mass = float(system.free_masses.sum())
     if lightest is not None and lightest[1] < MIN_MASS_RATIO * spring_mass:
         name, mass = lightest
-        advice = (
-            f"more mass than {plain_number(mass)} kg for {excerpt(name)}, which the "
-        )
-        advice += f"springs of {plain_number(spring_mass)} kg make unstable"
+        advice = f"more mass than {plain_number(mass)} kg for {excerpt(name)}, which "
+        advice += f"the springs of {plain_number(spring_mass)} kg make unstable"
         hint = advice if step is None else f"{hint}, or {advice}"
     return hint
 
@@ -116,9 +112,8 @@ def _no_solver_warning(simulation: SpringSimulation, stats: Stats) -> Fault:
     message = f"auto finds no solver for it: {choice.solver}, chosen because "
     message += f"{choice.reason}, leaves a spring strained by {strain:.2%} "
     message += f"at {stats.time:.6g} s, in steps of "
-    message += (
-        f"{plain_number(simulation.shortest_step)} s; {simulation.options.stretch:.2%} "
-    )
+    message += f"{plain_number(simulation.shortest_step)} s; "
+    message += f"{simulation.options.stretch:.2%} "
     hint = "use less stiffness or more uniform masses, a larger "
     hint += f"stretch, or solver: {choice.solver}, which continues"
     return warning("SIM178", message + "is allowed", hint)

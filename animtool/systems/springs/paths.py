@@ -132,9 +132,8 @@ def max_speed_and_travel(path: Path) -> tuple[float, float]:
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
     speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
-    return speed, float(
-        np.linalg.norm(positions - positions[:1], axis=2).max(initial=0.0)
-    )
+    distances = np.linalg.norm(positions - positions[:1], axis=2)
+    return speed, float(distances.max(initial=0.0))
 
 
 def _resample(times: FloatArray, path: FloatArray, knots: FloatArray) -> FloatArray:
@@ -187,10 +186,8 @@ class Teleports:
 
     def _cells_until_teleports(self, grid: TimeGrid) -> list[int]:
         """Return the number of cells from the grid's current cell to each teleport."""
-        cells = [
-            (t - TIME_TOLERANCE - grid.origin) / grid.cell for t in self.times.tolist()
-        ]
-        return [math.ceil(cell) - 1 - grid.index for cell in cells]
+        times = (self.times - TIME_TOLERANCE - grid.origin) / grid.cell
+        return [math.ceil(cell) - 1 - grid.index for cell in times.tolist()]
 
     def cell_stage(self, grid: TimeGrid) -> int:
         """Return the stage of the next cell of a grid."""
@@ -198,9 +195,8 @@ class Teleports:
 
     def cells_until_next(self, grid: TimeGrid) -> float:
         """Return the number of cells from the current cell to the next teleport."""
-        return min(
-            (c for c in self._cells_until_teleports(grid) if c > 0), default=math.inf
-        )
+        cells = (cell for cell in self._cells_until_teleports(grid) if cell > 0)
+        return min(cells, default=math.inf)
 
     def paths(self, stage: int) -> list[Path]:
         """Return times and positions of pins, and of targets, in a stage."""
@@ -221,9 +217,8 @@ class Teleports:
         """Return a state ``(2, N, 3)`` after the teleports between two stages."""
         result = state.copy() if end > begin else state
         for row in self._teleport_knots[begin:end].tolist():
-            for group in np.unique(
-                self._group_of_particle[self._driven_particles[self._teleporting[row]]]
-            ):
+            particles = self._driven_particles[self._teleporting[row]]
+            for group in np.unique(self._group_of_particle[particles]):
                 self._move_group(result, row, int(group))
         return result
 

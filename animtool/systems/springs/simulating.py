@@ -129,10 +129,8 @@ def _refine_until(
     error_text = length_text(estimate) if math.isfinite(estimate) else "not known"
     message = f"the position error is {error_text}, but the limit is "
     message += length_text(error)
-    hint = (
-        "use bdf2, or raise the limit: motion after a fold or a contact is not smooth"
-    )
-    notice = warning("SIM142", message, hint)
+    hint = "use bdf2, or raise the limit: motion after a fold or a contact is not "
+    notice = warning("SIM142", message, hint + "smooth")
     return replace(coarse, notices=(*coarse.notices, notice))
 
 

@@ -55,10 +55,7 @@ class SelfContactModel(FileModel):
 
 SelfContactField = Annotated[
     SelfContactModel | None,
-    shared_key(
-        "Self-contact. Default: off.",
-        {"thickness": 0.01},
-    ),
+    shared_key("Self-contact. Default: off.", {"thickness": 0.01}),
 ]
 
 
@@ -257,9 +254,7 @@ class SpringsModel(SolvedModel):
         default=200.0,
     )
     settle: bool = key(
-        "Start in static equilibrium, without air and colliders.",
-        True,
-        default=False,
+        "Start in static equilibrium, without air and colliders.", True, default=False
     )
 
     def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:

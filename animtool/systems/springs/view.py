@@ -168,10 +168,9 @@ class SpringView:
             "torn": int(self.torn(state).sum()),
             "unresolved": simulation.grid.unresolved,
         }
-        if simulation.error is not None:
-            values["error"] = (
-                simulation.error if math.isfinite(simulation.error) else None
-            )
+        error = simulation.error
+        if error is not None:
+            values["error"] = error if math.isfinite(error) else None
         if self._measured_surface is not None:
             values |= self._meter.values
         notices = [
