@@ -211,22 +211,17 @@ class AttachSimulation:
         if extrapolates:
             start_pose = extrapolate_roots(self.rig, pose, next_pose, preroll_frames)
         self.actors = []
+        world = self._world
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
-            self.actors.append(
-                AttachmentActor(
-                    self.rig,
-                    body,
-                    settings_for(options, body.kind),
-                    1 / rate,
-                    start_pose,
-                    self._skins_of(body),
-                    self._world,
-                    sheets if is_skinned else (),
-                )
+            layers = sheets if is_skinned else ()
+            settings, skins = settings_for(options, body.kind), self._skins_of(body)
+            actor = AttachmentActor(
+                self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
             )
+            self.actors.append(actor)
         if self.resumed is not None:
             return
         static_paths = PosePaths(self.rig, start_pose, start_pose)

@@ -273,14 +273,10 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
         entry.report_fault("SIM050", message, "size")
     if not entry.can_build:
         return None
-    body = block(
-        (x, y, z),
-        model.size,
-        mass=entry.mass / (x * y * z),
-        corner=model.corner,
-        **entry.families,
-    )
-    grid = np.arange(x * y * z).reshape(z, y, x)
+    count, families = x * y * z, entry.families
+    mass = entry.mass / count
+    body = block((x, y, z), model.size, mass=mass, corner=model.corner, **families)
+    grid = np.arange(count).reshape(z, y, x)
     names = ("back", "front"), ("bottom", "top"), ("left", "right")
     return SpringBody(body, _grid_sides(grid, *names), _skin_shape(body))
 

@@ -88,15 +88,11 @@ class FaceShape:
 
     def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
         """Return the surface split at torn side springs; mask ``(S,)``."""
-        if not (torn[self._spring_of_side] & (self._spring_of_side >= 0)).any():
+        sides = self._spring_of_side
+        if not (torn[sides] & (sides >= 0)).any():
             return self
         return tear_surface(
-            self.counts,
-            self.indices,
-            self._spring_of_side,
-            self.springs,
-            torn,
-            positions,
+            self.counts, self.indices, sides, self.springs, torn, positions
         )
 
     def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:

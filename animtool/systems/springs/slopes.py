@@ -124,14 +124,9 @@ def _air_blocks(
     """Yield Jacobian blocks of air forces, by finite differences."""
     triangles, no_paths = forces.triangles, np.zeros((1, 0, 3))
     unit_masses, no_drags = np.ones(triangles.size), np.zeros(triangles.size)
-    faces = np.arange(triangles.size).reshape(-1, 3)
+    faces, air = np.arange(triangles.size).reshape(-1, 3), forces.air_coefficients
     separate_forces = SpringForces(
-        unit_masses,
-        no_drags,
-        Springs.none(),
-        faces,
-        np.zeros(3),
-        forces.air_coefficients,
+        unit_masses, no_drags, Springs.none(), faces, np.zeros(3), air
     )
     paths = Paths(np.zeros(1), no_paths, no_paths, wind[None])
     network = separate_forces.network(paths)

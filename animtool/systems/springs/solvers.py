@@ -227,14 +227,9 @@ def advance(
     if grid.solver is Solver.XPBD:
         shortest = MIN_AUTO_STEP if options.solver == Solver.AUTO else MIN_STEP
         max_steps = int(min(grid.cell / shortest, MAX_CELL_STEPS))
+        layers = system.kernel_self_contact
         return advance_xpbd(
-            network,
-            grid,
-            cells,
-            colliders,
-            system.kernel_self_contact,
-            options.stretch,
-            max_steps,
+            network, grid, cells, colliders, layers, options.stretch, max_steps
         )
     tolerance = NEWTON_TOLERANCE * system.spacing
     return _advance_implicit(network, grid, cells, colliders, tolerance).grid

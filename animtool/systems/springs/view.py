@@ -97,13 +97,9 @@ class SpringView:
             self._measured_surface = _surface_to_measure(
                 shape, system.fixed[self.rows], body, torn, has_self_contact
             )
-        self._meter.measure(
-            t,
-            points,
-            self._measured_surface,
-            closed_surfaces(colliders, t),
-            collider_depths(colliders, points, t),
-        )
+        solids = closed_surfaces(colliders, t)
+        depths = collider_depths(colliders, points, t)
+        self._meter.measure(t, points, self._measured_surface, solids, depths)
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
