@@ -134,10 +134,9 @@ def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     if points is None or not entry.can_build:
         return None
     count, length = points.shape[:2]
-    particle_mass = entry.mass / (count * length)
     structural, bend = entry.families["structural"], entry.families["bend"]
-    rows = [strand(row, structural, mass=particle_mass, bend=bend) for row in points]
-    body = join(rows)
+    mass = entry.mass / (count * length)
+    body = join([strand(row, structural, mass=mass, bend=bend) for row in points])
     particle_indices = np.arange(count * length).reshape(count, length)
     regions = {"roots": particle_indices[:, 0], "tips": particle_indices[:, -1]}
     shape = CurveShape(np.full(count, length), 2 * model.radius, body.springs)

@@ -143,8 +143,8 @@ def join(bodies: Sequence[Body]) -> Body:
     offsets = np.cumsum([0, *(len(body.positions) for body in bodies)])
     springs = Springs.concatenate([Springs.none(), *(body.springs for body in bodies)])
     shifts = np.repeat(offsets[:-1], [len(body.springs.rest) for body in bodies])
-    shifted = zip(bodies, offsets, strict=False)
-    faces = [body.triangles + offset for body, offset in shifted]
+    rows = zip(bodies, offsets, strict=False)
+    faces = [body.triangles + offset for body, offset in rows]
     return Body(
         np.concatenate([np.zeros((0, 3)), *(body.positions for body in bodies)]),
         np.concatenate([np.zeros(0), *(body.masses for body in bodies)]),

@@ -66,8 +66,9 @@ class _SystemBuilder:
     def simulation(self) -> SpringSimulation:
         """Return the simulation with one view for each entry."""
         context, spec = self._context, self._spec
-        rests = spec.settle
-        plan = plan_springs(self._system, spec.options, context, starts_at_rest=rests)
+        plan = plan_springs(
+            self._system, spec.options, context, starts_at_rest=spec.settle
+        )
         start_grid = plan.start(context.begin)
         simulation = SpringSimulation(plan, start_grid, context.last, context.clock())
         spring_count = 0
