@@ -60,9 +60,8 @@ class AttachmentActor:
         start_path = interpolate_poses(rig, pose, pose, 1)
         scale = _joint_scale(start_path.world, body.carrier)
         network = replace(body.network, points=scale * body.network.points)
-        self._springs = AttachedSprings(
-            network, settings, -up_direction(rig), frame_duration
-        )
+        down = -up_direction(rig)
+        self._springs = AttachedSprings(network, settings, down, frame_duration)
         self.steps = self._springs.cells * self._springs.substeps
         self.teleport_count = 0
         self.seconds = 0.0

@@ -23,9 +23,7 @@ def shortest_rotations(before: FloatArray, after: FloatArray) -> FloatArray:
     >>> shortest_rotations(np.array([[1.0, 0, 0]]), np.array([[2.0, 0, 0]])).tolist()
     [[0.0, 0.0, 0.0, 1.0]]
     """
-    lengths = [
-        np.linalg.norm(vectors, axis=-1, keepdims=True) for vectors in (before, after)
-    ]
+    lengths = [np.linalg.norm(v, axis=-1, keepdims=True) for v in (before, after)]
     has_length = (lengths[0] > MIN_BONE_LENGTH) & (lengths[1] > MIN_BONE_LENGTH)
     a = before / np.where(has_length, lengths[0], 1.0)
     b = after / np.where(has_length, lengths[1], 1.0)

@@ -164,9 +164,7 @@ class CharacterColliders:
             )
             for skin in skins
         ]
-        self._depths = np.concatenate(
-            [rigid_depths, *(distances[None] for distances in skin_depths)]
-        )
+        self._depths = np.vstack([rigid_depths, *skin_depths])
         self._skins = skins
         self._skin_material = (0.0, friction, margin, DEPENETRATION_SPEED, SPEED_LIMIT)
         self._skin_kernels: list[Any] = []

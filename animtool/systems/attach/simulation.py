@@ -314,9 +314,8 @@ class AttachSimulation:
         rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
             start_positions = [actor.positions for actor in self.actors]
-            is_steered = bool(rows) and (
-                repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
-            )
+            gives_up = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
+            is_steered = bool(rows) and gives_up
             rows = self._simulate_cycle(poses, rows if is_steered else [])
             motions = [actor.grid.state.motion for actor in self.actors]
             end_states = [_moved_to_start(state, travel) for state in motions]

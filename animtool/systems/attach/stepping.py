@@ -164,11 +164,10 @@ class AttachedSprings:
             frequency=frequency,
             options=replace(options, ratio=damping / frequency),
         )
-        springs = AttachedSprings(
-            self._network, steered, self._down, self._frame_duration
-        )
+        duration = self._frame_duration
+        springs = AttachedSprings(self._network, steered, self._down, duration)
         goal, free = path.copy(), self._network.free
-        motion = steering.path(len(path) - 1, self._frame_duration)
+        motion = steering.path(len(path) - 1, duration)
         fraction = steering_frequency**2 / stiffness
         goal[:, free] += fraction * (motion[:, free] - goal[:, free])
         return springs, goal

@@ -157,9 +157,8 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
         entry.report_fault("SIM050", message, "across")
     if not entry.can_build:
         return None
-    has_both_diagonals = (
-        model.springs.diagonals is None or model.springs.diagonals.ways == "both"
-    )
+    diagonals = model.springs.diagonals
+    has_both_diagonals = diagonals is None or diagonals.ways == "both"
     diagonal_family = entry.families["diagonals"]
     body = sheet(
         columns,

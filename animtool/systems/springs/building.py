@@ -80,9 +80,8 @@ class _SystemBuilder:
             springs = slice(first_spring, spring_count)
             notices = (*entry.body.notices, *(() if views else self._notices))
             is_first = not views
-            views.append(
-                SpringView(simulation, member, rows, springs, notices, is_first)
-            )
+            view = SpringView(simulation, member, rows, springs, notices, is_first)
+            views.append(view)
         simulation.views = views
         return simulation
 

@@ -84,9 +84,8 @@ def resample_to_shared_times(
     for times, path in paths:
         is_constant = len(times) == 1
         is_aligned = is_constant or np.array_equal(times, knots)
-        resampled.append(
-            np.ascontiguousarray(path if is_aligned else _resample(times, path, knots))
-        )
+        positions = path if is_aligned else _resample(times, path, knots)
+        resampled.append(np.ascontiguousarray(positions))
     return knots, resampled
 
 
@@ -99,12 +98,9 @@ def merge_constraints(
         return None
     names = {field.name for field in fields(kind)} - {"positions", "times"}
     columns: dict[str, Any] = {
-        name: np.concatenate([getattr(constraint, name) for constraint in merged])
-        for name in names
+        name: np.concatenate([getattr(row, name) for row in merged]) for name in names
     }
-    paths: list[Any] = [
-        (constraint.times, constraint.positions) for constraint in merged
-    ]
+    paths: list[Any] = [(row.times, row.positions) for row in merged]
     times, positions = _merge_paths(paths)
     return kind(positions=positions, times=times, **columns)
 
@@ -169,9 +165,8 @@ class Teleports:
         self._group_of_particle = np.zeros(len(body.positions), np.int64)
         if is_too_fast.any():
             self._group_of_particle = _connected_groups(body)
-        self._teleporting = _teleports_by_group(
-            is_too_fast, self._group_of_particle[driven_particles]
-        )
+        groups = self._group_of_particle[driven_particles]
+        self._teleporting = _teleports_by_group(is_too_fast, groups)
         self._teleport_knots: IntArray = np.flatnonzero(self._teleporting.any(axis=1))
         # Times of the teleports ``(J,)`` [s].
         self.times: FloatArray = self._knots[self._teleport_knots + 1]

@@ -81,9 +81,8 @@ def simulate_springs(
         plan = SpringPlan(system, options, choice)
         return _run_plan(plan, start_grid, sample_times, progress)
     t = float(sample_times[0])
-    state = np.ascontiguousarray(
-        system.state if checkpoint is None else checkpoint.state
-    )
+    start = system.state if checkpoint is None else checkpoint.state
+    state = np.ascontiguousarray(start)
     _check_start(system, state)
     choice = choose_solver(system, options, solver, t, state)
 

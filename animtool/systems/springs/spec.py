@@ -267,9 +267,8 @@ class SpringsModel(SolvedModel):
     def shared(self, *, has_colliders: bool = True) -> Mapping[str, Any]:
         """Return the keys that apply to all joined systems."""
         wind = ("wind",) if isinstance(self.air, FaceWindModel) else ()
-        specified_keys = self.model_fields_set - (
-            set() if has_colliders else {"radius"}
-        )
+        unused_keys = set() if has_colliders else {"radius"}
+        specified_keys = self.model_fields_set - unused_keys
         names = [name for name in (*_SHARED_KEYS, *wind) if name in specified_keys]
         return {name: getattr(self, name) for name in names}
 

@@ -283,9 +283,8 @@ class TiedCell:
             velocity_change = [pull[:3] / body.mass, body.inverse_inertia @ moment]
             residuals.append(np.concatenate(velocity_change) - velocity)
             totals[body.carrier][body.dynamic_index] = *pull[:3], *moment
-        wrenches = [
-            step.wrenches(rows) for step, rows in zip(self._steps, totals, strict=True)
-        ]
+        pulled_steps = zip(self._steps, totals, strict=True)
+        wrenches = [step.wrenches(total) for step, total in pulled_steps]
         return _TrialPull(springs, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(
