@@ -121,9 +121,9 @@ def check_links(
             valid_systems &= _check_name(
                 document, system, systems, names, name, location, capability
             )
-        for entry in setup.around.pushes if valid_systems else ():
+        for name, location in setup.around.pushes if valid_systems else ():
             valid_systems &= _check_name(
-                document, system, systems, names, *entry, "rigid"
+                document, system, systems, names, name, location, "rigid"
             )
         for tie in setup.around.tied if valid_systems else ():
             valid_systems &= _check_body(document, system, systems, *tie)

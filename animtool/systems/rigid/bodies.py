@@ -124,7 +124,7 @@ class RigidBodies:
         return self._of_dynamic([kind.moments for kind in self.kinds])
 
     @cached_property
-    def inverse_moments(self) -> FloatArray:
+    def inverse_inertias(self) -> FloatArray:
         """Inverses of `moments` ``(N, 3)`` [1/(kg m²)]; 0 where a moment is 0."""
         moments = self.moments
         return np.divide(1.0, moments, out=np.zeros_like(moments), where=moments > 0)

@@ -169,6 +169,6 @@ class RigidStates:
 
         Shapes ``(count, 3)`` [m] and ``(count, 3, 3)`` [1/(kg m²)].
         """
-        motion, inverse_moments = state.motion, self.bodies.inverse_moments
+        motion, inverse_inertias = state.motion, self.bodies.inverse_inertias
         axes = so3.to_matrix(motion[:, 3:7])
-        return motion[:, :3], (axes * inverse_moments[:, None]) @ axes.swapaxes(1, 2)
+        return motion[:, :3], (axes * inverse_inertias[:, None]) @ axes.swapaxes(1, 2)

@@ -387,7 +387,7 @@ class RigidSimulation(RigidStates):
         bodies, motion = self.bodies, state.motion
         local = so3.rotate(so3.conjugate(motion[:, 3:7]), motion[:, 10:13])
         kinetic = 0.5 * float(bodies.masses @ (motion[:, 7:10] ** 2).sum(axis=1))
-        kinetic += 0.5 * float((local**2 * bodies.inverse_moments).sum())
+        kinetic += 0.5 * float((local**2 * bodies.inverse_inertias).sum())
         return Energy(kinetic, self._forces.potential(motion))
 
     def diagnostics(self, state: RigidState, t: float) -> Diagnostics:  # noqa: ARG002
