@@ -57,8 +57,8 @@ def chain_rotations(
     """
     # World rotations of the parent of the first joint.
     world = np.tile(so3.IDENTITY, (len(rotations), 1))
-    for parent in rig.upwards(int(joints[0]))[1:]:
-        world = so3.multiply(rotations[:, parent], world)
+    for ancestor in rig.upwards(int(joints[0]))[1:]:
+        world = so3.multiply(rotations[:, ancestor], world)
     relative_rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):

@@ -292,8 +292,9 @@ class AttachSimulation:
         if code in self.options.save_at:
             for actor in self.actors:
                 name, clock = state_name_and_clock(actor.body, code)
-                spring_state = actor.grid.state
-                state = AttachState(*spring_state.motion, spring_state.passages)
+                positions, velocities = actor.grid.state.motion
+                passages = actor.grid.state.passages
+                state = AttachState(positions, velocities, passages)
                 self.saved[name] = clock, ReachedState(actor.steps, state)
 
     def _close_cycle(self, motion: Motion) -> Motion:

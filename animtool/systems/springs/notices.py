@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import Protocol
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, warning
 from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
 from animtool.sim.trajectory import Stats, Status
-from animtool.systems.springs.motion import piercing_notices
-from animtool.systems.springs.records import Solver
-from animtool.systems.springs.solvers import find_solvable_step
-
-if TYPE_CHECKING:
-    from animtool.systems.springs.simulation import SpringSimulation
+from animtool.systems.springs.motion import TimeGrid, piercing_notices
+from animtool.systems.springs.records import Solver, SpringOptions
+from animtool.systems.springs.solvers import SolverChoice, find_solvable_step
+from animtool.systems.springs.system import SpringSystem
 
 # Multiple of the xpbd strain limit above which compliance is reported: it is then at
 # least three quarters of the strain.
@@ -21,7 +19,26 @@ COMPLIANCE_FACTOR = 2
 MIN_MASS_RATIO = 0.01
 
 
-def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+class _Simulation(Protocol):
+    """Springs in motion, with the counts that warnings report."""
+
+    system: SpringSystem
+    options: SpringOptions
+    choice: SolverChoice
+    grid: TimeGrid
+    unsolved_grid: TimeGrid | None
+    min_applied_fraction: float
+    longest: float
+
+    @property
+    def is_auto(self) -> bool: ...
+    @property
+    def is_overstrained(self) -> bool: ...
+    @property
+    def shortest_step(self) -> float: ...
+
+
+def motion_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about the motion so far, with the reason of a stop last."""
     notices = [
         *simulation.system.colliders.surfaces.notices(),
@@ -44,7 +61,7 @@ def motion_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     return notices + piercing_notices(simulation.grid.piercing)
 
 
-def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
+def _step_notices(simulation: _Simulation, stats: Stats) -> list[Fault]:
     """Return warnings about unstable steps, and the reason of a stop."""
     notices, choice = [], simulation.choice
     limit, h = choice.limit, choice.cell / choice.substeps
@@ -66,7 +83,7 @@ def _step_notices(simulation: SpringSimulation, stats: Stats) -> list[Fault]:
     return notices
 
 
-def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
+def _strain_notices(simulation: _Simulation) -> list[Fault]:
     """Return warnings about springs that xpbd strains too far."""
     options = simulation.options
     if simulation.is_overstrained and not simulation.is_auto:
@@ -85,7 +102,7 @@ def _strain_notices(simulation: SpringSimulation) -> list[Fault]:
     return []
 
 
-def _convergence_hint(simulation: SpringSimulation) -> str:
+def _convergence_hint(simulation: _Simulation) -> str:
     """Return a hint on what to change when Newton's method does not converge."""
     system, unsolved = simulation.system, simulation.unsolved_grid
     step = None if unsolved is None else find_solvable_step(system, unsolved)
@@ -106,7 +123,7 @@ def _convergence_hint(simulation: SpringSimulation) -> str:
     return hint
 
 
-def _no_solver_warning(simulation: SpringSimulation, stats: Stats) -> Fault:
+def _no_solver_warning(simulation: _Simulation, stats: Stats) -> Fault:
     """Return a warning that no solver suits ``auto``, with alternatives (SIM178)."""
     choice, strain = simulation.choice, simulation.grid.stretch
     message = f"auto finds no solver for it: {choice.solver}, chosen because "

@@ -58,7 +58,7 @@ MAX_STEPS_PER_CALL = 1 << 20
 class _Stage(NamedTuple):
     """Paths of pins and targets between two teleports, and the kernel network."""
 
-    index: int  # number of teleports before it
+    number: int  # number of teleports before it
     pins: Path
     targets: Path
     network: _kernels.SpringNetwork
@@ -207,15 +207,17 @@ class SpringSystem(SecondOrder):
             stage.network.set_paths(pins[1], targets[1])
             self._cached_stage = _Stage(0, pins, targets, stage.network)
 
-    def _stage(self, index: int) -> _Stage:
+    def _stage(self, number: int) -> _Stage:
         """Return the paths and the kernel network of a stage, cached."""
         stage = self._cached_stage
-        if stage is None or stage.index != index:
+        if stage is None or stage.number != number:
             has_teleports = len(self.teleports) > 0
-            driven = self.teleports.paths(index) if has_teleports else self._paths
-            knots, paths = resample_to_shared_times([*driven, self._wind_path])
+            pins, targets = (
+                self.teleports.paths(number) if has_teleports else self._paths
+            )
+            knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
             network = self._network(Paths(knots, *paths))
-            stage = self._cached_stage = _Stage(index, *driven, network)
+            stage = self._cached_stage = _Stage(number, pins, targets, network)
         return stage
 
     def _network(self, paths: Paths) -> _kernels.SpringNetwork:
