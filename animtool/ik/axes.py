@@ -1,4 +1,4 @@
-"""Detects targets that use another up axis, unit or space."""
+"""Detects targets that use another up axis, unit, space or side."""
 
 from __future__ import annotations
 
@@ -11,11 +11,15 @@ from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
+from animtool.rig.sides import pair_sides
 
 # Larger coordinates are mistakes of another kind [m].
 MAX_DISTANCE = 1e6
 # A target in the unit that is meant may still be missed by a little, in limb lengths.
 MAX_REACH = 1.5
+# If targets of left and right are exchanged, limbs cross by this part of the distance
+# of their roots, and a joint is on its limit in this fraction of frames [1].
+MIN_CROSSING, MIN_LIMITED = 0.5, 0.5
 
 
 def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
@@ -95,6 +99,50 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
                 f"{_point_text(positions[joint])}"
             )
     return None
+
+
+def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
+    """Return pairs of a left and a right goal whose targets seem to be exchanged.
+
+    In all frames of both, the limbs cross by `MIN_CROSSING` or more, and in most of
+    them a joint of theirs is on its limit.
+    """
+    rig, tracks = solved_take.take.rig, solved_take.tracks.goals
+    pairs = pair_sides(rig.names, rig.parents)
+    goal_of_joint = {
+        rig.index(track.goal.joint): e
+        for e, track in enumerate(tracks)
+        if track.values.get("position") is not None
+    }
+    crossed: list[tuple[int, int]] = []
+    for left in pairs.left:
+        right = int(pairs.partners[left])
+        if left not in goal_of_joint or right not in goal_of_joint:
+            continue
+        goals = goal_of_joint[left], goal_of_joint[right]
+        paired = [j for j in rig.upwards(left) if pairs.partners[j] != j]
+        roots = paired[-1], int(pairs.partners[paired[-1]])
+        frames = solved_take.active[:, goals, 0].all(axis=1)
+        positions = solved_take.take.world().positions[frames]
+        across = positions[:, roots[0]] - positions[:, roots[1]]
+        tips = positions[:, left] - positions[:, right]
+        crossings = -(tips * across).sum(axis=1)
+        if (
+            not len(crossings)
+            or (crossings <= MIN_CROSSING * (across**2).sum(axis=1)).any()
+        ):
+            continue
+        names = {
+            rig.names[joint] for tip in (left, right) for joint in rig.upwards(tip)
+        }
+        limited = [
+            float(on[frames].mean())
+            for name, on in solved_take.on_limits.items()
+            if name in names
+        ]
+        if max(limited, default=0.0) >= MIN_LIMITED:
+            crossed.append(goals)
+    return crossed
 
 
 def _point_text(point: FloatArray) -> str:

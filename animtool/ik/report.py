@@ -17,7 +17,7 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.ik.axes import space_hint, unit_hint, up_axis_hint
+from animtool.ik.axes import crossed_goals, space_hint, unit_hint, up_axis_hint
 from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -186,6 +186,7 @@ def take_notices(
         *far_target_notices(solved_take, reports),
         *missed_notices(solved_take, reports),
         *pole_notices(solved_take),
+        *crossed_notices(solved_take),
         *jump_notices(solved_take),
     ]
 
@@ -226,6 +227,19 @@ def pole_notices(solved_take: TakeIk) -> list[Fault]:
         notices.append(
             replace(_goal_warning(solved_take, "IK103", e, message), hint=hint)
         )
+    return notices
+
+
+def crossed_notices(solved_take: TakeIk) -> list[Fault]:
+    """Return a warning for goals whose limbs cross in all frames (TGT111)."""
+    notices = []
+    for left, right in crossed_goals(solved_take):
+        names = [solved_take.tracks.goals[e].name for e in (left, right)]
+        message = f"{names[0]!r} and {names[1]!r} cross in all frames, with joints on "
+        message += "their limits"
+        notice = _goal_warning(solved_take, "TGT111", min(left, right), message)
+        hint = "if the targets of left and right are exchanged, swap the effectors"
+        notices.append(replace(notice, hint=hint))
     return notices
 
 
