@@ -301,6 +301,8 @@ def test_scales_in_percent(tmp_path: Path, scales: list[str], found: bool) -> No
     ("target", "part", "keys", "found"),
     [
         ("hips", "local_translation", "[0, 0, 0], [0, -2, 65]", True),
+        ("hips", "local_translation", "[0, -9, 0], [0, -4, 65]", True),  # crouches
+        ("knee", "local_translation", "[0, 1, 0], [0, -2, 1]", True),
         ("hips", "local_translation", "[0, 90, 0], [0, 88, 65]", False),
         ("hips", "local_translation", "[0, 9, 0], [0, 8, 65]", False),  # lies
         ("hips", "local_translation", "[0, 90, 0], [0, 0, 65]", False),  # falls
