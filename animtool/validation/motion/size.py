@@ -341,10 +341,8 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     )
     hint = "rotate the root"
     if axis.axis is not None:
-        hint = (
-            f"set upAxis {axis.axis}, or read the file with "
-            f"{argument('source.up', axis.axis)}"
-        )
+        hint = subject.up_remedy.format(axis.axis)
+        hint = hint or f"read the file with {argument('source.up', axis.axis)}"
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file without an up axis is read with the default one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

@@ -56,6 +56,8 @@ class MotionSubject:
     bind: FloatArray | None = None
     # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
+    # How the file states another up axis; empty if an option of reading it does.
+    up_remedy: str = ""
     # Whether samples were intentionally left out, to be restored by interpolation.
     reduced: bool = False
 
