@@ -56,8 +56,9 @@ class MotionSubject:
     bind: FloatArray | None = None
     # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
-    # How the file states another up axis; empty if an option of reading it does.
-    up_remedy: str = ""
+    # ``USD``, or ``clip`` for a clip on a rig; empty for formats that only options of
+    # reading give another unit or up axis.
+    file_format: str = ""
     # Whether samples were intentionally left out, to be restored by interpolation.
     reduced: bool = False
 

@@ -108,7 +108,7 @@ def open_clip_document(document: Document) -> CheckedFile:
         take,
         subject.fault_at,
         intended_cuts=subject.cuts,
-        up_remedy="write up: {} in the rig",
+        file_format="clip",
     )
     checked_file.subject, checked_file.takes = subject, (motion,)
     return checked_file
