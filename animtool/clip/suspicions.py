@@ -45,6 +45,9 @@ MIN_WOUND = 3
 MIN_LARGEST = 1.0
 # Fraction of keys at multiples of 15 degrees in radians that is more than chance.
 MIN_EXACT = 0.2
+# Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
+# many different keys of one channel in 1e-5.
+MIN_WHOLE, WHOLE_TOLERANCE = 4, 0.03
 # A root that travels less than this fraction of the rig's size does not leave its spot.
 MAX_TRAVEL = 0.05
 # Plausible range of travel in metres, relative to the rig's size.
@@ -234,9 +237,16 @@ def warn_of_angle_keys(
         return
     in_degrees = units.angle != 1.0
     named = [(curve.name, values) for curve, values in angles]
-    if not (
+    are_all = (
         _look_like_radians(named) if in_degrees else _look_like_degrees(named, rig)
-    ):
+    )
+    if not are_all:
+        angles = [
+            (curve, values)
+            for curve, values in angles
+            if in_degrees and _are_whole_degrees_in_radians(values)
+        ]
+    if not angles:
         return
     curve, values = max(angles, key=lambda row: np.abs(row[1]).max())
     k = int(np.abs(values).max(axis=1).argmax())
@@ -247,9 +257,11 @@ def warn_of_angle_keys(
         f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
         f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
+    hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
     hint = (
-        f"write 'units: {{angle: {likely_unit}}}', or this key in "
-        f"{ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
+        f"write 'units: {{angle: {likely_unit}}}', or {hint}"
+        if are_all
+        else (f"write {hint}")
     )
     document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 
@@ -271,6 +283,17 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     ]
     return len(moving_targets) >= MIN_CHANNELS and any(
         map(HINGE_NAMES.search, moving_targets)
+    )
+
+
+def _are_whole_degrees_in_radians(values: FloatArray) -> bool:
+    """Return whether rounded values are whole degrees if they are radians."""
+    numbers = np.array(sorted({*values[values != 0.0].tolist()}))
+    degrees = np.degrees(numbers)
+    return (
+        len(numbers) >= MIN_WHOLE
+        and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION
+        and bool((np.abs(degrees - np.round(degrees)) <= WHOLE_TOLERANCE).all())
     )
 
 

@@ -133,7 +133,12 @@ def _warn_of_offsets(
             abs(float(fraction_along_rest.mean())) <= NEAR_REST
             and max(fraction_along_rest) <= ABOUT_REST
         )
-        if distances[k] > AT_REST * length or not is_near:
+        is_at_zero = distances[k] <= AT_REST * length
+        if joint.parent < 0:
+            is_at_zero |= bool(fraction_along_rest.mean() < 0)
+        else:
+            is_at_zero |= bool(distances.max() <= NEAR_REST * length)
+        if not (is_at_zero and is_near):
             continue
         if joint.parent < 0:
             drop = float(rest @ rig.up.vector)

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel
+from animtool.clip.channels import ClipChannel, evaluate_channels
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import counted, listed
 from animtool.core.rates import rate_warning
 from animtool.documents.document import Document
+from animtool.maths import so3
 from animtool.maths.curves import Extrapolation
 from animtool.motion.key_times import are_in_seconds, full_seconds
 
+# Ends of a cycle that differ by less look equal [rad]; of the value range [1].
+CYCLE_TOLERANCE = 1e-3
 # Extrapolation that does not repeat the keys.
 _NOT_CYCLING = frozenset({Extrapolation.HOLD, Extrapolation.LINEAR})
 
@@ -36,6 +40,7 @@ def warn_of_times(
     frames = (float(first), float(last)) if "range" in document.value else None
     if not _warn_of_seconds(document, channels, fps, frames):
         _warn_of_range(document, channels, float(first), float(last))
+    _warn_of_open_cycles(document, channels, float(first), float(last))
 
 
 def _warn_of_seconds(
@@ -124,3 +129,54 @@ def keys_without_effect(channel: ClipChannel, first: float, last: float) -> IntA
     keys_before = np.flatnonzero(channel.times < first)[:-1]
     keys_after = np.flatnonzero(channel.times > last)[1:]
     return np.concatenate([keys_before, keys_after])
+
+
+def _warn_of_open_cycles(
+    document: Document, channels: Sequence[ClipChannel], first: float, last: float
+) -> None:
+    """Warn of channels that jump where their cycle repeats in the range (CLIP207)."""
+    for i, channel in enumerate(channels):
+        first_time, last_time = channel.times[0], channel.times[-1]
+        for key, extrapolation, is_reached in (
+            ("pre", channel.pre, first < first_time),
+            ("post", channel.post, last > last_time),
+        ):
+            is_cycle = extrapolation is Extrapolation.CYCLE and is_reached
+            if not is_cycle or _is_closed(channel):
+                continue
+            message = (
+                f"{channel.target!r} repeats frames {first_time:g} to {last_time:g}, "
+                "but its first and last values differ, so every repeat jumps"
+            )
+            hint = "give both the same value, or use cycle_offset to continue from the "
+            hint += "last"
+            document.warn("CLIP207", ("channels", i, key), message, hint)
+
+
+def _is_closed(channel: ClipChannel) -> bool:
+    """Return whether a channel ends as it begins, modulo full rotations."""
+    first_value, last_value = channel.values[0], channel.values[-1]
+    if (
+        channel.target.endswith(".angle")
+        and abs(last_value[0] - first_value[0]) > math.pi
+    ):
+        return (
+            abs(math.remainder(float(last_value[0] - first_value[0]), math.tau))
+            <= CYCLE_TOLERANCE
+        )
+    if channel.euler or channel.values.shape[1] == 4:
+        end_rotations = values_at(channel, channel.times[[0, -1]])
+        return (
+            float(so3.angle_between(end_rotations[:1], end_rotations[1:])[0])
+            <= CYCLE_TOLERANCE
+        )
+    value_range = float(np.ptp(channel.values, axis=0).max())
+    return (
+        float(np.abs(last_value - first_value).max()) <= CYCLE_TOLERANCE * value_range
+    )
+
+
+def values_at(channel: ClipChannel, times: FloatArray) -> FloatArray:
+    """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
+    values = evaluate_channels([channel], times)[channel.target]
+    return np.broadcast_to(values, (len(times), values.shape[1]))

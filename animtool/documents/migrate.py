@@ -177,8 +177,8 @@ def migrate(
             "what would change"
         )
         message = "would be replaced"
-        paths = [str(plan.path) for plan in outdated_documents]
-        raise OptionError([Fault("OUT001", message, path, (), hint) for path in paths])
+        names = [str(plan.path) for plan in outdated_documents]
+        raise OptionError([Fault("OUT001", message, name, (), hint) for name in names])
     check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
         for plan in outdated_documents:

@@ -107,6 +107,12 @@ class ModelFaults:
     def replace_faulty(self, error: ValidationError) -> None:
         """Record the faults of a failed validation and replace the faulty values."""
         faults_by_location = _group_by_location(self.value, error)
+        for location in self._record_unindented_options(faults_by_location.values()):
+            faults_by_location = {
+                key: faults
+                for key, faults in faults_by_location.items()
+                if key[0][: len(location)] != location
+            }
         ancestors = _ancestors(faults_by_location)
         faults_by_type: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in faults_by_location.items():
@@ -225,6 +231,38 @@ class ModelFaults:
         self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
         self._insert_placeholder(mapping)
         return True
+
+    def _record_unindented_options(self, groups: Iterable[list[Any]]) -> list[Location]:
+        """Record a fault for each entry whose options are not below its name.
+
+        Returns the locations of these entries, which get placeholders.
+        """
+        locations: list[Location] = []
+        for faults in groups:
+            location = _fault_location(self.value, faults[0])
+            if faults[0]["type"] == "dict_type":
+                location = location[:-1]  # of an option, which is read as a name
+            elif faults[0]["type"] != "too_long":
+                continue
+            entry = value_at(self.value, location)
+            is_entry = (
+                isinstance(entry, dict) and location and isinstance(location[-1], int)
+            )
+            if location in locations or not is_entry or len(entry) < 2:
+                continue
+            name, *options = entry
+            if entry[name] is not None:
+                continue
+            locations.append(location)
+            names = listed([excerpt(str(key)) for key in options])
+            text = flow_text(str(name), {key: entry[key] for key in options})
+            message = f"options of {name!r} are not below it: {names}"
+            hint = f"indent them further, or write {text}"
+            key_location = (*location, options[0])
+            self.document.add("DOC022", key_location, message, hint, at_key=True)
+        for location in locations:
+            self._insert_placeholder(location)
+        return locations
 
     def _record_tight_dash(self, location: Location, mapping: dict[str, Any]) -> None:
         """Record a list entry that was read as a key, for lack of a space after "-"."""

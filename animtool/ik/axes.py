@@ -1,4 +1,4 @@
-"""Detects targets that use another up axis, unit or space."""
+"""Detects targets that use another up axis, unit, space or side."""
 
 from __future__ import annotations
 
@@ -7,15 +7,20 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
+from animtool.ik.goals import PARTS
 from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
 from animtool.rig.kinematics import rest_world
+from animtool.rig.sides import pair_sides
 
 # Larger coordinates are mistakes of another kind [m].
 MAX_DISTANCE = 1e6
 # A target in the unit that is meant may still be missed by a little, in limb lengths.
 MAX_REACH = 1.5
+# If targets of left and right are exchanged, limbs cross by this part of the distance
+# of their roots, and a joint is on its limit in this fraction of frames [1].
+MIN_CROSSING, MIN_LIMITED = 0.5, 0.5
 
 
 def up_axis_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
@@ -58,7 +63,7 @@ def unit_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
         factor = unit.meters / rig.meters_per_unit
         distance = float(np.linalg.norm(factor * point - start))
         if factor < 1 and distance <= MAX_REACH * limb_length:
-            root = solved_take.tracks.goals[goal_index].goal.root
+            root = rig.names[_limb_root(solved_take, goal_index)]
             return (
                 f"the rig is in {unit_name(rig.meters_per_unit)}; with "
                 f"'units: {{length: {unit}}}' the target is "
@@ -78,14 +83,13 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
         frame: Time code of a miss.
     """
     target, rig = _limb_target(solved_take, goal_index, frame), solved_take.take.rig
-    root = solved_take.tracks.goals[goal_index].goal.root
-    if target is None or root is None:
+    if target is None:
         return None
     point, start, limb_length = target
     if float(np.linalg.norm(point - start)) <= limb_length:
         return None
     positions = rest_world(rig).positions[0]
-    limb_root = rig.index(root)
+    limb_root = _limb_root(solved_take, goal_index)
     for joint in ([*rig.upwards(limb_root)][-1], limb_root):
         distance = float(np.linalg.norm(positions[joint] + point - start))
         if distance <= limb_length:
@@ -97,8 +101,84 @@ def space_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None
     return None
 
 
+def pole_hint(solved_take: TakeIk, goal_index: int, frame: float) -> str | None:
+    """Return a hint if a missed target is in reach, so that its pole is in the way.
+
+    Args:
+        solved_take: The solved take.
+        goal_index: A goal whose position is missed.
+        frame: Time code of a miss.
+    """
+    track = solved_take.tracks.goals[goal_index]
+    row = int(np.abs(solved_take.take.clock.times - frame).argmin())
+    is_active = solved_take.active[row, goal_index]
+    if not is_active[PARTS.index("pole")]:
+        return None
+    target = _limb_target(solved_take, goal_index, frame)
+    if target is not None and np.linalg.norm(target[0] - target[1]) > target[2]:
+        return None
+    return (
+        f"the target is in reach of {track.name!r}, but not with its pole: move the "
+        "pole to the side on which the limb bends, or write weight: {pole: 0}"
+    )
+
+
+def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
+    """Return pairs of a left and a right goal whose targets seem to be exchanged.
+
+    In all frames of both, the limbs cross by `MIN_CROSSING` or more, and in most of
+    them a joint of theirs is on its limit.
+    """
+    rig, tracks = solved_take.take.rig, solved_take.tracks.goals
+    pairs = pair_sides(rig.names, rig.parents)
+    goal_of_joint = {
+        rig.index(track.goal.joint): e
+        for e, track in enumerate(tracks)
+        if track.values.get("position") is not None
+    }
+    crossed: list[tuple[int, int]] = []
+    for left in pairs.left:
+        right = int(pairs.partners[left])
+        if left not in goal_of_joint or right not in goal_of_joint:
+            continue
+        goals = goal_of_joint[left], goal_of_joint[right]
+        paired = [j for j in rig.upwards(left) if pairs.partners[j] != j]
+        roots = paired[-1], int(pairs.partners[paired[-1]])
+        frames = solved_take.active[:, goals, 0].all(axis=1)
+        positions = solved_take.take.world().positions[frames]
+        across = positions[:, roots[0]] - positions[:, roots[1]]
+        tips = positions[:, left] - positions[:, right]
+        crossings = -(tips * across).sum(axis=1)
+        if (
+            not len(crossings)
+            or (crossings <= MIN_CROSSING * (across**2).sum(axis=1)).any()
+        ):
+            continue
+        names = {
+            rig.names[joint] for tip in (left, right) for joint in rig.upwards(tip)
+        }
+        limited = [
+            float(on[frames].mean())
+            for name, on in solved_take.on_limits.items()
+            if name in names
+        ]
+        if max(limited, default=0.0) >= MIN_LIMITED:
+            crossed.append(goals)
+    return crossed
+
+
 def _point_text(point: FloatArray) -> str:
     return f"[{', '.join(f'{round(float(number), 3) + 0.0:g}' for number in point)}]"
+
+
+def _limb_root(solved_take: TakeIk, goal_index: int) -> int:
+    """Return the topmost joint that a goal moves."""
+    rig, goal = solved_take.take.rig, solved_take.tracks.goals[goal_index].goal
+    return (
+        rig.upwards(rig.index(goal.joint))[-1]
+        if goal.root is None
+        else rig.index(goal.root)
+    )
 
 
 def _limb_target(
@@ -106,10 +186,10 @@ def _limb_target(
 ) -> tuple[FloatArray, FloatArray, float] | None:
     """Return a target, the root of its limb at rest, and the limb's length [m]."""
     track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
-    value, root = track.values.get("position"), track.goal.root
-    if value is None or root is None:
+    value = track.values.get("position")
+    if value is None:
         return None
-    joint, start = rig.index(track.goal.joint), rig.index(root)
+    joint, start = rig.index(track.goal.joint), _limb_root(solved_take, goal_index)
     chain = list(rig.upwards(joint))
     chain = chain[: chain.index(start) + 1]
     positions = rest_world(rig).positions[0]

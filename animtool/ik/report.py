@@ -17,7 +17,13 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import angle_text, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
-from animtool.ik.axes import space_hint, unit_hint, up_axis_hint
+from animtool.ik.axes import (
+    crossed_goals,
+    pole_hint,
+    space_hint,
+    unit_hint,
+    up_axis_hint,
+)
 from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
@@ -35,6 +41,8 @@ MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
 FAR_MISS = 10.0
 # So do targets farther than this many rig sizes from the rig in every frame.
 FAR_TARGET = 20.0
+# Shots often begin at frame 1001, and takes at 1.
+SHOT_OFFSET = 1000
 # Suggested fraction of a limb's reach for `soft`.
 SUGGESTED_SOFT = 0.1
 # Distances above this have squares that overflow [m].
@@ -186,6 +194,7 @@ def take_notices(
         *far_target_notices(solved_take, reports),
         *missed_notices(solved_take, reports),
         *pole_notices(solved_take),
+        *crossed_notices(solved_take),
         *jump_notices(solved_take),
     ]
 
@@ -229,6 +238,19 @@ def pole_notices(solved_take: TakeIk) -> list[Fault]:
     return notices
 
 
+def crossed_notices(solved_take: TakeIk) -> list[Fault]:
+    """Return a warning for goals whose limbs cross in all frames (TGT111)."""
+    notices = []
+    for left, right in crossed_goals(solved_take):
+        names = [solved_take.tracks.goals[e].name for e in (left, right)]
+        message = f"{names[0]!r} and {names[1]!r} cross in all frames, with joints on "
+        message += "their limits"
+        notice = _goal_warning(solved_take, "TGT111", min(left, right), message)
+        hint = "if the targets of left and right are exchanged, swap the effectors"
+        notices.append(replace(notice, hint=hint))
+    return notices
+
+
 def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     """Return a hint for a missed goal, where one is known."""
     worst = max(report.spans, key=lambda span: span.distance)
@@ -236,7 +258,8 @@ def _miss_hint(solved_take: TakeIk, report: GoalReport, i: int) -> str | None:
     if hint is not None:
         return hint
     if worst.distance > 0:
-        hint = space_hint(solved_take, i, worst.frame)
+        hint = pole_hint(solved_take, i, worst.frame)
+        hint = hint or space_hint(solved_take, i, worst.frame)
     if hint is not None:
         return hint
     far_miss = FAR_MISS * solved_take.problem.length
@@ -287,18 +310,22 @@ def span_notices(solved_take: TakeIk) -> list[Fault]:
     times = solved_take.take.clock.times
     if len(times) == 1:
         return []
-    return [
-        _goal_warning(
-            solved_take,
-            "TGT104",
-            i,
-            f"the span from {span_label(first, last)}, to hold {track.name!r}, "
-            f"contains none of the frames {times[0]:g} to {times[-1]:g}",
-        )
-        for i, track in enumerate(solved_take.tracks.goals)
-        for first, last in track.spans
-        if last < times[0] or first > times[-1]
-    ]
+    frames = f"the frames {times[0]:g} to {times[-1]:g}"
+    notices = []
+    for i, track in enumerate(solved_take.tracks.goals):
+        for first, last in track.spans:
+            if last >= times[0] and first <= times[-1]:
+                continue
+            message = f"the span from {span_label(first, last)}, to hold "
+            message += f"{track.name!r}, contains none of {frames}"
+            offset = SHOT_OFFSET * round((first - times[0]) / SHOT_OFFSET)
+            hint = "write spans in frames of the take"
+            if offset and first - offset >= times[0] and last - offset <= times[-1]:
+                span = f"[{first - offset:g}, {last - offset:g}]"
+                hint += f"; without an offset of {offset:g} it is {span}"
+            notice = _goal_warning(solved_take, "TGT104", i, message)
+            notices.append(replace(notice, hint=hint))
+    return notices
 
 
 def rest_notices(solved_take: TakeIk) -> list[Fault]:

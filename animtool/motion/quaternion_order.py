@@ -8,13 +8,15 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Rig
 
 # With fewer rotating joints, half turns may be meant. Frames that are looked at.
 MIN_JOINTS, MAX_FRAMES = 5, 16
 # Median angles from the rest pose of a wrong and of a right order [rad].
 MIN_WRONG_ANGLE, MAX_RIGHT_ANGLE = np.radians([110.0, 50.0])
+# Static joints nearer to their rest pose than this are at rest [rad].
+MIN_STATIC_ANGLE = 1e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +38,16 @@ class SwappedOrder:
 
 def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     """Return angles from rest in both orders if w is misplaced; None if not."""
-    animated = motion.rotations.animated
-    values = motion.rotations.values
-    if len(animated) < MIN_JOINTS or not len(values):
+    channel = motion.rotations
+    is_rotated = so3.angle_between(rig.rest_rotations, channel.rest) > MIN_STATIC_ANGLE
+    is_rotated[channel.animated] = True
+    joints, frame_count = np.flatnonzero(is_rotated), len(channel.values)
+    if len(joints) < MIN_JOINTS or not frame_count:
         return None
-    count = min(len(values), MAX_FRAMES)
-    frames = np.linspace(0, len(values) - 1, count).astype(np.int64)
-    rotations, rest = values[frames], rig.rest_rotations[animated]
+    count = min(frame_count, MAX_FRAMES)
+    frames = np.linspace(0, frame_count - 1, count).astype(np.int64)
+    sampled = Channel(channel.rest, channel.animated, channel.values[frames])
+    rotations, rest = sampled.gather(joints), rig.rest_rotations[joints]
     angle_as_read = _median_angle(rest, rotations)
     if angle_as_read < MIN_WRONG_ANGLE:
         return None
@@ -52,7 +57,7 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     if angle_swapped > MAX_RIGHT_ANGLE:
         return None
     degrees = np.degrees([angle_as_read, angle_swapped]).tolist()
-    return SwappedOrder(len(animated), *degrees)
+    return SwappedOrder(len(joints), *degrees)
 
 
 def _median_angle(rest: FloatArray, rotations: FloatArray) -> float:
@@ -61,15 +66,17 @@ def _median_angle(rest: FloatArray, rotations: FloatArray) -> float:
     return float(np.median(np.median(angles, axis=0)))
 
 
-def order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
+ORDER_HINT = (
+    "USD and clip files have w first, [w, x, y, z]; glTF has it last, [x, y, z, w]"
+)
+MOTION_ORDER_HINT = "rotations of a Motion have w last, (x, y, z, w)"
+
+
+def order_warning(
+    rig: Rig, motion: Motion, path: str, hint: str = ORDER_HINT
+) -> list[Fault]:
     """Return a warning if quaternions seem to have w at the wrong end (MOT222)."""
     order = find_swapped_order(rig, motion)
     if order is None:
         return []
-    warning = Severity.WARNING
-    return [Fault("MOT222", order.message, path, (), ORDER_HINT, warning)]
-
-
-ORDER_HINT = (
-    "USD and clip files have w first, [w, x, y, z]; glTF has it last, [x, y, z, w]"
-)
+    return [Fault("MOT222", order.message, path, (), hint, Severity.WARNING)]

@@ -69,11 +69,13 @@ class ArrayReader:
             if message is not None:
                 self.document.add("RIG019", location, f"{text!r} {message}")
                 return array_reference
-            message = _value_fault(
-                role, self.archives.load_stored(path, array_key), count
-            )
+            values = self.archives.load_stored(path, array_key)
+            message = _value_fault(role, values, count)
             if message is not None:
-                self.document.add("RIG027", location, f"{text!r} {message}")
+                is_from_one = count is not None and role in _INTEGER_ROLES
+                is_from_one &= (values.min(), values.max()) == (1, count)
+                hint = "indices count from 0: subtract 1" if is_from_one else None
+                self.document.add("RIG027", location, f"{text!r} {message}", hint)
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
             self.document.add(code, location, str(error))

@@ -25,7 +25,7 @@ RADIUS_RANGE = (0.001, 0.3)
 MAX_BODY_DENSITY = 1000.0
 _TRIGONOMETRIC = frozenset({"sin", "cos", "tan"})
 # Lengths of ranges in degrees: quarters of a revolution up to a whole one.
-_DEGREE_SPANS = frozenset({90.0, 180.0, 270.0, 360.0})
+_QUARTER = 90.0
 # Ends of such ranges are multiples of this [deg].
 _DEGREE_STEP = 15.0
 
@@ -138,6 +138,6 @@ def _degrees_reason(rig: Rig, name: str) -> str | None:
             continue
         low, high = control.low, control.high
         is_round = all(math.fmod(end, _DEGREE_STEP) == 0 for end in (low, high))
-        if is_round and high - low in _DEGREE_SPANS:
+        if is_round and high > low and math.fmod(high - low, _QUARTER) == 0:
             return f"the range of {name!r} is {low:g} to {high:g}, as in degrees"
     return None

@@ -9,8 +9,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, UpAxis, unit_name
-from animtool.documents.document import Document
+from animtool.documents.document import Document, Location
 from animtool.maths import so3
+from animtool.rig.sides import pair_sides, reflect_vector
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
 # Joints that every body with limbs has.
@@ -34,6 +35,8 @@ MAX_LYING_COSINE, MIN_STANDING_COSINE = 0.3, 0.8
 MAX_WORLD_RATIO, MAX_BODY_RATIO = 0.3, 0.6
 # Fewer offsets, or ones that repeat, tell nothing.
 MIN_OFFSETS, MIN_WORLD_BONE = 3, 1e-3
+# Joints closer than this fraction of the rig's size are in the same place [1].
+SAME_POSITION = 1e-4
 
 
 def rest_pose_without_kernels(rig: Rig) -> tuple[FloatArray, FloatArray]:
@@ -67,6 +70,7 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
         return
     _warn_of_size(document, rig, size)
     _warn_of_up(document, rig, positions)
+    _warn_of_equal_sides(document, rig, positions)
 
 
 def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
@@ -142,16 +146,23 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
         f"the offsets of {len(children)} joints look like world positions: the rig "
         "measures {}, and {} if they are".format(*sizes)
     )
-    numbers = ", ".join(f"{number:.4g}" for number in bone.tolist())
     hint = (
         f"write positions relative to the parent; for {name!r}, from {parent!r}: "
-        f"translate: [{numbers}]"
+        f"translate: {_numbers_text(bone)}"
     )
+    document.warn("RIG113", _translate_location(document, name), message, hint)
+    return True
+
+
+def _translate_location(document: Document, name: str) -> Location:
+    """Return the location of a joint's offset, or of the joints if it is inherited."""
     entries = document.value["joints"]
     rows = [i for i, entry in enumerate(entries) if entry.get("name") == name]
-    location = ("joints", rows[0], "translate") if rows else ("joints",)
-    document.warn("RIG113", location, message, hint)
-    return True
+    return ("joints", rows[0], "translate") if rows else ("joints",)
+
+
+def _numbers_text(numbers: FloatArray) -> str:
+    return f"[{', '.join(f'{number + 0.0:.4g}' for number in numbers.tolist())}]"
 
 
 def _is_upright(rig: Rig, positions: FloatArray) -> bool:
@@ -199,3 +210,39 @@ def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     location = ("up",) if "up" in document.value else ("joints",)
     hint = f"write 'up: {other_axis}', or keep {rig.up} if the body lies at rest"
     document.warn("RIG111", location, message, hint)
+
+
+def _warn_of_equal_sides(document: Document, rig: Rig, positions: FloatArray) -> None:
+    """Warn of a left joint in the same place as the right one (RIG118).
+
+    Pairs in the plane x = 0, such as collarbones that begin at the breastbone, may be.
+    """
+    for left, right in equal_sides(rig, positions):
+        name = rig.names[right]
+        message = f"{name!r} is where {rig.names[left]!r} is at rest"
+        offset = reflect_vector(rig.rest_translations[right]) / rig.meters_per_unit
+        hint = (
+            f"for the other side write translate: {_numbers_text(offset)}, or create "
+        )
+        hint += f"it with 'mirror: {name}' in {rig.names[left]!r}"
+        document.warn("RIG118", _translate_location(document, name), message, hint)
+
+
+def equal_sides(rig: Rig, positions: FloatArray) -> list[tuple[int, int]]:
+    """Return pairs of a left and a right joint with equal offsets across x = 0.
+
+    Args:
+        rig: Rig of J joints.
+        positions: World positions at rest ``(J, 3)`` [m].
+    """
+    tolerance = SAME_POSITION * float(np.ptp(positions, axis=0).max(initial=0.0))
+    pairs = pair_sides(rig.names, rig.parents)
+    return [
+        (left, right)
+        for left in pairs.left
+        for right in [int(pairs.partners[left])]
+        if rig.parents[left] == rig.parents[right] >= 0
+        and not rig.joints[left].mirror
+        and np.abs(positions[left] - positions[right]).max() <= tolerance
+        and abs(positions[left, 0] - positions[rig.parents[left], 0]) > tolerance
+    ]

@@ -28,6 +28,10 @@ _STATUS_CODES = {
 }
 
 
+# A shorter step is no number of steps in a second [s].
+MIN_LONG_STEP = 1.0
+
+
 def step_warnings(
     equations: Equations,
     integrator: Integrator,
@@ -35,16 +39,24 @@ def step_warnings(
     times: FloatArray,
     state: FloatArray,
 ) -> list[Fault]:
-    """Return a warning if fixed steps exceed the stability limit.
+    """Return a warning if fixed steps exceed the whole run or the stability limit.
 
-    None for systems that do not report their fastest modes (`System.frequencies`).
+    The limit is known for systems that report their fastest modes
+    (`System.frequencies`).
     """
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
-    if step is None or modes is None or integrator.control is not StepControl.FIXED:
+    if step is None or integrator.control is not StepControl.FIXED:
         return []
     intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
     max_step = max((step_grid(*gap, step).h for gap in intervals), default=0.0)
-    limit = allowed_step(integrator, modes)
+    duration = float(times[-1] - times[0])
+    if step > max(duration, MIN_LONG_STEP) > 0 and len(intervals) > 1:
+        message = f"a step of {plain_number(step)} s is longer than the whole run of "
+        message += f"{plain_number(duration)} s; steps of {plain_number(max_step)} s "
+        message += "are taken"
+        hint = f"step is in seconds: for {plain_number(step)} a second write "
+        return [warning("SIM109", message, f"{hint}{plain_number(1 / step)}")]
+    limit = None if modes is None else allowed_step(integrator, modes)
     if limit is None or max_step <= limit:
         return []
     message = f"{integrator.name} is not stable with steps of {plain_number(max_step)} "

@@ -175,6 +175,8 @@ Finding = Fault
 MIN_FILES_PER_PROCESS = 40
 # Number of files that a process takes at a time.
 CHUNK_FILES = 10
+# Findings that another finding in the same file explains, by the codes that do.
+CAUSES = {"MOT209": {"CLIP122", "CLIP123"}, "RIG204": {"RIG115"}}
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,6 +378,10 @@ def findings_in(checked: CheckedFile) -> list[Fault]:
     for rule in rules.values():
         if rule.check and checked.kind in rule.kinds:
             faults += _run_rule(rule, checked)
+    codes = {fault.code for fault in faults}
+    faults = [
+        fault for fault in faults if CAUSES.get(fault.code, set()).isdisjoint(codes)
+    ]
     if checked.document is None:
         return faults
     ignores = IgnoreEntries.from_document(checked.document)

@@ -451,9 +451,8 @@ def test_what_is_solved_to_is_never_a_miss(place: Path, given: tuple[str, str]) 
 
 
 def test_spans_outside_the_frames_are_named(place: Path) -> None:
-    text = (
-        "targets: animtool/1\ngoals:\n- {effector: leg_l, hold: [[4, 9], [30, 40]]}\n"
-    )
+    spans = "[[4, 9], [30, 40], [1012, 1020]]"
+    text = f"targets: animtool/1\ngoals:\n- {{effector: leg_l, hold: {spans}}}\n"
     (place / "late.targets.yaml").write_text(text)
     done = run(place, "-t", "late.targets.yaml", "--clip", STRIDE)
     assert done.code == 0
@@ -461,9 +460,21 @@ def test_spans_outside_the_frames_are_named(place: Path) -> None:
         "late.targets.yaml:3:3: warning: TGT104 goals[0]: the span from" in done.stderr
     )
     assert "the span from 30 to 40, to hold 'leg_l'" in done.stderr
+    assert done.stderr.count("without an offset of 1000 it is") == 1
+    assert "it is [12, 20]" in done.stderr
     assert run(place, "-t", "late.targets.yaml", "--clip", STRIDE, "--strict").code == 1
     one = run(place, "-t", "late.targets.yaml", "--clip", STRIDE, "--pose", "5")
     assert "TGT104" not in one.stderr
+
+
+def test_a_pole_that_keeps_a_limb_from_its_target(place: Path) -> None:
+    for z, in_the_way in ((-3, True), (3, False)):
+        (place / "pole.targets.yaml").write_text(
+            "targets: animtool/1\ngoals:\n"
+            f"- {{effector: leg_l, hold: [[4, 10]], pole: [0.09, 0.5, {z}]}}\n"
+        )
+        done = run(place, "-t", "pole.targets.yaml", "--clip", STRIDE)
+        assert ("but not with its pole" in done.stderr) is in_the_way
 
 
 def test_holding_the_rest_pose_is_reported(place: Path) -> None:

@@ -139,6 +139,26 @@ def test_targets_relative_to_a_joint(workplace: Path, point: str, joint: str) ->
 
 
 @pytest.mark.parametrize(
+    ("left", "right", "crossed"),
+    [
+        ("[-0.4, 1.1, 0.2]", "[0.4, 1.1, 0.2]", True),
+        ("[0.4, 1.1, 0.2]", "[-0.4, 1.1, 0.2]", False),
+        ("[0, 1.1, 0.3]", "[0, 1.15, 0.3]", False),
+    ],
+)
+def test_targets_of_left_and_right(
+    workplace: Path, left: str, right: str, crossed: bool
+) -> None:
+    (workplace / "a.targets.yaml").write_text(
+        f"{TARGETS}range: [1, 2]\ngoals:\n- {{effector: arm_l, position: {left}}}\n"
+        f"- {{effector: arm_r, position: {right}}}\n"
+    )
+    done = animtool("ik", BIPED, "--targets", "a.targets.yaml", cwd=workplace)
+    assert done.code == 0, done.stderr
+    assert ("TGT111 goals[0]" in done.stderr) is crossed
+
+
+@pytest.mark.parametrize(
     "text", ["k=50:200:50", "k=50:50:200", "50:200:50", "k=50..200..50"]
 )
 def test_a_range_of_another_notation(workplace: Path, text: str) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import pytest
@@ -57,6 +58,23 @@ def test_radians_where_degrees_are_declared(
 ) -> None:
     assert codes(tmp_path, channel) == ["CLIP107"]
     assert codes(tmp_path, channel, units="{angle: rad}") == []
+
+
+@pytest.mark.parametrize(
+    ("angles", "found"),
+    [
+        ([[-85, -55, -92], [40, 20, 0], [0, 0, 0]], True),
+        ([[-85.4, -55.3, -92.2], [40, 20, 0], [0, 0, 0]], False),
+        ([[-85, -55, 0], [0, 0, 0], [0, 0, 0]], False),
+    ],
+)
+def test_single_channels_in_radians(
+    tmp_path: Path, angles: list[list[float]], found: bool
+) -> None:
+    radians: list[object] = [[round(math.radians(a), 3) for a in row] for row in angles]
+    thigh, foot, _ = eulers(70.0)
+    hips = ("joint/hips.rotation", "euler: XYZ, ", radians)
+    assert codes(tmp_path, thigh, foot, hips) == ["CLIP107"] * found
 
 
 def test_degrees_where_radians_are_declared(tmp_path: Path) -> None:
@@ -283,6 +301,8 @@ def test_scales_in_percent(tmp_path: Path, scales: list[str], found: bool) -> No
     ("target", "part", "keys", "found"),
     [
         ("hips", "local_translation", "[0, 0, 0], [0, -2, 65]", True),
+        ("hips", "local_translation", "[0, -9, 0], [0, -4, 65]", True),  # crouches
+        ("knee", "local_translation", "[0, 1, 0], [0, -2, 1]", True),
         ("hips", "local_translation", "[0, 90, 0], [0, 88, 65]", False),
         ("hips", "local_translation", "[0, 9, 0], [0, 8, 65]", False),  # lies
         ("hips", "local_translation", "[0, 90, 0], [0, 0, 65]", False),  # falls

@@ -617,7 +617,7 @@ def told(**keys: Any) -> Any:
     given = {
         "problem": problem,
         "take": SimpleNamespace(
-            rig=problem.rig, clock=SimpleNamespace(times=np.arange(10.0, 15))
+            rig=problem.rig, clock=SimpleNamespace(times=np.arange(10.0, 15), fps=24)
         ),
         "tracks": SimpleNamespace(goals=(own,), path=Path("p")),
         "statuses": (IkStatus.CONVERGED,) * 5,

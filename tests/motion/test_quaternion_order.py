@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool import open_source
+from animtool import open_source, usd
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.quaternion_order import order_warning
@@ -51,3 +51,16 @@ def test_a_few_joints_may_be_half_turned(walk: Take) -> None:
     rotations = walk.motion.rotations.dense().copy()
     rotations[:, 1:9] = np.roll(rotations[:, 1:9], 1, axis=2)
     assert codes(walk, rotations) == []
+
+
+def test_identities_with_w_first(walk: Take, tmp_path: Path) -> None:
+    shape = walk.motion.rotations.dense().shape
+    first, last = np.zeros(shape), np.zeros(shape)
+    first[..., 0] = last[..., 3] = 1.0
+    assert codes(walk, first) == ["MOT222"]
+    assert codes(walk, last) == []
+    for rotations, found in ((first, 1), (last, 0)):
+        motion = replace(walk.motion, rotations=Channel.from_dense(rotations))
+        take = replace(walk, motion=motion)
+        result = usd.write(take, tmp_path / "a.usda", overwrite=True)
+        assert [notice.code for notice in result.notices].count("MOT222") == found

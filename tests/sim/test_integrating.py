@@ -152,6 +152,14 @@ def test_explicit_euler_warns_before_and_stops_when_it_blows_up() -> None:
     assert found.stats.time < 3
 
 
+@pytest.mark.parametrize(("step", "codes"), [(24.0, ["SIM109"]), (0.9, []), (2.5, [])])
+def test_a_step_that_is_a_rate(step: float, codes: list[str]) -> None:
+    free = ForceSystem(lambda _t, x, _v: -x, [[1.0]])
+    times = np.arange(1 + 72) / 24
+    found = integrate(free, times, IntegrateOptions("rk4", step=step))
+    assert [notice.code for notice in found.notices] == codes
+
+
 def test_the_stable_step_is_found_where_the_system_says_nothing() -> None:
     spring = ForceSystem(
         lambda _t, x, v: -1e4 * x - 20 * v,

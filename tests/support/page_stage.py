@@ -248,5 +248,14 @@ def make_stage(folder: Path) -> None:
         half=points / 2,
         still=points * 0,
     )
+    along, around = np.repeat(np.linspace(0.3, 2.3, 3), 4), np.arange(12) * np.pi / 2
+    arm = np.stack([along, 0.1 * np.cos(around), 0.1 * np.sin(around)], axis=1)
+    np.savez(
+        folder / "arm.npz",
+        points=arm,
+        faces=np.array([[0, 1, 2, 3], [4, 5, 6, 7], [8, 9, 10, 11]]),
+        indices=np.repeat(np.arange(3), 4)[:, None],
+        weights=np.ones((12, 1)),
+    )
     places = np.linspace([0.4, 1.4, 0.2], [0.5, 1.5, 0.3], 49)
     np.savez(folder / "hands.npz", left=places[:24], short=places[:23], long=places)

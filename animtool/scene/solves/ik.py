@@ -36,6 +36,7 @@ from animtool.ik.report import (
     MISSED_ANGLE,
     MISSED_LENGTH,
     GoalReport,
+    crossed_notices,
     far_target_notices,
     goal_reports,
     independent_frame_notices,
@@ -293,6 +294,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *independent_frame_notices(solution, smooth=job.options.smooth > 0),
         *far_target_notices(solution, goals),
         *pole_notices(solution),
+        *crossed_notices(solution),
         *jump_notices(solution),
     ]
     report = IkReport(solution, goals, [*notices, *missed_goals], seconds)

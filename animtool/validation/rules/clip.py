@@ -8,11 +8,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, evaluate_channels
+from animtool.clip.channels import ClipChannel
+from animtool.clip.suspicious_times import CYCLE_TOLERANCE, values_at
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.maths import so3
-from animtool.maths.curves import Extrapolation, Interp
+from animtool.maths.curves import Interp
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
@@ -63,8 +64,6 @@ WRAP_ANGLE, WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
 # Motion that continues before or after at this fraction of the speed is a spin [1].
 SPIN_RATIO = 0.5
 DEGREE = "\N{DEGREE SIGN}"
-# Ends of a cycle that differ by less look equal [rad]; of the value range [1].
-CYCLE_TOLERANCE = 1e-3
 
 
 def overshoot(subject: ClipSubject) -> Iterator[Fault]:
@@ -74,10 +73,8 @@ def overshoot(subject: ClipSubject) -> Iterator[Fault]:
         excess = _excess_function(channel, subject.rig)
         if excess is None or len(channel.times) < 2:
             continue
-        is_inside = (
-            np.abs(excess(_channel_values(channel, channel.times))) <= LIMIT_TOLERANCE
-        )
-        excess_at_times = np.abs(excess(_channel_values(channel, times)))
+        is_inside = np.abs(excess(values_at(channel, channel.times))) <= LIMIT_TOLERANCE
+        excess_at_times = np.abs(excess(values_at(channel, times)))
         segment_of_frame = np.searchsorted(channel.times, times, "right") - 1
         for key in np.flatnonzero(is_inside[:-1] & is_inside[1:]).tolist():
             frames = np.flatnonzero(
@@ -134,12 +131,6 @@ def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
             return ball_limit.excess
         case _:
             return None
-
-
-def _channel_values(channel: ClipChannel, times: FloatArray) -> FloatArray:
-    """Return the values of a channel at times ``(F, D)``, rotations as quaternions."""
-    values = evaluate_channels([channel], times)[channel.target]
-    return np.broadcast_to(values, (len(times), values.shape[1]))
 
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
@@ -327,56 +318,5 @@ def _shortest_rotation(channel: ClipChannel, key: int) -> float:
     if not channel.euler:
         angle_step = float(channel.values[key + 1, 0] - channel.values[key, 0])
         return abs(math.remainder(angle_step, math.tau))
-    first, second = _channel_values(channel, channel.times[key : key + 2])
+    first, second = values_at(channel, channel.times[key : key + 2])
     return float(so3.angle_between(first[None], second[None])[0])
-
-
-def open_cycles(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield channels with a discontinuity where their cycle repeats (CLIP207)."""
-    clip = subject.clip
-    for channel_index, channel in enumerate(clip.channels):
-        for key, extrapolation, is_reached in (
-            ("pre", channel.pre, float(clip.first) < channel.times[0]),
-            ("post", channel.post, float(clip.last) > channel.times[-1]),
-        ):
-            if (
-                extrapolation is not Extrapolation.CYCLE
-                or not is_reached
-                or _is_closed(channel)
-            ):
-                continue
-            first_time, last_time = channel.times[0], channel.times[-1]
-            message = (
-                f"{channel.target!r} repeats frames {first_time:g} to {last_time:g}, "
-                "but its first and last values differ, so every repeat jumps"
-            )
-            hint = (
-                "give both the same value, or use cycle_offset to continue from the "
-                "last"
-            )
-            yield subject.fault(
-                "CLIP207", ("channels", channel_index, key), message, hint
-            )
-
-
-def _is_closed(channel: ClipChannel) -> bool:
-    """Return whether a channel ends as it begins, modulo full rotations."""
-    first_value, last_value = channel.values[0], channel.values[-1]
-    if (
-        channel.target.endswith(".angle")
-        and abs(last_value[0] - first_value[0]) > MIN_FAR_ANGLE
-    ):
-        return (
-            abs(math.remainder(float(last_value[0] - first_value[0]), math.tau))
-            <= CYCLE_TOLERANCE
-        )
-    if channel.euler or channel.values.shape[1] == 4:
-        end_rotations = _channel_values(channel, channel.times[[0, -1]])
-        return (
-            float(so3.angle_between(end_rotations[:1], end_rotations[1:])[0])
-            <= CYCLE_TOLERANCE
-        )
-    value_range = float(np.ptp(channel.values, axis=0).max())
-    return (
-        float(np.abs(last_value - first_value).max()) <= CYCLE_TOLERANCE * value_range
-    )

@@ -16,6 +16,7 @@ from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, JointType
+from animtool.rig.suspicious_shape import equal_sides
 from animtool.validation.subjects.rig import RigSubject
 
 # Tolerance for degrees rounded in a file [rad], [m].
@@ -198,8 +199,10 @@ def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
+    in_one_place = equal_sides(rig.rig, rig.rest[0])  # reported when it was read
     for (left, right), is_mirrored in zip(pairs, are_mirrored.tolist(), strict=True):
-        if not is_mirrored:
+        indices = rig.rig.index(left.name), rig.rig.index(right.name)
+        if not is_mirrored and indices not in in_one_place:
             location = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
             hint = f"mirror: {right.name} in {left.name!r} creates it"
@@ -247,16 +250,18 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
         bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
         for side in (0, 1)
     )
+    tolerance = POSITION_TOLERANCE * max(rig.size, POSITION_TOLERANCE)
     most_mirrored = np.zeros(len(pairs), bool)
+    most_across = -1
     for axis in range(3):
         mirror_signs = np.ones(3)
         mirror_signs[axis] = -1.0
         distances = np.linalg.norm(left_bones * mirror_signs - right_bones, axis=1)
-        is_mirrored = distances <= POSITION_TOLERANCE * max(
-            rig.size, POSITION_TOLERANCE
-        )
-        # Bones in the plane are equal in any direction.
-        if np.count_nonzero(is_mirrored) > np.count_nonzero(most_mirrored):
+        is_mirrored = distances <= tolerance
+        # Bones in the plane are equal, whichever plane it is.
+        is_across = is_mirrored & (np.abs(left_bones[:, axis]) > tolerance)
+        if int(np.count_nonzero(is_across)) > most_across:
+            most_across = int(np.count_nonzero(is_across))
             most_mirrored = is_mirrored
     return most_mirrored
 

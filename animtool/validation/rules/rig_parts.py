@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted
+from animtool.core.quantities import length_text
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Location
 from animtool.maths import so3
@@ -188,6 +189,77 @@ def _diagonal(mesh: Mesh, archives: Archives) -> float:
     if not len(points):
         return 0.0
     return float(np.linalg.norm(points.max(axis=0) - points.min(axis=0)))
+
+
+# Joints with fewer points that follow them most are not compared with their skin.
+MIN_SKIN_POINTS = 4
+# Where another pose is meant, the points that follow a joint most are farther from its
+# bones than this many times their own spread, and this fraction of the rig's size.
+MAX_SKIN_SPREADS, MAX_SKIN_DISTANCE = 2.0, 0.05
+# A single joint may have a prop that is elsewhere.
+MIN_DISTANT_JOINTS = 2
+
+
+def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
+    """Yield skinned meshes that are not where their joints are bound (RIG225)."""
+    if not rig.size or not any(mesh.skin for mesh in rig.rig.meshes):
+        return
+    positions = rig.bind_positions
+    with Archives() as archives:
+        for mesh in rig.rig.meshes:
+            if mesh.skin is None or mesh.geom_bind is not None:
+                continue
+            distances = {}
+            for joint, points in _points_by_joint(rig, mesh, archives).items():
+                centre = points.mean(axis=0)
+                spread = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
+                ends = positions[[joint, *rig.children[joint]]]
+                distance = _distance_to_bones(centre, ends)
+                limit = max(MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size)
+                if distance > limit:
+                    distances[rig.rig.names[joint]] = distance
+            if len(distances) < MIN_DISTANT_JOINTS:
+                continue
+            worst = max(distances, key=lambda name: distances[name])
+            message = (
+                f"{mesh.name!r} is not where {len(distances)} of its joints are bound: "
+                f"the skin of {worst!r} is {length_text(distances[worst])} from it"
+            )
+            hint = "write the pose in which the mesh was made under bind"
+            if rig.rig.bind:
+                hint = "make rest and bind those in which the mesh was made"
+            yield rig.fault(
+                "RIG225", (*rig.at("meshes", mesh.name), "skin"), message, hint
+            )
+
+
+def _points_by_joint(
+    rig: RigSubject, mesh: Mesh, archives: Archives
+) -> dict[int, FloatArray]:
+    """Return the points ``(N, 3)`` [m] that follow each joint most."""
+    skin = mesh.skin
+    if skin is None or not skin.joints:
+        return {}
+    indices, weights = skin.indices.load(archives), skin.weights.load(archives)
+    points = mesh.points.load(archives) * rig.rig.meters_per_unit
+    rows = np.arange(len(weights))
+    main_joints = indices[rows, weights.argmax(axis=1)]
+    groups = {
+        rig.rig.index(name): points[main_joints == i]
+        for i, name in enumerate(skin.joints)
+    }
+    return {
+        joint: group for joint, group in groups.items() if len(group) >= MIN_SKIN_POINTS
+    }
+
+
+def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
+    """Return the distance of a point to segments from the first end to the others."""
+    start, vectors = ends[0], ends - ends[0]
+    lengths = np.maximum((vectors**2).sum(axis=1), np.finfo(float).tiny)
+    fractions = np.clip(vectors @ (point - start) / lengths, 0.0, 1.0)
+    nearest_points = start + fractions[:, None] * vectors
+    return float(np.linalg.norm(point - nearest_points, axis=1).min())
 
 
 # Joints with narrower limits do not bend noticeably [rad], [m].

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -60,6 +61,22 @@ class RigSubject(DocumentSubject):
     def rest(self) -> tuple[FloatArray, FloatArray]:
         """World positions ``(J, 3)`` [m] and rotations ``(J, 4)`` at rest."""
         return rest_pose_without_kernels(self.rig)
+
+    @property
+    def bind_positions(self) -> FloatArray:
+        """World positions in the bind pose ``(J, 3)`` [m]."""
+        bind = self.rig.bind
+        joints = tuple(
+            replace(
+                joint,
+                translation=bind[joint.name].translation,
+                rotation=bind[joint.name].rotation,
+            )
+            if joint.name in bind
+            else joint
+            for joint in self.rig.joints
+        )
+        return rest_pose_without_kernels(replace(self.rig, joints=joints))[0]
 
     @cached_property
     def size(self) -> float:

@@ -348,6 +348,21 @@ def test_a_pass_that_is_only_a_name_is_told_how_it_is_written(tmp_path: Path) ->
     assert hints == ["write 'mirror: {}'"]
 
 
+def test_options_that_are_not_below_their_pass(tmp_path: Path) -> None:
+    (tmp_path / "a.scene.yaml").write_text(
+        "scene: animtool/1\nsource: {file: a.bvh}\npasses:\n- loop:\n  find: true\n"
+        "  repeats: 3\n- trim:\n  options: {}\n- mirror:\n"
+    )
+    with pytest.raises(FormatError) as caught:
+        load_scene(tmp_path / "a.scene.yaml")
+    faults = [fault for fault in caught.value.faults if fault.code == "DOC022"]
+    assert [(fault.where, fault.lines) for fault in faults] == [
+        ("passes[0].find", (5,)),
+        ("passes[1].options", (8,)),
+    ]
+    assert "loop: {find: true, repeats: 3}" in str(faults[0].hint)
+
+
 def test_short_forms_are_those_in_full(tmp_path: Path) -> None:
     walk = Path("samples/walk/walk.bvh").resolve()
     (tmp_path / "walk.bvh").write_bytes(walk.read_bytes())

@@ -36,6 +36,22 @@ CASES: dict[str, tuple[str, list[str]]] = {
         BALL.replace("LIMITS", "twist: [0, 40], twist_axis: [1, 0, 0]"),
         [],
     ),
+    "both sides in one place": (
+        SIDES.replace("-0.1", "0.1")
+        + "- {name: knee_l, parent: hip_l, type: ball, translate: [0, -0.4, 0]}\n"
+        "- {name: knee_r, parent: hip_r, type: ball, translate: [0, -0.4, 0]}\n",
+        ["RIG118"],
+    ),
+    "both sides in the middle": (
+        SIDES.replace("-0.1,", "0,").replace("0.1,", "0,"),
+        [],
+    ),
+    "one side farther out than the other": (
+        SIDES.replace("-0.1", "-0.2")
+        + "- {name: knee_l, parent: hip_l, type: ball, translate: [0.1, -0.4, 0]}\n"
+        "- {name: knee_r, parent: hip_r, type: ball, translate: [-0.1, -0.4, 0]}\n",
+        ["RIG212"],
+    ),
     "a follower that rests outside": (
         TWO.replace("LIMITS", "[0, 90]").replace("MIMIC", "{joint: a, offset: 95}"),
         ["RIG201", "RIG205"],
