@@ -357,7 +357,7 @@ LAYERS = [
     PlantedLayer("a bind pose far away", "stride", bind(bind_moved), "MOT220"),
     PlantedLayer("an arm without weights", "stride", without_influence, "MOT221"),
     PlantedLayer("centimetres stated as metres", "walk", units(1.0), "MOT213"),
-    PlantedLayer("a biped of 2.4 mm", "carry", units(0.001), "MOT213"),
+    PlantedLayer("a biped of 2.4 mm", "carry", units(0.001), "USD126"),
     PlantedLayer("Y up, stated as Z", "stride", up("Z"), "MOT214"),
     PlantedLayer("signs of quaternions that change", "walk",
                  each("rotations", flipped), "USD204"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ def warn_of_weak_gravity(
     document: Document,
     location: Location,
     spec: Any,
-    parts: dict[str, Any],
+    parts: Mapping[str, Any],
     seconds: float,
 ) -> None:
     """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
@@ -60,7 +61,7 @@ def warn_of_weak_gravity(
     document.warn("SIM200", where, message, hint)
 
 
-def _strongest_pull(spec: Any, parts: dict[str, Any]) -> tuple[float, float, float]:
+def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, float]:
     """Return the total mass, and distance and acceleration where gravity does most.
 
     The acceleration is per unit of the gravitational constant [kg/m²].

@@ -214,7 +214,8 @@ def _warn_of_planes(
 
 def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
     """Warn of fills of which a container or a plane cuts half or more (SIM202)."""
-    at, spec, around = system.setup.location, system.setup.spec, system.setup.around
+    at, around = system.setup.location, system.setup.around
+    spec: Any = system.setup.spec
     walls = [
         (c, Colliders([collider]))
         for c, collider in enumerate(around.colliders)

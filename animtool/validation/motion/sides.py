@@ -13,7 +13,8 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
-from animtool.validation.motion.body import body_carriers, feet_of
+from animtool.rig.body_size import feet_of
+from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
 # Shorter takes only show a pose, in which a foot may be static [frame].

@@ -18,6 +18,7 @@ from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import Stance, measure_stance
 from animtool.rig.body_size import (
     MIN_JOINTS,
+    feet_of,
     fitting_unit,
     is_character,
     unit_texts,
@@ -26,7 +27,6 @@ from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import (
     body_joints,
-    feet_of,
     hips_of,
     positioned_joints,
 )
