@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 
 from animtool.clip.plain_keys import PlainKeys
@@ -33,9 +31,8 @@ def with_array_keys(document: Document, model: ClipModel) -> ClipModel:
         for i, channel in enumerate(channels):
             keys: object = channel.keys
             if isinstance(keys, str):
-                array_keys = _load_keys(
-                    document, ("channels", i, "keys"), keys, archives
-                )
+                location = ("channels", i, "keys")
+                array_keys = _load_keys(document, location, keys, archives)
                 channels[i] = channel.model_copy(update={"keys": array_keys})
     return model.model_copy(update={"channels": channels})
 
@@ -45,12 +42,14 @@ def _load_keys(
 ) -> PlainKeys | list[object]:
     """Return the keys of an array reference; an empty list if it is faulty."""
     name, array = split_reference(text, DEFAULT_ARRAY)
-    path = (
-        None
-        if document.is_placeholder(location)
-        else _array_file(document, location, name)
-    )
-    if path is None:
+    if document.is_placeholder(location):
+        return []
+    path = resolve_reference(document, location, name, project_roots(document.path))
+    reason = None if path is None else not_a_file_reason(path)
+    if reason is not None:
+        hint = missing_hint(document, name)
+        document.add("DOC015", location, f"{name!r} {reason}", hint)
+    if path is None or reason is not None:
         return []
     try:
         key_rows = archives.load(path, array)
@@ -63,21 +62,8 @@ def _load_keys(
         document.add("CLIP016", location, message, hint)
         return []
     if not (np.abs(key_rows) <= MAX_NUMBER).all():
-        document.add(
-            "CLIP016", location, f"{text!r} has a number beyond {MAX_NUMBER:.0e}"
-        )
+        message = f"{text!r} has a number beyond {MAX_NUMBER:.0e}"
+        document.add("CLIP016", location, message)
         return []
-    times, values = (
-        np.ascontiguousarray(part) for part in (key_rows[:, 0], key_rows[:, 1:])
-    )
+    times, values = map(np.ascontiguousarray, (key_rows[:, 0], key_rows[:, 1:]))
     return PlainKeys(times, values, text)
-
-
-def _array_file(document: Document, location: Location, name: str) -> Path | None:
-    """Return the file of an array; None if missing or not allowed."""
-    path = resolve_reference(document, location, name, project_roots(document.path))
-    reason = None if path is None else not_a_file_reason(path)
-    if reason is None:
-        return path
-    document.add("DOC015", location, f"{name!r} {reason}", missing_hint(document, name))
-    return None

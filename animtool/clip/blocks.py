@@ -135,9 +135,8 @@ class _BlockLayout:
             channel: Channel | None = getattr(motion, part)
             if channel is not None:
                 all_static = np.zeros(len(channel.rest), np.bool_)
-                self.is_moving_by_part.setdefault(part, all_static)[
-                    channel.animated
-                ] = True
+                is_moving = self.is_moving_by_part.setdefault(part, all_static)
+                is_moving[channel.animated] = True
 
     def covers(self, targets: set[tuple[str, int]]) -> bool:
         """Return whether all targets, as channel name and row, are marked as moving."""
@@ -170,15 +169,13 @@ class _BlockLayout:
             channel = Channel.static(np.zeros((width, 1)), frames)
         rest = self._rest.setdefault(part, channel.rest)
         animated = np.flatnonzero(self.is_moving_by_part[part])
-        values = channel.values
-        if not np.array_equal(channel.animated, animated):
-            values = channel.gather(animated)
+        is_complete = np.array_equal(channel.animated, animated)
+        values = channel.values if is_complete else channel.gather(animated)
         if part == "rotations":
             # Within a block signs continue already.
             is_flipped = (values[0] * self._last).sum(axis=-1, keepdims=True) < 0
-            values = (
-                np.where(is_flipped, -values, values) if is_flipped.any() else values
-            )
+            if is_flipped.any():
+                values = np.where(is_flipped, -values, values)
             self._last = values[-1]
         return Channel(rest, animated, values[skipped_frames:])
 
@@ -222,7 +219,6 @@ def _moving_targets(
             targets.add(("weights", shapes[name]))
             continue
         joint, part = split_part(name, KEYED_PARTS)
-        kind = {"scale": "scales", "angle": "rotations", "slide": "translations"}
-        default_part = "rotations" if part.endswith("rotation") else "translations"
-        targets.add((kind.get(part, default_part), rig.index(joint)))
+        kind = {"angle": "rotation", "slide": "translation"}.get(part, part)
+        targets.add((f"{kind.removeprefix('local_')}s", rig.index(joint)))
     return targets

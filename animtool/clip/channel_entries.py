@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -64,122 +65,83 @@ class ChannelReader:
         if model.euler is not None and kind != "rotation":
             message = f"{target!r} is not a rotation"
             self.document.add("CLIP009", (*location, "euler"), message, "remove euler")
+        allowed_interps = _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS
         default_interp = Interp.SPLINE if is_quaternion else Interp.BEZIER
-        if isinstance(model.keys, PlainKeys):
-            plain_channel = self._plain_channel(location, model, target, kind, unit)
-            if plain_channel is not None:
-                return plain_channel
-            if model.keys.name:
-                self._add_array_fault(
-                    location, model, target, is_quaternion, components
-                )
+        interp, tangent = (
+            Interp(model.interp or default_interp),
+            Tangent(model.tangents),
+        )
+        repeats = components if kind == "scale" else 1  # of a single number
+        keys, array_name = model.keys, ""
+        if isinstance(keys, PlainKeys):
+            array_name = keys.name
+            is_single = keys.values.shape[1] == 1
+            values = np.repeat(keys.values, repeats if is_single else 1, axis=1)
+            is_valid = interp in allowed_interps and values.shape[1] == components
+            if array_name and not is_valid:
+                self._check_interps(location, model, target, allowed_interps)
+                self._check_row_width(location, keys, components)
                 return None
-            key_models = [
-                KeyModel.model_construct(**entry) for entry in model.keys.entries()
+            if not is_valid:
+                entries = keys.entries()
+                keys = [KeyModel.model_construct(**entry) for entry in entries]
+                model = model.model_copy(update={"keys": keys})
+        if isinstance(keys, PlainKeys):
+            if is_quaternion:
+                self._check_no_slopes(location, model, ())
+            else:
+                self._warn_of_path(location, model, {interp})
+            count, times = len(keys), keys.times
+            interps, tangents = (interp,) * count, ((tangent, tangent),) * count
+            ins = outs = np.zeros((count, 1 + components))
+            tcb = np.zeros((count, 3))
+        else:
+            interps = tuple(Interp(k.interp) if k.interp else interp for k in keys)
+            if self._check_interps(location, model, target, allowed_interps):
+                if is_quaternion:
+                    self._check_no_slopes(location, model, keys)
+                else:
+                    self._warn_of_unused_handles(location, model, interps)
+            read_values = self._read_values(location, model, components, repeats)
+            handles = [
+                [
+                    (tangent, [0.0] * (1 + components))
+                    if is_quaternion or handle is None
+                    else self._read_handle(
+                        (*location, "keys", k, name), handle, components, repeats, unit
+                    )
+                    for name, handle in (("in", key.in_), ("out", key.out))
+                ]
+                for k, key in enumerate(keys)
             ]
-            model = model.model_copy(update={"keys": key_models})
-        interps = tuple(
-            Interp(k.interp or model.interp or default_interp)
-            for k in _key_models(model)
-        )
-        has_allowed_interps = self._check_interps(
-            location,
-            model,
-            target,
-            _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS,
-        )
-        if is_quaternion and has_allowed_interps:
-            self._check_no_slopes(location, model, _key_models(model))
-        if not is_quaternion and has_allowed_interps:
-            self._warn_of_unused_handles(location, model, interps)
-        values = self._read_values(location, model, components, kind == "scale")
-        is_positive = kind == "scale"
-        handles = [
-            self._read_handles(
-                (*location, "keys", k), key, model, components, unit, is_positive
-            )
-            for k, key in enumerate(_key_models(model))
-        ]
-        if values is None:
-            return None
+            if read_values is None:
+                return None
+            values, times = read_values, np.array([key.t for key in keys])
+            tangents = tuple((before[0], after[0]) for before, after in handles)
+            ins = np.array([before[1] for before, _ in handles])
+            outs = np.array([after[1] for _, after in handles])
+            tcb = np.array([key.tcb or [0.0, 0.0, 0.0] for key in keys])
         return ClipChannel(
             target,
-            np.array([key.t for key in _key_models(model)]),
-            self._read_quaternions(location, values)
+            times,
+            self._read_quaternions(location, values, array_name)
             if is_quaternion
             else values * unit,
             interps,
-            tuple(
-                (tangent_before, tangent_after)
-                for tangent_before, _, tangent_after, _ in handles
-            ),
-            np.array([handle for _, handle, _, _ in handles]),
-            np.array([handle for *_, handle in handles]),
-            np.array([key.tcb or [0.0, 0.0, 0.0] for key in _key_models(model)]),
+            tangents,
+            ins,
+            outs,
+            tcb,
             Parametrization(model.parametrization),
             model.euler or "",
             Extrapolation(model.pre),
             Extrapolation(model.post),
         )
 
-    def _plain_channel(
-        self, location: Location, model: CurveModel, target: str, kind: str, unit: float
-    ) -> ClipChannel | None:
-        """Return the channel of plain keys; record a fault and return None if bad."""
-        keys = model.keys
-        assert isinstance(keys, PlainKeys)
-        is_quaternion = kind == "rotation" and model.euler is None
-        components = 4 if is_quaternion else _WIDTHS[kind]
-        interp = Interp(
-            model.interp or (Interp.SPLINE if is_quaternion else Interp.BEZIER)
-        )
-        values = keys.values
-        if kind == "scale" and values.shape[1] == 1:
-            values = np.repeat(values, components, axis=1)
-        if interp not in (_QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS):
-            return None
-        if values.shape[1] != components:
-            return None
-        if is_quaternion:
-            self._check_no_slopes(location, model, ())
-        else:
-            self._warn_of_path(location, model, {interp})
-        count, tangent = len(keys), Tangent(model.tangents)
-        no_handles = np.zeros((count, 1 + components))
-        return ClipChannel(
-            target,
-            keys.times,
-            self._read_quaternions(location, values, keys.name)
-            if is_quaternion
-            else values * unit,
-            (interp,) * count,
-            ((tangent, tangent),) * count,
-            no_handles,
-            no_handles,
-            np.zeros((count, 3)),
-            Parametrization(model.parametrization),
-            model.euler or "",
-            Extrapolation(model.pre),
-            Extrapolation(model.post),
-        )
-
-    def _add_array_fault(
-        self,
-        location: Location,
-        model: CurveModel,
-        target: str,
-        is_quaternion: bool,
-        components: int,
+    def _check_row_width(
+        self, location: Location, keys: PlainKeys, components: int
     ) -> None:
-        """Record a fault that states why an array's keys do not fit their target."""
-        keys = model.keys
-        assert isinstance(keys, PlainKeys)
-        self._check_interps(
-            location,
-            model,
-            target,
-            _QUATERNION_INTERPS if is_quaternion else _NUMBER_INTERPS,
-        )
+        """Record a fault if the rows of an array do not have a value's components."""
         if keys.values.shape[1] != components:
             message = f"rows of {keys.name!r} have {keys.values.shape[1] + 1} numbers "
             message += f"instead of {components + 1}: a time, then the value"
@@ -228,17 +190,11 @@ class ChannelReader:
         for k, previous in self.document.not_ascending(
             (*curve_location, "keys"), times.tolist(), "t"
         ):
-            is_duplicate = times[k] == times[previous]
-            problem = (
-                "appears twice"
-                if is_duplicate
-                else (f"comes before the key at {times[previous]:g}")
-            )
+            message = f"frame {times[k]:g} comes before the key at {times[previous]:g}"
+            if times[k] == times[previous]:
+                message = f"frame {times[k]:g} appears twice"
             location = (*curve_location, "keys", k, "t")
-            hint = "key times must ascend"
-            self.document.add(
-                "CLIP004", location, f"frame {times[k]:g} {problem}", hint
-            )
+            self.document.add("CLIP004", location, message, "key times must ascend")
 
     def _add_time_fault(self, location: Location, keys: PlainKeys) -> None:
         """Record the first invalid time of an array of keys."""
@@ -246,10 +202,8 @@ class ChannelReader:
         rows_beyond = np.flatnonzero(np.abs(times) > MAX_FRAME)
         if len(rows_beyond):
             row = rows_beyond[0]
-            message = f"frame {times[row]:g} in row {row} of {keys.name!r}"
-            self.document.add(
-                "CLIP004", location, f"{message} is beyond {MAX_FRAME:.0e}"
-            )
+            message = f"frame {times[row]:g} in row {row} of {keys.name!r} is beyond "
+            self.document.add("CLIP004", location, f"{message}{MAX_FRAME:.0e}")
             return
         k = int(np.argmax(np.diff(times) <= 0)) + 1
         message = f"frame {times[k]:g} in row {k} of {keys.name!r} follows frame "
@@ -308,9 +262,8 @@ class ChannelReader:
                     property_names = " and ".join(dict.fromkeys(props))
                     message = f"'{name}' has no effect with {property_names}"
                     hint = f"it applies to {' and '.join(sorted(expected))}"
-                    self.document.warn(
-                        "CLIP104", (*curve_location, "keys", k, name), message, hint
-                    )
+                    location = (*curve_location, "keys", k, name)
+                    self.document.warn("CLIP104", location, message, hint)
         self._warn_of_path(curve_location, model, {*(interps[:-1] or interps)})
 
     def _warn_of_path(
@@ -323,19 +276,13 @@ class ChannelReader:
             self.document.warn("CLIP104", (*location, "parametrization"), message)
 
     def _read_values(
-        self,
-        curve_location: Location,
-        model: CurveModel,
-        components: int,
-        is_positive: bool,
+        self, curve_location: Location, model: CurveModel, components: int, repeats: int
     ) -> FloatArray | None:
         """Return the values of keys ``(K, D)``; None with a fault otherwise."""
         value_rows = []
         shown_hints: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(_key_models(model)):
-            value_row = key.v if isinstance(key.v, list) else [key.v]
-            if components == 3 and len(value_row) == 1 and is_positive:
-                value_row = value_row * 3
+            value_row = _value_row(key.v, repeats)
             if len(value_row) != components:
                 location = (*curve_location, "keys", k, "v")
                 hint = _form_hint(model, len(value_row), components)
@@ -351,60 +298,43 @@ class ChannelReader:
             return None
         return np.array(value_rows, np.float64)
 
-    def _read_handles(
+    def _read_handle(
         self,
-        key_location: Location,
-        key: KeyModel,
-        model: CurveModel,
+        location: Location,
+        handle: str | list[Any],
         components: int,
+        repeats: int,
         unit: float,
-        is_positive: bool,
-    ) -> tuple[Tangent, list[float], Tangent, list[float]]:
-        """Return in-tangent, in-handle, out-tangent and out-handle of a key."""
-        if components == 4:
-            default_tangent = Tangent(model.tangents)
-            no_handle = [0.0] * (1 + components)
-            return default_tangent, no_handle, default_tangent, no_handle
-        both_sides: list[tuple[Tangent, list[float]]] = []
-        for name, handle in (("in", key.in_), ("out", key.out)):
-            no_handle = [0.0] * (1 + components)
-            if handle is None or isinstance(handle, str):
-                both_sides.append((Tangent(handle or model.tangents), no_handle))
-                continue
-            dt, dv = handle
-            values = dv if isinstance(dv, list) else [dv]
-            if components == 3 and len(values) == 1 and is_positive:
-                values = values * 3
-            if isinstance(dt, list) or len(values) != components:
-                message = f"the handle is not a time and {counted(components, 'value')}"
-                zeros = [0] * components if components > 1 else 0
-                handle_text = flow_text(name, [-2 if name == "in" else 2, zeros])
-                hint = f"for example {handle_text}"
-                self.document.add("CLIP007", (*key_location, name), message, hint)
-                both_sides.append((Tangent.FREE, no_handle))
-                continue
-            both_sides.append((Tangent.FREE, [dt, *(value * unit for value in values)]))
-        (in_tangent_type, in_handle), (out_tangent_type, out_handle) = both_sides
-        return in_tangent_type, in_handle, out_tangent_type, out_handle
+    ) -> tuple[Tangent, list[float]]:
+        """Return the tangent and the offsets of a handle; record a wrong width."""
+        no_handle = [0.0] * (1 + components)
+        if isinstance(handle, str):
+            return Tangent(handle), no_handle
+        dt, dv = handle
+        values = _value_row(dv, repeats)
+        if not isinstance(dt, list) and len(values) == components:
+            return Tangent.FREE, [dt, *(value * unit for value in values)]
+        name = str(location[-1])
+        message = f"the handle is not a time and {counted(components, 'value')}"
+        zeros = [0] * components if components > 1 else 0
+        hint = f"for example {flow_text(name, [-2 if name == 'in' else 2, zeros])}"
+        self.document.add("CLIP007", location, message, hint)
+        return Tangent.FREE, no_handle
 
     def _read_quaternions(
-        self, curve_location: Location, values: FloatArray, array_name: str = ""
+        self, curve_location: Location, values: FloatArray, array_name: str
     ) -> FloatArray:
         """Convert quaternions [w, x, y, z] to unit (x, y, z, w); record zero ones."""
         rotations, zero_rows = file_quaternions(values)
         if not zero_rows and len(values):
             k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
-            location = (
-                (*curve_location, "keys")
-                if array_name
-                else (*curve_location, "keys", k, "v")
-            )
+            row_location = () if array_name else (k, "v")
+            location = (*curve_location, "keys", *row_location)
             warn_of_quaternion_length(self.document, location, values[k].tolist())
         if array_name and zero_rows:
-            message = (
-                f"row {zero_rows[0]} of {array_name!r} is a quaternion of zero length"
-            )
-            self.document.add("RIG006", (*curve_location, "keys"), message)
+            message = f"row {zero_rows[0]} of {array_name!r} is a quaternion of "
+            location = (*curve_location, "keys")
+            self.document.add("RIG006", location, f"{message}zero length")
             return rotations
         for k in zero_rows:
             message = f"quaternion {values[k].tolist()} has zero length"
@@ -419,6 +349,12 @@ def _form_hint(model: CurveModel, count: int, components: int) -> str | None:
     if model.euler and count == 4:
         return "remove 'euler' for quaternions, or write three angles"
     return None
+
+
+def _value_row(value: float | list[float], repeats: int) -> list[float]:
+    """Return a value as a list; a single number as often as ``repeats``."""
+    values = value if isinstance(value, list) else [value]
+    return values * repeats if len(values) == 1 else values
 
 
 def _key_models(model: CurveModel) -> list[KeyModel]:

@@ -17,7 +17,7 @@ from animtool.maths.curves import Curves, Extrapolation, Interp, evaluate, key_h
 from animtool.maths.rotation_curves import RotationKind, evaluate_rotations
 from animtool.maths.tangents import KeySlopes, Parametrization, Tangent
 from animtool.rig.joints import KEYED_PARTS, part_hint, split_part
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import JointType, Rig
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +88,14 @@ def _full_target(text: str, rig: Rig | None) -> str | None:
     joint = text if text in rig.names else text.rpartition(".")[0]
     if joint not in rig.names:
         return None
-    joint_type = rig.joints[rig.index(joint)].type
-    parts = [part for part, types in KEYED_PARTS.items() if joint_type in types]
+    parts = _parts_of(rig.joints[rig.index(joint)].type)
     written_part = text[len(joint) + 1 :]
     return f"write joint/{joint}.{written_part if written_part in parts else parts[0]}"
+
+
+def _parts_of(joint_type: JointType) -> list[str]:
+    """Return the parts of joints of a type that can be keyed."""
+    return [part for part, types in KEYED_PARTS.items() if joint_type in types]
 
 
 def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
@@ -99,22 +103,16 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     joint, part = split_part(name, KEYED_PARTS)
     if not part:
         return _part_fault(name, rig)
-    kind = {"angle": "angle", "slide": "slide", "scale": "scale"}.get(
-        part, "rotation" if part.endswith("rotation") else "translation"
-    )
-    if rig is None:
-        return kind
-    if joint not in rig.names:
+    if rig is not None and joint not in rig.names:
         hint = nearest(joint, rig.names)
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
-    rig_joint = rig.joints[rig.index(joint)]
-    if rig_joint.type not in KEYED_PARTS[part]:
-        fitting_parts = [
-            p for p, types in KEYED_PARTS.items() if rig_joint.type in types
-        ]
-        message = f"a {rig_joint.type} joint has no {part}"
-        return Fault("CLIP003", message, hint=f"it has {', '.join(fitting_parts)}")
-    return kind
+    if rig is not None:
+        joint_type = rig.joints[rig.index(joint)].type
+        if joint_type not in KEYED_PARTS[part]:
+            message = f"a {joint_type} joint has no {part}"
+            hint = f"it has {', '.join(_parts_of(joint_type))}"
+            return Fault("CLIP003", message, hint=hint)
+    return part.removeprefix("local_")
 
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
@@ -140,7 +138,7 @@ def check_targets(targets: Iterable[str], rig: Rig) -> None:
         raise OptionError(faults)
 
 
-_LENGTHS = frozenset({"translation", "local_translation", "slide"})
+LENGTH_PARTS = frozenset({"translation", "local_translation", "slide"})
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,11 +152,14 @@ class ClipUnits:
     def of_rig(rig: Rig) -> ClipUnits:
         """Return a rig's units; metres if the format has no name for its unit."""
         name = unit_name(rig.meters_per_unit)
-        radian = rig.radians_per_unit == 1.0
-        return ClipUnits(
-            1.0 if " " in name else LengthUnit(name).meters,
-            1.0 if radian else math.radians(1.0),
-        )
+        length = 1.0 if " " in name else LengthUnit(name).meters
+        has_radians = rig.radians_per_unit == 1.0
+        return ClipUnits(length, 1.0 if has_radians else math.radians(1.0))
+
+    @property
+    def angle_name(self) -> str:
+        """Name of the angle unit."""
+        return "rad" if self.angle == 1.0 else "deg"
 
     def unit_of(self, target: str, euler: str) -> float:
         """Return the unit of a target's values: [m], [rad] or [1].
@@ -172,7 +173,7 @@ class ClipUnits:
         """
         group, _, name = target.partition("/")
         part = split_part(name, KEYED_PARTS)[1] if group == "joint" else ""
-        if part in _LENGTHS:
+        if part in LENGTH_PARTS:
             return self.length
         return self.angle if part == "angle" or euler else 1.0
 
@@ -199,53 +200,42 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     follow Barry and Goldman's pyramid.
     """
     channel_curves = [_channel_curves(channel) for channel in channels]
-    first_key = [0]
-    for channel in channels:
-        keys = len(channel.times)
-        first_key += [
-            first_key[-1] + keys * (i + 1) for i in range(channel.values.shape[1])
-        ]
+    # Arrays without rows, for a concatenation without channels.
+    no_values, no_handles = np.zeros(0), np.zeros((0, 2))
+    empty = no_values, no_values, np.zeros(0, np.int64), no_handles, no_handles
+    columns = zip(empty, *channel_curves, strict=True)
+    times, values, kinds, ins, outs = (np.concatenate(column) for column in columns)
+    by_component = [channel for channel in channels for _ in channel.values.T]
+    key_counts = [len(channel.times) for channel in by_component]
     return Curves(
-        np.array(first_key, np.int64),
-        _concatenate_or_empty([times for times, *_ in channel_curves]),
-        _concatenate_or_empty([values for _, values, *_ in channel_curves]),
-        np.concatenate(
-            [np.zeros(0, np.int64), *[kinds for _, _, kinds, *_ in channel_curves]]
-        ),
-        np.concatenate([np.zeros((0, 2)), *[ins for *_, ins, _ in channel_curves]]),
-        np.concatenate([np.zeros((0, 2)), *[outs for *_, outs in channel_curves]]),
-        tuple(c.pre for c in channels for _ in range(c.values.shape[1])),
-        tuple(c.post for c in channels for _ in range(c.values.shape[1])),
+        np.cumsum([0, *key_counts], dtype=np.int64),
+        times,
+        values,
+        kinds,
+        ins,
+        outs,
+        tuple(channel.pre for channel in by_component),
+        tuple(channel.post for channel in by_component),
     )
-
-
-def _concatenate_or_empty(parts: list[FloatArray]) -> FloatArray:
-    """Concatenate arrays; return an empty array if there are none."""
-    return np.concatenate([np.zeros(0), *parts])
 
 
 def _channel_curves(
     channel: ClipChannel,
 ) -> tuple[FloatArray, FloatArray, IntArray, FloatArray, FloatArray]:
     """Return times, values, interpolations and handles by component."""
-    keys, components = channel.values.shape
+    components = channel.values.shape[1]
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
     )
     ins, outs, kinds = key_handles(
         slopes, channel.interps, channel.tangents, channel.ins, channel.outs
     )
-    return (
-        np.tile(channel.times, components),
-        channel.values.T.ravel(),
-        np.tile(kinds, components),
-        np.stack([np.repeat(ins[None, :, 0], components, 0), ins[:, 1:].T], -1).reshape(
-            keys * components, 2
-        ),
-        np.stack(
-            [np.repeat(outs[None, :, 0], components, 0), outs[:, 1:].T], -1
-        ).reshape(keys * components, 2),
+    in_rows, out_rows = (
+        np.stack([np.tile(h[:, 0], components), h[:, 1:].T.ravel()], axis=-1)
+        for h in (ins, outs)
     )
+    times, kinds = np.tile(channel.times, components), np.tile(kinds, components)
+    return times, channel.values.T.ravel(), kinds, in_rows, out_rows
 
 
 # Rotations per batch: few calls, at most 1 MB each.
@@ -310,21 +300,14 @@ def _evaluate_rotation_channels(
             first_channel.post,
         )
         batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {
-            c.target: channel_rotations
-            for c, channel_rotations in zip(group, batch_rotations, strict=True)
-        }
+        values |= {c.target: r for c, r in zip(group, batch_rotations, strict=True)}
     return values
 
 
 def is_static(channel: ClipChannel) -> bool:
     """Return whether all keys and handles have the first key's value."""
-    has_equal_values = bool((channel.values == channel.values[0]).all())
-    return (
-        has_equal_values
-        and not channel.ins[:, 1:].any()
-        and not channel.outs[:, 1:].any()
-    )
+    has_handles = channel.ins[:, 1:].any() or channel.outs[:, 1:].any()
+    return not has_handles and bool((channel.values == channel.values[0]).all())
 
 
 def _as_quaternions(channel: ClipChannel, values: FloatArray) -> FloatArray:

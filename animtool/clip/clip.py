@@ -187,13 +187,12 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
         rig_file: The rig file as named in the clip.
     """
     units = _units_to_write(clip, rig)
-    angle = "rad" if units.angle == 1.0 else "deg"
     range_texts = [decimal_text(float(end)) for end in (clip.first, clip.last)]
     text_lines = [
         "clip: animtool/1",
         f"name: {yaml_scalar(clip.name)}",
         f"rig: {yaml_scalar(rig_file)}",
-        f"units: {{length: {unit_name(units.length)}, angle: {angle}}}",
+        f"units: {{length: {unit_name(units.length)}, angle: {units.angle_name}}}",
         f"fps: {yaml_scalar(str(clip.fps)) if clip.fps.denominator > 1 else clip.fps}",
         f"range: {flow_list(range_texts)}",
         "channels:" if clip.channels else "channels: []",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import replace
 
 import numpy as np
@@ -58,13 +58,11 @@ def solve_take_controls(
     frames, controls = take.motion.frames, keyable_controls(rig)
     take_controls = take.motion.controls
     start = {c.name: np.full(frames, c.default) for c in controls}
+    defaults = dict(start)
     if take_controls is not None:
-        columns = take_controls.dense()[..., 0].T
-        control_values = {c.name: v for c, v in zip(controls, columns, strict=True)}
-        start |= keys_of_controls(controls, control_values)
+        start |= keys_of_control_channel(controls, take_controls)
     if rig.is_driven:
-        without_drives = {c.name: np.full(frames, c.default) for c in controls}
-        start |= {name: without_drives[name] for name in plan_of(rig).controls}
+        start |= {name: defaults[name] for name in plan_of(rig).controls}
     start_values = evaluate_controls(controls, start).targets
     goals, keyed = required_control_values(
         rig, joints, set(start_values), start_values, same
@@ -76,16 +74,20 @@ def solve_take_controls(
     goals = {t: np.broadcast_to(value, (frames,)) for t, value in goals.items()}
     tolerances = {target: same.tolerance_of(target) for target in goals}
     solution = solve_controls(controls, goals, tolerances, start, keyed=keyed)
-    return SolvedControls(
-        {
-            control.name: _snap_to_constant(
-                solution.values[control.name], control.default
-            )
-            for control in controls
-        },
-        solution.solved_names,
-        () if take_controls is not None else solution.released_names,
-    )
+    values = {
+        c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
+    }
+    released_names = () if take_controls is not None else solution.released_names
+    return SolvedControls(values, solution.solved_names, released_names)
+
+
+def keys_of_control_channel(
+    controls: Sequence[Control], channel: Channel
+) -> dict[str, FloatArray]:
+    """Return the values of keys ``(F,)`` that produce a motion's control values."""
+    columns = channel.dense()[..., 0].T
+    values = {c.name: column for c, column in zip(controls, columns, strict=True)}
+    return keys_of_controls(controls, values)
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
@@ -147,44 +149,31 @@ def fit_controls(
     ``solved_values`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
     """
     defaults = {control.name: control.default for control in rig.controls}
-    changed_names = [
-        name for name in defaults if (solved_values[name] != defaults[name]).any()
-    ]
-    moving_count = [
-        name
-        for name in changed_names
-        if (solved_values[name] != solved_values[name][0]).any()
-    ]
+    changed = {
+        n: solved_values[n] for n in defaults if (solved_values[n] != defaults[n]).any()
+    }
+    moving_names = [n for n, values in changed.items() if (values != values[0]).any()]
     effect = _Effect(take, rig, solved_values, keyed_tracks, bounds, weight_tolerance)
-    tolerances = {name: effect.initial_tolerance(name) for name in moving_count}
+    tolerances = {name: effect.initial_tolerance(name) for name in moving_names}
     keys: dict[str, FittedKeys] = {}
     values: dict[str, FloatArray] = {}
     for attempt in range(MAX_REFINEMENTS):
-        for name in changed_names:
-            column = solved_values[name][:, None]
-            if name not in tolerances:
-                keys[name] = fit_keys(column[:1], 1.0)
-                continue
-            keys[name] = fit_keys(column, tolerances[name])
-        values = {
-            f"control/{name}": evaluate_keys(fitted_keys, np.arange(take.motion.frames))
-            for name, fitted_keys in keys.items()
+        keys = {
+            name: fit_keys(column[:, None], tolerances[name])
+            if name in tolerances
+            else fit_keys(column[:1, None], 1.0)
+            for name, column in changed.items()
         }
-        ratio = effect.error_ratio(values) if moving_count else 0.0
+        frames = np.arange(take.motion.frames)
+        values = {f"control/{n}": evaluate_keys(f, frames) for n, f in keys.items()}
+        ratio = effect.error_ratio(values) if moving_names else 0.0
         if ratio <= CONTROL_FRACTION:
             break
-        factor = (
-            0.8 * CONTROL_FRACTION / ratio if attempt < MAX_REFINEMENTS - 2 else 1e-9
-        )
+        is_last = attempt >= MAX_REFINEMENTS - 2
+        factor = 1e-9 if is_last else 0.8 * CONTROL_FRACTION / ratio
         tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
-    order = {control.name: i for i, control in enumerate(rig.controls)}
-    channels = [
-        ReducedChannel(
-            f"control/{name}", ChannelKind.CONTROL, order[name], None, None, keys[name]
-        )
-        for name in changed_names
-    ]
-    return FittedControls(channels, values, take.motion.frames * len(moving_count))
+    channels = [ReducedChannel(f"control/{name}", None, keys[name]) for name in changed]
+    return FittedControls(channels, values, take.motion.frames * len(moving_names))
 
 
 class _Effect:
@@ -212,18 +201,14 @@ class _Effect:
         """Return the largest error that control values cause, over the tolerance."""
         take, rig = self.take, self.rig
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
-        exact_values = {
-            name: value[frame_indices] if len(value) > 1 else value
-            for name, value in self.exact_values.items()
-        }
-        trial_values = {
-            name: v[frame_indices] if len(v) > 1 else v for name, v in values.items()
-        }
-        times = take.clock.times[frame_indices]
-        exact_motion = sample_values(exact_values, rig, times).motion
-        trial_motion = sample_values(
-            {**exact_values, **trial_values}, rig, times
-        ).motion
+        exact_motion, trial_motion = (
+            sample_values(
+                {n: v[frame_indices] if len(v) > 1 else v for n, v in sampled.items()},
+                rig,
+                take.clock.times[frame_indices],
+            ).motion
+            for sampled in (self.exact_values, {**self.exact_values, **values})
+        )
         exact_pose = take.motion.select(frame_indices)
         driven_motion = driven_pose(
             exact_pose, trial_motion, exact_motion, self.keyed_tracks
@@ -231,11 +216,7 @@ class _Effect:
         worlds = [motion.world(take.rig) for motion in (exact_pose, driven_motion)]
         errors = point_errors(self.points, *worlds)
         ratio = float((errors / self.bounds).max(initial=0.0))
-        weights = [
-            np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
-            for m in (exact_motion, trial_motion)
-        ]
-        weight_error = float(np.abs(weights[0] - weights[1]).max(initial=0.0))
+        weight_error = largest_weight_error(exact_motion, trial_motion)
         return max(ratio, weight_error / self.weight_tolerance)
 
     def initial_tolerance(self, name: str) -> float:
@@ -249,6 +230,15 @@ class _Effect:
         return CONTROL_FRACTION * increment / ratio if ratio > 0 else 1e-3 * increment
 
 
+def largest_weight_error(motion: Motion, other: Motion) -> float:
+    """Return the largest difference of the shape weights of two motions [1]."""
+    weights = [
+        np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
+        for m in (motion, other)
+    ]
+    return float(np.abs(weights[0] - weights[1]).max(initial=0.0))
+
+
 def driven_pose(
     motion: Motion,
     controls: Motion,
@@ -256,32 +246,31 @@ def driven_pose(
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
     """Return a motion whose control-driven joints follow the fitted controls."""
-
-    def mixed(kind: ChannelKind, name: str) -> Channel:
-        """Return a channel of the take with control-driven joints replaced."""
-        take_channel: Channel = getattr(motion, name)
-        new_channel: Channel = getattr(controls, name)
-        exact_channel: Channel = getattr(exact_controls, name)
-        moved_joints = set(new_channel.animated.tolist()) | set(
-            exact_channel.animated.tolist()
-        )
-        joints = [j for j in sorted(moved_joints) if (kind, j) not in keyed_tracks]
-        if not joints:
-            return take_channel
-        joint_indices = np.array(joints)
-        is_unchanged = (
-            new_channel.gather(joint_indices) == exact_channel.gather(joint_indices)
-        ).all(axis=(0, 2))
-        joint_indices = joint_indices[~is_unchanged]
-        return (
-            take_channel.put(joint_indices, new_channel.gather(joint_indices))
-            if len(joint_indices)
-            else take_channel
-        )
-
+    motions = motion, controls, exact_controls
+    keyed_translations, keyed_rotations = (
+        {j for keyed_kind, j in keyed_tracks if keyed_kind is kind}
+        for kind in (ChannelKind.TRANSLATION, ChannelKind.ROTATION)
+    )
     return Motion(
-        mixed(ChannelKind.TRANSLATION, "translations"),
-        mixed(ChannelKind.ROTATION, "rotations"),
+        _with_moved_joints([m.translations for m in motions], keyed_translations),
+        _with_moved_joints([m.rotations for m in motions], keyed_rotations),
         motion.scales,
         motion.weights,
     )
+
+
+def _with_moved_joints(channels: Sequence[Channel], keyed_joints: Set[int]) -> Channel:
+    """Return a take's channel with control-driven joints replaced.
+
+    The channels are those of the take, of fitted and of exact controls.
+    """
+    take_channel, fitted, exact = channels
+    moved_joints = {*fitted.animated.tolist(), *exact.animated.tolist()} - keyed_joints
+    joints = np.array(sorted(moved_joints), np.int64)
+    if not len(joints):
+        return take_channel
+    is_changed = (fitted.gather(joints) != exact.gather(joints)).any(axis=(0, 2))
+    joints = joints[is_changed]
+    if not len(joints):
+        return take_channel
+    return take_channel.put(joints, fitted.gather(joints))

@@ -19,7 +19,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Number of revolutions tried for a pin's first angle.
 MAX_REVOLUTIONS = 3
-_COORDINATE = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
+COORDINATE_PARTS = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
 _ROTATING_TYPES = {JointType.FREE, JointType.BALL}
 
 
@@ -69,23 +69,16 @@ def relative_joint_motions(
     Revolutions of a pin's angle are chosen to keep it within its limits and agree
     with its mimic joints.
     """
-    animated_joints_by_channel = [
-        set(c.animated.tolist()) for c in (motion.translations, motion.rotations)
-    ]
+    channels = motion.translations, motion.rotations
+    moving_joints = [(channel, set(channel.animated.tolist())) for channel in channels]
     motions = []
     for j, joint in enumerate(rig.joints):
-        joint_index = np.array([j])
-        local = [
-            channel.gather(joint_index)[:, 0]
-            if j in moving
-            else channel.rest[joint_index]
-            for channel, moving in zip(
-                (motion.translations, motion.rotations),
-                animated_joints_by_channel,
-                strict=True,
-            )
-        ]
-        motions.append(_joint_motion(joint, local[0], local[1]))
+        row = np.array([j])
+        translation, rotation = (
+            channel.gather(row)[:, 0] if j in moving else channel.rest[row]
+            for channel, moving in moving_joints
+        )
+        motions.append(_joint_motion(joint, translation, rotation))
     for j, joint in enumerate(rig.joints):
         if joint.type is JointType.PIN:
             motions[j] = _with_best_revolution(rig, motions, j, tolerances)
@@ -107,14 +100,12 @@ def _joint_motion(
             2.0 * np.arctan2(rotation_from_rest[:, :3] @ axis, rotation_from_rest[:, 3])
         )
         coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
-        residual = so3.angle_between(
-            rotation_from_rest, so3.from_axis_angle(axis, coordinate)
-        )
+        pin_rotation = so3.from_axis_angle(axis, coordinate)
+        residual = so3.angle_between(rotation_from_rest, pin_rotation)
         rotation_error = float(residual.max(initial=0.0))
     elif joint.type not in _ROTATING_TYPES:
-        rotation_error = float(
-            so3.angle_between(rotation_from_rest, so3.IDENTITY).max(initial=0.0)
-        )
+        residual = so3.angle_between(rotation_from_rest, so3.IDENTITY)
+        rotation_error = float(residual.max(initial=0.0))
     if joint.type is JointType.PRISMATIC:
         coordinate = shift @ axis
         residual = shift - coordinate[:, None] * axis
@@ -146,24 +137,21 @@ def _with_best_revolution(
     def misfit_cost(revolutions: int) -> tuple[bool, float, int]:
         """Return the sort key of a shift by full revolutions; smaller fits better."""
         angle = joint_motion.coordinate + 2 * np.pi * revolutions
-        excess_sum = False
+        has_misfit = False
         for motion, mimic, follower_type in followers:
             differences = motion.coordinate - (mimic.gain * angle + mimic.offset)
             is_pin = follower_type is JointType.PIN
             differences = _wrap_angles(differences) if is_pin else differences
             tolerance = tolerances.angle if is_pin else tolerances.length
-            excess_sum = excess_sum or bool(
-                np.abs(differences).max(initial=0.0) > tolerance
-            )
+            has_misfit |= bool(np.abs(differences).max(initial=0.0) > tolerance)
         excess = 0.0
         if isinstance(joint.limits, RangeLimit):
             excess = float(np.abs(joint.limits.excess(angle)).max(initial=0.0))
-        return excess_sum, round(excess, 9), abs(revolutions)
+        return has_misfit, round(excess, 9), abs(revolutions)
 
     revolutions = min(range(-MAX_REVOLUTIONS, MAX_REVOLUTIONS + 1), key=misfit_cost)
-    return replace(
-        joint_motion, coordinate=joint_motion.coordinate + 2 * np.pi * revolutions
-    )
+    coordinate = joint_motion.coordinate + 2 * np.pi * revolutions
+    return replace(joint_motion, coordinate=coordinate)
 
 
 def required_control_values(
@@ -189,12 +177,9 @@ def required_control_values(
         kind, _, axis = part.partition(".")
         if kind == "rotation":
             axis_targets = [f"joint/{joint}.rotation.{axis}" for axis in "xyz"]
-            initial_vector = [
-                initial_values.get(part, np.zeros(1)) for part in axis_targets
-            ]
-            vector = _nearest_revolution(
-                motion.rotation, np.stack(np.broadcast_arrays(*initial_vector), -1)
-            )
+            columns = [initial_values.get(part, np.zeros(1)) for part in axis_targets]
+            initial_vector = np.stack(np.broadcast_arrays(*columns), -1)
+            vector = _nearest_revolution(motion.rotation, initial_vector)
             requested_values[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
@@ -204,11 +189,11 @@ def required_control_values(
         else:
             requested_values[target] = motion.coordinate
             is_unreachable = (
-                motion.rotation_error > tolerances.angle if kind == "angle" else False
+                motion.rotation_error > tolerances.angle
+                if kind == "angle"
+                else motion.shift_error > tolerances.length
             )
-            if is_unreachable or (
-                kind == "slide" and motion.shift_error > tolerances.length
-            ):
+            if is_unreachable:
                 keyed_names.add(target)
     return requested_values, keyed_names
 
@@ -246,7 +231,7 @@ def joint_tracks(
         joint_to_key = _KeyedJoint(
             joint, j, motions[j], control_values, fitted_values, tolerances
         )
-        mimic_value = joint_to_key.driven_values(_COORDINATE.get(joint.type, ""))
+        mimic_value = joint_to_key.driven_values(COORDINATE_PARTS.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
             leader = coordinates.get(mimic.joint, np.zeros(1))
@@ -254,13 +239,11 @@ def joint_tracks(
             mimic_value = followed_value if followed_value.any() else mimic_value
         tracks[j] = list(joint_to_key.key_tracks(mimic_value))
         keyed_parts = {track.part for track in tracks[j]}
-        coordinates[joint.name] = (
-            np.zeros(1)
-            if "local_rotation" in keyed_parts or "local_translation" in keyed_parts
-            else motions[j].coordinate
-            if keyed_parts & {"angle", "slide"}
-            else mimic_value
-        )
+        coordinates[joint.name] = mimic_value
+        if keyed_parts & {"angle", "slide"}:
+            coordinates[joint.name] = motions[j].coordinate
+        if keyed_parts & {"local_rotation", "local_translation"}:
+            coordinates[joint.name] = np.zeros(1)
     return [track for j in range(len(rig.joints)) for track in tracks[j]]
 
 
@@ -282,16 +265,20 @@ class _KeyedJoint:
 
     def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
-        columns = [
-            self.driven_values(f"{part}.{axis}", use_fitted=use_fitted)
-            for axis in "xyz"
-        ]
+        parts = [f"{part}.{axis}" for axis in "xyz"]
+        columns = [self.driven_values(p, use_fitted=use_fitted) for p in parts]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def key_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         """Yield the tracks, translation first; ``expected`` ``(F or 1,)``."""
         yield from self._translation_tracks(expected)
         yield from self._rotation_tracks(expected)
+
+    @property
+    def is_driven(self) -> bool:
+        """Whether controls contribute to the joint."""
+        name = f"joint/{self.joint.name}."
+        return any(target.startswith(name) for target in self.control_values)
 
     def _translation_tracks(self, expected: FloatArray) -> Iterator[KeyTrack]:
         """Yield tracks of the slide or translation that controls do not produce."""
@@ -302,23 +289,18 @@ class _KeyedJoint:
             yield self._track(ChannelKind.TRANSLATION, "local_translation", local)
         elif joint.type is JointType.PRISMATIC:
             difference = motion.coordinate - expected
-            if self._differs(
-                difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
-            ):
+            if self._differs(difference, tolerances.length, motion.is_shift_at_rest):
                 driven_part = self.driven_values("slide", use_fitted=True)
+                driven_vector = driven_part[:, None] * np.array(joint.axis)
                 yield self._track(
                     ChannelKind.TRANSLATION,
                     "slide",
                     (motion.coordinate - driven_part)[:, None],
-                    rest_translation
-                    + so3.rotate(rest_r, driven_part[:, None] * np.array(joint.axis)),
+                    rest_translation + so3.rotate(rest_r, driven_vector),
                 )
         elif joint.type is JointType.FREE:
-            driven_vector = self.driven_vectors("translation")
-            difference = motion.shift - driven_vector
-            if self._differs(
-                difference, tolerances.length, is_at_rest=motion.is_shift_at_rest
-            ):
+            difference = motion.shift - self.driven_vectors("translation")
+            if self._differs(difference, tolerances.length, motion.is_shift_at_rest):
                 driven_part = self.driven_vectors("translation", use_fitted=True)
                 yield self._track(
                     ChannelKind.TRANSLATION,
@@ -336,39 +318,29 @@ class _KeyedJoint:
             yield self._euler_track("local_rotation", local, None)
         elif joint.type is JointType.PIN:
             difference = _wrap_angles(motion.coordinate - expected)
-            if self._differs(
-                difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
-            ):
+            if self._differs(difference, tolerances.angle, motion.is_rotation_at_rest):
                 driven_part = self.driven_values("angle", use_fitted=True)
+                driven_rotation = so3.from_axis_angle(joint.axis, driven_part)
                 yield self._track(
                     ChannelKind.ROTATION,
                     "angle",
                     np.degrees(motion.coordinate - driven_part)[:, None],
-                    so3.multiply(
-                        rest_rotation, so3.from_axis_angle(joint.axis, driven_part)
-                    ),
+                    so3.multiply(rest_rotation, driven_rotation),
                 )
         elif joint.type in _ROTATING_TYPES:
             driven_rotation = so3.exp(self.driven_vectors("rotation"))
             difference = so3.angle_between(driven_rotation, motion.rotation)
-            if self._differs(
-                difference, tolerances.angle, is_at_rest=motion.is_rotation_at_rest
-            ):
+            if self._differs(difference, tolerances.angle, motion.is_rotation_at_rest):
                 driven_part = so3.exp(self.driven_vectors("rotation", use_fitted=True))
-                keyed_rotation = so3.align_signs(
-                    so3.multiply(so3.conjugate(driven_part), motion.rotation)
-                )
-                yield self._euler_track(
-                    "rotation", keyed_rotation, so3.multiply(rest_rotation, driven_part)
-                )
+                keyed = so3.multiply(so3.conjugate(driven_part), motion.rotation)
+                reference = so3.multiply(rest_rotation, driven_part)
+                yield self._euler_track("rotation", so3.align_signs(keyed), reference)
 
     def _differs(
-        self, difference: FloatArray, tolerance: float, *, is_at_rest: bool
+        self, difference: FloatArray, tolerance: float, is_at_rest: bool
     ) -> bool:
         """Return whether a difference exceeds its tolerance, so that it needs keys."""
-        name = f"joint/{self.joint.name}."
-        is_driven = any(target.startswith(name) for target in self.control_values)
-        if not is_driven and self.joint.mimic is None:
+        if not self.is_driven and self.joint.mimic is None:
             return not is_at_rest
         return bool(np.abs(difference).max(initial=0.0) > tolerance)
 
@@ -391,8 +363,6 @@ class _KeyedJoint:
         """Return a track; constant samples are stored once."""
         joint = self.joint
         is_constant: BoolArray = (samples == samples[:1]).all()
-        name = f"joint/{joint.name}."
-        is_undriven = not any(target.startswith(name) for target in self.control_values)
         return KeyTrack(
             kind,
             self.index,
@@ -402,7 +372,7 @@ class _KeyedJoint:
             reference,
             joint.rotation,
             joint.axis,
-            joint.limits if is_undriven else None,
+            None if self.is_driven else joint.limits,
         )
 
 

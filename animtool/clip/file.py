@@ -52,10 +52,8 @@ class ClipFile:
         if self.rig is None:
             check_clip(self)
             path = str(self.document.path)
-            hint = (
-                "write 'rig: hero.rig.yaml' into it, or pass a rig "
-                f"({argument('source.rig')})"
-            )
+            hint = "write 'rig: hero.rig.yaml' into it, or pass a rig "
+            hint += f"({argument('source.rig')})"
             raise OptionError(Fault("CLIP011", "names no rig", path, (), hint))
         return self.rig
 
@@ -101,11 +99,9 @@ def _raise_missing_rig(file: ClipFile) -> NoReturn:
     message = f"{file.model.rig!r} does not exist"
     suggestion = missing_hint(file.document, file.model.rig or "")
     other_rig_text = f"pass another rig with {argument('source.rig')}"
-    hint = (
-        suggestion + clause(f" or {other_rig_text}")
-        if suggestion
-        else clause(other_rig_text)
-    )
+    hint = clause(other_rig_text)
+    if suggestion:
+        hint = suggestion + clause(f" or {other_rig_text}")
     file.document.add("DOC015", ("rig",), message, hint)
     check_clip(file)
     raise AssertionError(message)
@@ -177,9 +173,7 @@ class _ClipReader:
         channels = []
         for i, model in enumerate(self.model.channels):
             location = ("channels", i)
-            self._check_duplicate(
-                (*location, "target"), model.target, channel_of_target, i
-            )
+            self._check_duplicate(model.target, channel_of_target, i)
             channel = self._read_channel(location, model)
             if channel is not None:
                 channels.append(channel)
@@ -191,9 +185,9 @@ class _ClipReader:
         self._add_rig_fault()
         self.document.check()
         warn_of_times(self.document, channels, fps, first, last)
-        has_unit = self.model.units.length is not None
+        units, has_unit = self.units, self.model.units.length is not None
         warn_of_numbers(
-            self.document, channels, fps, self.units, self.rig, has_unit=has_unit
+            self.document, channels, fps, units, self.rig, has_unit=has_unit
         )
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
@@ -228,10 +222,8 @@ class _ClipReader:
         elif self.model.rig is not None:
             hint = f"the clip names {self.model.rig}; {hint}"
             rig_fault = replace(rig_fault, hint=hint)
-        self.document.faults[:] = [
-            rig_fault,
-            *(f for f in faults if f not in unknown_targets),
-        ]
+        other_faults = [fault for fault in faults if fault not in unknown_targets]
+        self.document.faults[:] = [rig_fault, *other_faults]
 
     def _named_rig_has_all(self) -> bool:
         """Return whether the rig that the clip names has all of its targets."""
@@ -257,34 +249,27 @@ class _ClipReader:
     def _read_range(self, channels: list[ClipChannel]) -> tuple[Fraction, Fraction]:
         """Return the range of the clip, by default that of its keys."""
         if self.model.range is None:
-            key_times = [
-                t
-                for clip_channel in channels
-                for t in (clip_channel.times[0], clip_channel.times[-1])
-            ] or [1.0]
-            return Fraction(min(key_times)), Fraction(max(key_times))
+            first_time = min((c.times[0] for c in channels), default=1.0)
+            last_time = max((c.times[-1] for c in channels), default=1.0)
+            return Fraction(first_time), Fraction(last_time)
         first, last = self.model.range
         return read_range(self.document, first, last)
 
     def _check_duplicate(
-        self, location: Location, target: str, channel_of_target: dict[str, int], i: int
+        self, target: str, channel_of_target: dict[str, int], i: int
     ) -> None:
         """Record a duplicate target, or a joint keyed both from rest and locally."""
         name, part = split_part(target, _REPLACED_BY)
         claimed_target = f"{name}.{_REPLACED_BY[part]}" if part else target
-        if claimed_target in channel_of_target:
-            other_target = self.model.channels[channel_of_target[claimed_target]].target
-            line = self.document.position(
-                ("channels", channel_of_target[claimed_target])
-            )[0]
-            problem = (
-                "appears twice"
-                if other_target == target
-                else (f"and {other_target!r} are the same target")
-            )
+        other = channel_of_target.setdefault(claimed_target, i)
+        if other != i:
+            other_target = self.model.channels[other].target
+            message = f"target {target!r} and {other_target!r} are the same target"
+            if other_target == target:
+                message = f"target {target!r} appears twice"
+            line, _ = self.document.position(("channels", other))
             hint = f"the other is on line {line}"
-            self.document.add("CLIP010", location, f"target {target!r} {problem}", hint)
-        channel_of_target.setdefault(claimed_target, i)
+            self.document.add("CLIP010", ("channels", i, "target"), message, hint)
 
     def _read_channel(
         self, location: Location, model: ChannelModel
@@ -293,19 +278,15 @@ class _ClipReader:
         if not len(model.keys):
             return None
         self.curves.check_curve(location, model)
-        kind = self._checked_target_kind((*location, "target"), model.target)
-        if kind is None or self.document.is_placeholder((*location, "target")):
+        target_location = (*location, "target")
+        kind = target_kind(model.target, self.rig)
+        if isinstance(kind, Fault):
+            self.document.add(kind.code, target_location, kind.message, kind.hint)
+            return None
+        if self.document.is_placeholder(target_location):
             return None
         unit = self.units.unit_of(model.target, model.euler or "")
         return self.curves.read_channel(location, model, model.target, kind, unit)
-
-    def _checked_target_kind(self, location: Location, target: str) -> str | None:
-        """Return the kind of a target; None with a fault."""
-        kind = target_kind(target, self.rig)
-        if isinstance(kind, Fault):
-            self.document.add(kind.code, location, kind.message, kind.hint)
-            return None
-        return kind
 
 
 def read_range(

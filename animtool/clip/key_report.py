@@ -9,9 +9,10 @@ import numpy as np
 
 from animtool.clip.channels import ClipUnits
 from animtool.clip.clip import Clip
+from animtool.clip.control_keys import keys_of_control_channel
 from animtool.clip.coordinates import JointMotion
 from animtool.clip.reduction.tracks import KeyTrack
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
@@ -19,7 +20,7 @@ from animtool.core.units import unit_name
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
-from animtool.rig.control_inverse import SolvedControls, keys_of_controls
+from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import JointType, Rig
 
@@ -43,48 +44,29 @@ def channel_errors(
 ) -> tuple[ChannelError, ...]:
     """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
     units = ClipUnits.of_rig(rig)
-    values_of_target = {}
+    control_keys = {}
     if keyed.controls is not None:
-        columns = keyed.controls.dense()[..., 0].T
-        control_values = {
-            control.name: v for control, v in zip(rig.controls, columns, strict=True)
-        }
-        values_of_target = keys_of_controls(rig.controls, control_values)
+        control_keys = keys_of_control_channel(rig.controls, keyed.controls)
+    motions = take.motion, keyed
     shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def errors(target: str) -> tuple[FloatArray, str | None]:
         """Return the error of a target in every frame, and its unit."""
         group, _, name = target.partition("/")
         if group == "control":
-            return np.abs(values_of_target[name] - controls[name]), None
+            return np.abs(control_keys[name] - controls[name]), None
         if group == "shape":
-            shape_index = np.array([shapes[name]])
-            weights_pair = take.motion.weights, keyed.weights
-            take_values, keyed_values = (
-                _channel_values(control, shape_index, take.motion.frames)
-                for control in weights_pair
-            )
-            return np.abs(take_values - keyed_values)[:, 0, 0], None
+            weights = [motion.weights for motion in motions]
+            return _value_errors(weights, shapes[name], 0.0), None
         joint, part = split_part(name, KEYED_PARTS)
-        shape_index = np.array([rig.index(joint)])
+        row = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
-            rotations = [
-                motion.rotations.gather(shape_index)[:, 0]
-                for motion in (take.motion, keyed)
-            ]
-            unit = "rad" if units.angle == 1.0 else "deg"
-            return so3.angle_between(*rotations) / units.angle, unit
+            rotations = [motion.rotations.gather(row)[:, 0] for motion in motions]
+            return so3.angle_between(*rotations) / units.angle, units.angle_name
         if part == "scale":
-            weights_pair = take.motion.scales, keyed.scales
-            take_values, keyed_values = (
-                _channel_values(control, shape_index, take.motion.frames, 1.0)
-                for control in weights_pair
-            )
-            return np.abs(take_values - keyed_values).max(axis=(1, 2)), None
-        positions = [
-            motion.translations.gather(shape_index)[:, 0]
-            for motion in (take.motion, keyed)
-        ]
+            scales = [motion.scales for motion in motions]
+            return _value_errors(scales, rig.index(joint), 1.0), None
+        positions = [motion.translations.gather(row)[:, 0] for motion in motions]
         channel_error = np.linalg.norm(positions[0] - positions[1], axis=1)
         return channel_error / units.length, unit_name(units.length)
 
@@ -92,20 +74,20 @@ def channel_errors(
     for channel in clip.channels:
         channel_error, unit = errors(channel.target)
         frame = int(np.argmax(channel_error))
-        code = float(take.clock.times[frame])
-        reports.append(
-            ChannelError(channel.target, float(channel_error[frame]), unit, code)
-        )
+        error, code = float(channel_error[frame]), float(take.clock.times[frame])
+        reports.append(ChannelError(channel.target, error, unit, code))
     return tuple(reports)
 
 
-def _channel_values(
-    channel: Channel | None, rows: IntArray, frames: int, default: float = 0.0
+def _value_errors(
+    channels: Sequence[Channel | None], row: int, default: float
 ) -> FloatArray:
-    """Return the values of a channel's rows, or a default if the channel is None."""
-    if channel is None:
-        return np.full((frames, 1, 1), default)
-    return channel.gather(rows)
+    """Return the difference of a row of two channels; a missing one is constant."""
+    take_values, keyed_values = (
+        np.full((1, 1, 1), default) if c is None else c.gather(np.array([row]))
+        for c in channels
+    )
+    return np.asarray(np.abs(take_values - keyed_values).max(axis=(1, 2)))
 
 
 def key_notices(
@@ -122,10 +104,7 @@ def key_notices(
         *_off_type_notes(rig, joints, tracks),
         *_unreachable_notes(rig, tracks),
     ]
-    return tuple(
-        Fault(code, message, severity=Severity.NOTE, hint=hint)
-        for code, message, hint in notices
-    )
+    return tuple(Fault(c, m, severity=Severity.NOTE, hint=h) for c, m, h in notices)
 
 
 _Note = tuple[str, str, str | None]
@@ -145,7 +124,6 @@ def _additional_motion_notes(
 ) -> Iterator[_Note]:
     """Yield notes on joints that move in addition to their keyed controls."""
     units = ClipUnits.of_rig(rig)
-    angle = "rad" if units.angle == 1.0 else "deg"
     for track in tracks:
         if not track.part:
             continue
@@ -157,18 +135,17 @@ def _additional_motion_notes(
             rotations = track.to_parent_space(track.samples)
             driven_rotation = track.reference
             assert driven_rotation is not None
-            largest_angle = (
-                so3.angle_between(rotations, driven_rotation).max() / units.angle
-            )
-            amount = f"{plain_number(largest_angle)} {angle}"
+            largest = so3.angle_between(rotations, driven_rotation).max() / units.angle
+            unit = units.angle_name
         elif track.part in {"slide", "translation"}:
-            largest_angle = np.linalg.norm(track.samples, axis=1).max() / units.length
-            amount = f"{plain_number(largest_angle)} {unit_name(units.length)}"
+            largest = np.linalg.norm(track.samples, axis=1).max() / units.length
+            unit = unit_name(units.length)
         else:
             continue
         joint = rig.joints[track.index].name
         message = f"joint {joint!r} has keys on top of what controls drive: "
-        yield "CLIP116", f"{message}{track.part} up to {amount}", None
+        message += f"{track.part} up to {plain_number(largest)} {unit}"
+        yield "CLIP116", message, None
 
 
 def _off_type_notes(
@@ -176,22 +153,19 @@ def _off_type_notes(
 ) -> Iterator[_Note]:
     """Yield notes on joints that move beyond their types."""
     units = ClipUnits.of_rig(rig)
-    angle = "rad" if units.angle == 1.0 else "deg"
     for track in tracks:
         if not track.part:
             continue
         joint, motion = rig.joints[track.index], joints[track.index]
         if track.part == "local_rotation":
-            verb = (
-                "turns" if joint.type is not JointType.PIN else ("rotates off its axis")
-            )
-            amount = f"{plain_number(motion.rotation_error / units.angle)} {angle}"
+            verb = "rotates off its axis" if joint.type is JointType.PIN else "turns"
+            error = plain_number(motion.rotation_error / units.angle)
+            amount = f"{error} {units.angle_name}"
         elif track.part == "local_translation":
-            verb = (
-                "moves off its axis" if joint.type is JointType.PRISMATIC else "moves"
-            )
-            shift_error = plain_number(motion.shift_error / units.length)
-            amount = f"{shift_error} {unit_name(units.length)}"
+            is_slider = joint.type is JointType.PRISMATIC
+            verb = "moves off its axis" if is_slider else "moves"
+            error = plain_number(motion.shift_error / units.length)
+            amount = f"{error} {unit_name(units.length)}"
         else:
             continue
         message = f"joint {joint.name!r} of type {joint.type} {verb}, by up to {amount}"

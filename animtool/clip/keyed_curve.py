@@ -66,29 +66,20 @@ def matches_curve(take: Take) -> bool:
         return False
     motion = curve(take.clock.times)
     for name in ("translations", "rotations", "scales", "weights"):
-        take_channel: Channel | None = getattr(take.motion, name)
-        channel: Channel | None = getattr(motion, name)
-        if (take_channel is None) != (channel is None):
-            return False
-        if (
-            take_channel is not None
-            and channel is not None
-            and not _equal_channels(take_channel, channel)
-        ):
+        if not _are_equal(getattr(take.motion, name), getattr(motion, name)):
             return False
     return True
 
 
-def _equal_channels(channel_a: Channel, channel_b: Channel) -> bool:
+def _are_equal(first: Channel | None, second: Channel | None) -> bool:
     """Return whether two channels differ by no more than rounding."""
-    if channel_a.rest.shape != channel_b.rest.shape or len(channel_a.values) != len(
-        channel_b.values
-    ):
+    if first is None or second is None:
+        return first is second
+    if first.rest.shape != second.rest.shape or len(first.values) != len(second.values):
         return False
-    a, b = channel_a.dense(), channel_b.dense()
-    is_equal = np.abs(a - b)
+    a, b = first.dense(), second.dense()
+    differences = np.abs(a - b)
     if a.shape[-1] == 4:
-        is_equal = np.minimum(is_equal, np.abs(a + b))
-    return float(is_equal.max(initial=0.0)) <= EQUAL_VALUES * max(
-        1.0, float(np.abs(a).max())
-    )
+        differences = np.minimum(differences, np.abs(a + b))
+    tolerance = EQUAL_VALUES * max(1.0, float(np.abs(a).max()))
+    return float(differences.max(initial=0.0)) <= tolerance

@@ -12,10 +12,12 @@ from animtool.clip.control_keys import (
     FittedControls,
     driven_pose,
     fit_controls,
+    largest_weight_error,
     solve_take_controls,
     uncombined_weights_of,
 )
 from animtool.clip.coordinates import (
+    COORDINATE_PARTS,
     JointMotion,
     Tolerances,
     joint_tracks,
@@ -48,7 +50,7 @@ from animtool.rig.controls import evaluate_controls
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.kinematics import rest_size
 from animtool.rig.shapes import combination_order
-from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.skeleton import Rig
 
 # Rounding of float32 samples between joints and drivers [rad], [m], [1].
 SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
@@ -100,18 +102,21 @@ def fit_take_keys(
     """
     other_tolerances = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, other_tolerances)
-    tolerances = _rounding_differences(
-        rig, float(bounds.min()) if len(bounds) else tolerance
-    )
+    smallest_tolerance = float(bounds.min()) if len(bounds) else tolerance
+    tolerances = _rounding_differences(rig, smallest_tolerance)
     joints = relative_joint_motions(rig, take.motion, tolerances)
-    solution = _solve_controls(take, rig, joints, tolerances, additive=base is not None)
-    weights = uncombined_weights_of(take, rig)
+    if base is None:
+        solution = solve_take_controls(take, rig, joints, tolerances)
+    else:
+        frames = take.motion.frames
+        defaults = {c.name: np.full(frames, c.default) for c in rig.controls}
+        solution = SolvedControls(defaults, (), ())
     job = _KeyingJob(
         take,
         rig,
         name,
         joints,
-        weights,
+        uncombined_weights_of(take, rig),
         solution,
         tolerances,
         tolerance,
@@ -122,8 +127,8 @@ def fit_take_keys(
     for i in range(MAX_REFINEMENTS):
         if result.reduction.held:
             break
-        factor = job.reduce(REFINEMENT_FACTOR ** (i + 1))
-        result = min(result, factor, key=lambda keyed: keyed.reduction.error)
+        finer = job.reduce(REFINEMENT_FACTOR ** (i + 1))
+        result = min(result, finer, key=lambda keyed: keyed.reduction.error)
     return result
 
 
@@ -135,22 +140,6 @@ def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
         min(SAME_LENGTH, rounding),
         SAME_WEIGHT,
     )
-
-
-def _solve_controls(
-    take: Take,
-    rig: Rig,
-    joints: list[JointMotion],
-    tolerances: Tolerances,
-    *,
-    additive: bool,
-) -> SolvedControls:
-    """Return the control values; those of an additive take stay at their defaults."""
-    if additive:
-        count = take.motion.frames
-        defaults = {c.name: np.full(count, c.default) for c in rig.controls}
-        return SolvedControls(defaults, (), ())
-    return solve_take_controls(take, rig, joints, tolerances)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,36 +159,28 @@ class _KeyingJob:
 
     def reduce(self, factor: float) -> KeyedTake:
         """Return the take's keys, fitted with the tolerance times ``factor``."""
-        take, rig, scaled_tolerances = self.take, self.rig, self.joint_tolerances
-        scaled_tolerances = {
-            pattern: factor * value for pattern, value in scaled_tolerances.items()
-        }
+        take, rig = self.take, self.rig
+        scaled_tolerances = {p: factor * v for p, v in self.joint_tolerances.items()}
         bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerances)
         unkeyable_values = self._driven_values()
-        exact_targets = (
-            evaluate_controls(rig.controls, self.solution.values).targets
-            | unkeyable_values
-        )
+        driven = evaluate_controls(rig.controls, self.solution.values)
+        exact_targets = driven.targets | unkeyable_values
         weights = self._weight_tracks(exact_targets, exact_targets)
         weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_growth(rig, weights)
-        keyed_tracks = self._keyed_tracks(
-            joint_tracks(
-                rig, self.joints, exact_targets, exact_targets, self.tolerances
-            )
+        exact_tracks = joint_tracks(
+            rig, self.joints, exact_targets, exact_targets, self.tolerances
         )
+        keyed_tracks = self._keyed_tracks(exact_tracks)
         controls = fit_controls(
             take, rig, self.solution.values, keyed_tracks, bounds, weight_tolerance
         )
-        fitted_targets = (
-            evaluate_controls(rig.controls, controls.values_by_name).targets
-            | unkeyable_values
-        )
+        driven = evaluate_controls(rig.controls, controls.values_by_name)
+        fitted_targets = driven.targets | unkeyable_values
         tracks = joint_tracks(
             rig, self.joints, exact_targets, fitted_targets, self.tolerances
         )
-        tracks += self._scale_tracks() + self._weight_tracks(
-            exact_targets, fitted_targets
-        )
+        tracks += self._scale_tracks()
+        tracks += self._weight_tracks(exact_targets, fitted_targets)
         reduction = reduce_motion(
             take,
             factor * self.tolerance,
@@ -231,13 +212,11 @@ class _KeyingJob:
         if not rig.is_driven:
             return {}
         plan = plan_of(rig)
-        coordinate_parts = {JointType.PIN: "angle", JointType.PRISMATIC: "slide"}
-        return {
-            f"joint/{rig.names[j]}.{coordinate_parts[rig.joints[j].type]}": self.joints[
-                j
-            ].coordinate
-            for j in plan.joints
-        } | {f"shape/{name}": self.weights[name] for name in plan.shapes}
+        values = {f"shape/{name}": self.weights[name] for name in plan.shapes}
+        for j in plan.joints:
+            part = COORDINATE_PARTS[rig.joints[j].type]
+            values[f"joint/{rig.names[j]}.{part}"] = self.joints[j].coordinate
+        return values
 
     def _keyed_tracks(
         self, tracks: list[KeyTrack]
@@ -247,10 +226,8 @@ class _KeyingJob:
         leading_joints = {self.rig.joints[index].name for _, index in keyed_channels}
         for j, joint in enumerate(self.rig.joints):
             if joint.mimic is not None and joint.mimic.joint in leading_joints:
-                keyed_channels |= {
-                    (ChannelKind.TRANSLATION, j),
-                    (ChannelKind.ROTATION, j),
-                }
+                kinds = ChannelKind.TRANSLATION, ChannelKind.ROTATION
+                keyed_channels |= {(kind, j) for kind in kinds}
         return frozenset(keyed_channels)
 
     def _start_motion(
@@ -272,9 +249,8 @@ class _KeyingJob:
             return []
         without_weights = replace(motion, weights=None)
         unscaled = Channel.static(np.ones_like(motion.scales.rest))
-        tracks = find_tracks(
-            self.rig, without_weights, replace(without_weights, scales=unscaled)
-        )
+        rest = replace(without_weights, scales=unscaled)
+        tracks = find_tracks(self.rig, without_weights, rest)
         return [track for track in tracks if track.kind is ChannelKind.SCALE]
 
     def _weight_tracks(
@@ -288,17 +264,12 @@ class _KeyingJob:
             target = f"shape/{shape.name}"
             remaining = take_weight - exact.get(target, zero)
             is_derived = bool(shape.combine) or target in exact
-            if np.abs(remaining).max(initial=0.0) <= (
-                self.tolerances.weight if is_derived else 0.0
-            ):
+            tolerance = self.tolerances.weight if is_derived else 0.0
+            if np.abs(remaining).max(initial=0.0) <= tolerance:
                 continue
             samples = np.array(take_weight - fitted.get(target, zero))[:, None]
-            is_constant = (samples == samples[:1]).all()
-            tracks.append(
-                KeyTrack(
-                    ChannelKind.WEIGHT, i, None, samples[:1] if is_constant else samples
-                )
-            )
+            samples = samples[:1] if (samples == samples[:1]).all() else samples
+            tracks.append(KeyTrack(ChannelKind.WEIGHT, i, None, samples))
         return tracks
 
 
@@ -319,7 +290,7 @@ def _measure_errors(
     bounds: FloatArray,
 ) -> Reduction:
     """Return a reduction whose errors are measured against the take."""
-    weight_error = _weight_error(take.motion.weights, keyed.weights)
+    weight_error = largest_weight_error(take.motion, keyed)
     if not take.rig.joints:
         return replace(reduction, weight_error=weight_error)
     base_motion = None if base is None else base.motion
@@ -327,9 +298,8 @@ def _measure_errors(
         additive_pose(take.rig, motion, base_motion).world_transforms()
         for motion in (take.motion, keyed)
     )
-    errors = point_errors(
-        attached_points(take.rig, SHELL_DISTANCE), true_world, reduced_world
-    )
+    points = attached_points(take.rig, SHELL_DISTANCE)
+    errors = point_errors(points, true_world, reduced_world)
     frame, joint = divmod(int(np.argmax(errors)), len(bounds))
     return replace(
         reduction,
@@ -339,13 +309,3 @@ def _measure_errors(
         held=bool((errors / bounds).max() <= 1 + DIGIT_ROUNDING),
         weight_error=weight_error,
     )
-
-
-def _weight_error(take_channel: Channel | None, keyed: Channel | None) -> float:
-    """Return the largest error of shape weights [1]."""
-    zero = np.zeros(1)
-    dense = [
-        zero if channel is None else channel.dense()
-        for channel in (take_channel, keyed)
-    ]
-    return float(np.abs(dense[0] - dense[1]).max(initial=0.0))

@@ -13,6 +13,7 @@ from animtool.core.record import dataclass
 from animtool.documents.fields import MAX_NUMBER
 
 _NUMBERS = {int, float}
+_PLAIN_KEYS = {"t", "v"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,26 +38,18 @@ class PlainKeys:
         >>> PlainKeys.from_entries([{"t": 1, "v": 0.5, "out": "flat"}]) is None
         True
         """
-        is_plain = entries.__class__ is list and bool(entries)
-        is_plain = is_plain and all(
-            entry.__class__ is dict
-            and len(entry) == 2
-            and "t" in entry
-            and "v" in entry
-            for entry in entries
-        )
-        if not is_plain:
+        if entries.__class__ is not list or not entries:
+            return None
+        if not all(e.__class__ is dict and e.keys() == _PLAIN_KEYS for e in entries):
             return None
         times = [entry["t"] for entry in entries]
         values = [entry["v"] for entry in entries]
         components = 1
         if all(value.__class__ is list for value in values):
             components = len(values[0])
-            values = (
-                list(chain.from_iterable(values))
-                if _have_equal_lengths(values)
-                else [None]
-            )
+            if not components or any(len(value) != components for value in values):
+                return None
+            values = list(chain.from_iterable(values))
         if not {number.__class__ for number in (*times, *values)} <= _NUMBERS:
             return None
         try:
@@ -68,9 +61,8 @@ class PlainKeys:
     @staticmethod
     def from_arrays(times: FloatArray, values: FloatArray) -> PlainKeys | None:
         """Return keys from arrays; None if a number exceeds the file limits."""
-        is_valid = all(
-            (np.abs(numbers) <= MAX_NUMBER).all() for numbers in (times, values)
-        )
+        is_valid = (np.abs(times) <= MAX_NUMBER).all()
+        is_valid &= (np.abs(values) <= MAX_NUMBER).all()
         return PlainKeys(times, values) if is_valid else None
 
     def entries(self) -> list[dict[str, Any]]:
@@ -78,11 +70,6 @@ class PlainKeys:
         values = self.values[:, 0] if self.values.shape[1] == 1 else self.values
         time_value_pairs = zip(self.times.tolist(), values.tolist(), strict=True)
         return [{"t": time, "v": value} for time, value in time_value_pairs]
-
-
-def _have_equal_lengths(rows: list[list[Any]]) -> bool:
-    """Return whether all rows have the same positive length."""
-    return {len(row) for row in rows} == {len(rows[0])} != {0}
 
 
 def plain_keys_or_check(entries: Any, check: Callable[[Any], Any]) -> Any:

@@ -98,19 +98,15 @@ def with_keys(
     if notice.fault.code != "CLIP101":
         return notice
     name = notice.target.removeprefix("control/")
-    control = next(
-        rig_control for rig_control in rig.controls if rig_control.name == name
-    )
+    control = next(control for control in rig.controls if control.name == name)
     assert control.low is not None
     assert control.high is not None
     limits = RangeLimit(control.low, control.high)
     keys = [
         float(t)
-        for channel in channels
-        if channel.target == notice.target
-        for t in channel.times[
-            np.abs(limits.excess(channel.values[:, 0])) > LIMIT_TOLERANCE
-        ]
+        for c in channels
+        if c.target == notice.target
+        for t in c.times[np.abs(limits.excess(c.values[:, 0])) > LIMIT_TOLERANCE]
         if times.min() <= t <= times.max()
     ]
     if not keys or keys == [notice.frame]:
@@ -159,10 +155,13 @@ def sample_values(
     joints = _JointValues(rig, times, clamp, notices)
     for name, part in parts_by_joint.items():
         joints.add_joint(rig.index(name), part)
-    moving_controls = _control_channel(rig, driven_values, count) if controls else None
-    coordinates = (
-        _joint_coordinates(rig, parts_by_joint, clamp=clamp) if rig.is_driven else {}
-    )
+    control_channel = None
+    if controls:
+        columns = [driven_values.controls[control.name] for control in rig.controls]
+        control_channel = _column_channel(columns, count)
+    coordinates = {}
+    if rig.is_driven:
+        coordinates = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
     motion = Motion(
         joints.build_channel("translations", rig.rest_translations),
         joints.build_channel("rotations", rig.rest_rotations),
@@ -170,7 +169,7 @@ def sample_values(
         if joints.values["scales"]
         else None,
         _weight_channel(rig, keyed, driven_values, count),
-        moving_controls,
+        control_channel,
     )
     if rig.is_driven:
         from animtool.motion.driver_run import DriverRun
@@ -202,10 +201,8 @@ def _joint_coordinates(
 
 def _check_defined(driven_values: DrivenValues, times: FloatArray) -> None:
     """Raise if a control or target is not finite at a time."""
-    for name, values in [
-        *driven_values.unclamped.items(),
-        *driven_values.targets.items(),
-    ]:
+    all_values = driven_values.unclamped | driven_values.targets
+    for name, values in all_values.items():
         undefined_frames = np.flatnonzero(~np.isfinite(values))
         if undefined_frames.size:
             frame = times[undefined_frames[0]] if len(values) > 1 else times[0]
@@ -228,10 +225,8 @@ def _range_notices(
         if abs(excess[worst_frame]) > LIMIT_TOLERANCE:
             frame = times[worst_frame]
             verb = "would be" if clamp else "is"
-            message = (
-                f"control {control.name!r} {verb} {values[worst_frame]:.6g} at frame "
-                f"{frame:g}, outside {control.low:g} to {control.high:g}"
-            )
+            message = f"control {control.name!r} {verb} {values[worst_frame]:.6g} at "
+            message += f"frame {frame:g}, outside {control.low:g} to {control.high:g}"
             message += _CLAMPED_SUFFIX if clamp else ""
             hint = None if clamp else _CLAMP_HINT
             value = float(values[worst_frame])
@@ -308,10 +303,8 @@ def _apply_mimics(
             continue
         part, full_part = _MIMIC_PARTS[joint.type]
         if parts.get(joint.name, {}).keys() & {part, full_part}:
-            message = (
-                f"joint {joint.name!r} has keys, so it does not follow "
-                f"{joint.mimic.joint!r}"
-            )
+            message = f"joint {joint.name!r} has keys, so it does not follow "
+            message += repr(joint.mimic.joint)
             fault = Fault("CLIP103", message, severity=Severity.NOTE)
             notices.append(ClipNotice(fault, f"joint/{joint.name}"))
             continue
@@ -370,9 +363,9 @@ class _JointValues:
         for j, values in sorted(self.values[name].items()):
             if len(values) == 1 or (values == values[0]).all():
                 constant_values[j] = values[0]
-                continue
-            animated_joints.append(j)
-            columns.append(values)
+            else:
+                animated_joints.append(j)
+                columns.append(values)
         animated_values = np.zeros((count, len(columns), rest.shape[1]))
         size = max(1, ROWS_AT_ONCE // max(count, 1))
         for first_column in range(0, len(columns), size):
@@ -392,10 +385,8 @@ class _JointValues:
         translation = parts.get("translation")
         for i, axis in enumerate("xyz"):
             if f"+translation.{axis}" in parts:
-                contribution = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
-                translation = (
-                    contribution if translation is None else translation + contribution
-                )
+                added = parts[f"+translation.{axis}"][:, None] * np.eye(3)[i]
+                translation = added if translation is None else translation + added
         return translation
 
     def _rotation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
@@ -408,12 +399,8 @@ class _JointValues:
         driven_axes = [parts.get(f"+rotation.{axis}") for axis in "xyz"]
         if any(value is not None for value in driven_axes):
             columns = [np.zeros(1) if v is None else v for v in driven_axes]
-            driven_rotation = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
-            rotation = (
-                driven_rotation
-                if rotation is None
-                else so3.multiply(driven_rotation, rotation)
-            )
+            driven = so3.exp(np.stack(np.broadcast_arrays(*columns), axis=-1))
+            rotation = driven if rotation is None else so3.multiply(driven, rotation)
         if rotation is not None and isinstance(joint.limits, BallLimit):
             clamped_rotation = joint.limits.clamped(rotation)
             excess = so3.angle_between(rotation, clamped_rotation)
@@ -454,30 +441,18 @@ def _add_values(
     """Add a channel's values ``(F, 1)`` and driven values ``(F,)``; None is 0."""
     if driven_values is None:
         return keyed_values
-    return (
-        driven_values[:, None]
-        if keyed_values is None
-        else keyed_values + driven_values[:, None]
-    )
+    column = driven_values[:, None]
+    return column if keyed_values is None else keyed_values + column
 
 
 def _column_channel(columns: list[FloatArray], count: int) -> Channel:
     """Return a channel from columns ``(F,)`` or ``(1,)``."""
     rest_values = np.array([column[0] for column in columns])[:, None]
-    animated_columns = [
-        i for i, column in enumerate(columns) if (column != column[0]).any()
-    ]
+    animated_columns = [i for i, c in enumerate(columns) if (c != c[0]).any()]
     values = np.zeros((count, len(animated_columns), 1))
     for column_index, i in enumerate(animated_columns):
         values[:, column_index, 0] = columns[i]
     return Channel(rest_values, np.array(animated_columns, np.int64), values)
-
-
-def _control_channel(rig: Rig, driven: DrivenValues, count: int) -> Channel:
-    """Return the values of the controls as a channel."""
-    return _column_channel(
-        [driven.controls[control.name] for control in rig.controls], count
-    )
 
 
 def _weight_channel(

@@ -8,8 +8,17 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
-from animtool.clip.suspicious_positions import root_translations, warn_of_positions
+from animtool.clip.channels import (
+    LENGTH_PARTS,
+    ClipChannel,
+    ClipUnits,
+    evaluate_channels,
+)
+from animtool.clip.suspicious_positions import (
+    joint_channels,
+    root_translations,
+    warn_of_positions,
+)
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text, percent_hint
@@ -47,7 +56,7 @@ MIN_LARGEST = 1.0
 MIN_EXACT = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
 # many different keys of one channel in 1e-5.
-MIN_WHOLE, WHOLE_TOLERANCE = 4, 0.03
+MIN_INTEGERS, INTEGER_TOLERANCE = 4, 0.03
 # A root that travels less than this fraction of the rig's size does not leave its spot.
 MAX_TRAVEL = 0.05
 # Plausible range of travel in metres, relative to the rig's size.
@@ -55,7 +64,6 @@ TRAVEL_RANGE = (0.2, 20.0)
 # What a clip without a unit moves by if it is in metres, and what is too small to see
 # if it is in the unit of its rig; relative to the rig's size.
 METRE_RANGE, MAX_UNSEEN = (0.05, 20.0), 0.005
-LENGTH_PARTS = {"translation", "local_translation", "slide"}
 # Minimum rotation of a limb when a character travels [rad].
 MIN_STRIDE = math.radians(15)
 # Sizes of characters [m], and a speed that even falls do not reach [m/s].
@@ -122,9 +130,8 @@ def _warn_of_speed(
         steps = np.diff(channel.times) / float(fps)
         lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
         # A single fast step, or one without frames between, is a cut or a teleport.
-        is_continuous = np.array(
-            [mode != Interp.STEP for mode in channel.interps[:-1]], bool
-        )
+        interps = channel.interps[:-1]
+        is_continuous = np.array([interp != Interp.STEP for interp in interps], bool)
         is_fast = lengths > MAX_SPEED * steps
         is_counted = is_fast & (steps >= SPEED_INTERVAL)
         if is_fast.sum() >= max(MIN_FAST, np.count_nonzero(lengths) / 2):
@@ -152,30 +159,18 @@ def _key_location(channel: int, key: int) -> Location:
 
 def _warn_of_order(document: Document, channels: Sequence[ClipChannel]) -> None:
     """Warn of [0, 0, 0, 1], which is the identity only if w is last (CLIP106)."""
-    quaternion_channels = [
-        (i, clip_channel.values)
-        for i, clip_channel in enumerate(channels)
-        if clip_channel.values.shape[1] == 4
-    ]
-    if any(
-        (abs(values[:, 3]) > abs(values[:, 2])).any()
-        for _, values in quaternion_channels
-    ):
+    values_of = {i: c.values for i, c in enumerate(channels) if c.values.shape[1] == 4}
+    if any((abs(v[:, 3]) > abs(v[:, 2])).any() for v in values_of.values()):
         return
-    for i, values in quaternion_channels:
+    for i, values in values_of.items():
         keys = document.value["channels"][i]["keys"]
         for k in np.flatnonzero(abs(values[:, 2]) == 1.0).tolist():
             # Of an array, which is not a list in the document, by its values.
-            is_from_array = isinstance(keys, str)
-            written_quaternion = (
-                [0.0, 0.0, 0.0, values[k, 2]] if is_from_array else keys[k]["v"]
-            )
+            location: Location = ("channels", i, "keys")
+            written_quaternion = [0.0, 0.0, 0.0, values[k, 2]]
+            if not isinstance(keys, str):
+                location, written_quaternion = (*location, k, "v"), keys[k]["v"]
             if written_quaternion == HALF_REVOLUTION_ABOUT_Z:
-                location = (
-                    ("channels", i, "keys")
-                    if is_from_array
-                    else (*_key_location(i, k), "v")
-                )
                 warn_of_quaternion(document, "CLIP106", location)
                 return
 
@@ -241,11 +236,8 @@ def warn_of_angle_keys(
         _look_like_radians(named) if in_degrees else _look_like_degrees(named, rig)
     )
     if not are_all:
-        angles = [
-            (curve, values)
-            for curve, values in angles
-            if in_degrees and _are_whole_degrees_in_radians(values)
-        ]
+        suspects = [row for row in angles if _are_integer_degrees_in_radians(row[1])]
+        angles = suspects if in_degrees else []
     if not angles:
         return
     curve, values = max(angles, key=lambda row: np.abs(row[1]).max())
@@ -258,11 +250,8 @@ def warn_of_angle_keys(
         f"but the angle unit is {file_unit}: the largest is {largest:.4g}"
     )
     hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest * factor:.4g}"
-    hint = (
-        f"write 'units: {{angle: {likely_unit}}}', or {hint}"
-        if are_all
-        else (f"write {hint}")
-    )
+    unit_hint = f"write 'units: {{angle: {likely_unit}}}', or {hint}"
+    hint = unit_hint if are_all else f"write {hint}"
     document.warn("CLIP107", (*curve.location, "keys", k, "v"), message, hint)
 
 
@@ -276,32 +265,24 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
         return True
     if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
         return False
-    moving_targets = [
-        name
-        for name, channel_values in angles
-        if np.ptp(channel_values, axis=0).max() > MIN_SPAN
-    ]
-    return len(moving_targets) >= MIN_CHANNELS and any(
-        map(HINGE_NAMES.search, moving_targets)
-    )
+    moving = [name for name, v in angles if np.ptp(v, axis=0).max() > MIN_SPAN]
+    return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
 
 
-def _are_whole_degrees_in_radians(values: FloatArray) -> bool:
+def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
     """Return whether rounded values are whole degrees if they are radians."""
     numbers = np.array(sorted({*values[values != 0.0].tolist()}))
     degrees = np.degrees(numbers)
     return (
-        len(numbers) >= MIN_WHOLE
+        len(numbers) >= MIN_INTEGERS
         and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION
-        and bool((np.abs(degrees - np.round(degrees)) <= WHOLE_TOLERANCE).all())
+        and bool((np.abs(degrees - np.round(degrees)) <= INTEGER_TOLERANCE).all())
     )
 
 
 def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
     """Return whether angles look like degrees."""
-    beyond_revolution = [
-        (target, values) for target, values in angles if _exceeds_revolution(values)
-    ]
+    beyond_revolution = [row for row in angles if _exceeds_revolution(row[1])]
     if any(_winds_up(target, values, rig) for target, values in beyond_revolution):
         return True
     has_hinge = any(HINGE_NAMES.search(target) for target, _ in beyond_revolution)
@@ -309,10 +290,8 @@ def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) ->
         return True
     values = np.concatenate([values.ravel() for _, values in angles])
     values = values[values != 0.0]
-    integer_fraction = np.mean(values == np.round(values))
-    return bool(
-        FULL_REVOLUTION < np.abs(values).max() <= MAX_DEGREES and integer_fraction > 0.5
-    )
+    are_mostly_integers = bool(np.mean(values == np.round(values)) > 0.5)
+    return are_mostly_integers and _exceeds_revolution(values)
 
 
 def _winds_up(target: str, values: FloatArray, rig: Rig | None) -> bool:
@@ -358,11 +337,9 @@ def _warn_of_metres(
         net_distance = float(np.linalg.norm(channel.values[-1] - channel.values[0]))
         in_metres = largest_distance / units.length
         shortest_travel, longest_travel = (factor * size for factor in TRAVEL_RANGE)
-        if (
-            largest_distance > MAX_TRAVEL * size
-            or not shortest_travel <= in_metres <= longest_travel
-            or net_distance < largest_distance / 2
-        ):
+        is_plausible = shortest_travel <= in_metres <= longest_travel
+        has_returned = net_distance < largest_distance / 2
+        if largest_distance > MAX_TRAVEL * size or not is_plausible or has_returned:
             continue
         message = (
             f"{channel.target!r} moves by {length_text(net_distance)} while limbs "
@@ -370,9 +347,8 @@ def _warn_of_metres(
             f"the rig is {length_text(size)} tall"
         )
         hint = f"if these are metres, write 'units: {{length: m}}': {in_metres:.3g} m"
-        document.warn(
-            "CLIP108", (*_key_location(i, len(channel.times) - 1), "v"), message, hint
-        )
+        location = (*_key_location(i, len(channel.times) - 1), "v")
+        document.warn("CLIP108", location, message, hint)
         return
 
 
@@ -383,9 +359,7 @@ def _warn_of_small_lengths(
     size = rest_size(rig)
     spans = [
         (float(np.ptp(channel.values, axis=0).max()), i)
-        for i, channel in enumerate(channels)
-        if channel.target.startswith("joint/")
-        and split_part(channel.target, KEYED_PARTS)[1] in LENGTH_PARTS
+        for i, channel, _ in joint_channels(channels, *LENGTH_PARTS)
     ]
     span, i = max(spans, default=(0.0, 0))
     in_metres = span / units.length
@@ -400,10 +374,8 @@ def _warn_of_small_lengths(
         f"rig: no joint moves by more than {length_text(span)}, and the rig is "
         f"{length_text(size)} tall"
     )
-    hint = (
-        f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; "
-        f"else 'units: {{length: {unit}}}'"
-    )
+    hint = f"for metres write 'units: {{length: m}}': {in_metres:.3g} m; else 'units: "
+    hint += f"{{length: {unit}}}'"
     document.warn("CLIP108", (*_key_location(i, k), "v"), message, hint)
     return True
 
@@ -413,10 +385,7 @@ def _warn_of_scale(
 ) -> None:
     """Warn of scales that look like percentages, at all keys (CLIP113)."""
     size = rest_size(rig)
-    for i, channel in enumerate(channels):
-        part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)[1]
-        if part != "scale" or not channel.target.startswith("joint/"):
-            continue
+    for i, channel, _ in joint_channels(channels, "scale"):
         smallest = float(np.abs(channel.values).min())
         if smallest < MIN_PERCENT or size * smallest <= MAX_RIG_SIZE:
             continue
@@ -456,14 +425,10 @@ def _warn_of_controls(
     if not controls or not joints:
         return
     times = np.unique(np.concatenate([channel.times for channel in channels]))
-    sample_indices = np.linspace(0, len(times) - 1, min(len(times), MAX_TIMES)).astype(
-        int
-    )
-    times = times[sample_indices]
-    keyed = {
-        target.removeprefix("control/"): values[:, 0]
-        for target, values in evaluate_channels(controls, times).items()
-    }
+    count = min(len(times), MAX_TIMES)
+    times = times[np.linspace(0, len(times) - 1, count).astype(int)]
+    values_by_target = evaluate_channels(controls, times)
+    keyed = {t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()}
     driven = evaluate_controls(rig.controls, keyed).targets
     for i in joints:
         target = channels[i].target
@@ -476,21 +441,16 @@ def _warn_of_controls(
         driven_span = max(spans, default=0.0)
         if not driven_span > 0 or channel_span < MIN_LAYER * driven_span:
             continue
-        names = listed(
-            [repr(name) for name in _driving_controls(rig, target, keyed)], 3
-        )
+        names = listed(list(map(repr, _driving_controls(rig, target, keyed))), 3)
         is_length = target.endswith(("translation", "slide"))
         span_texts = [
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
             for span in (channel_span, driven_span)
         ]
-        message = (
-            f"{target!r} is keyed over {span_texts[0]}, and control {names} moves it "
-            f"over {span_texts[1]}: both are added"
-        )
-        document.warn(
-            "CLIP111", (*_key_location(i, 0), "v"), message, "remove one of them"
-        )
+        message = f"{target!r} is keyed over {span_texts[0]}, and control {names} "
+        message += f"moves it over {span_texts[1]}: both are added"
+        location = (*_key_location(i, 0), "v")
+        document.warn("CLIP111", location, message, "remove one of them")
         return
 
 

@@ -34,14 +34,25 @@ MAX_SIDEWAYS, MAX_UNEVEN = 0.1, 0.15
 _CONVERTED = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
 
 
+def joint_channels(
+    channels: Sequence[ClipChannel], *parts: str
+) -> Iterator[tuple[int, ClipChannel, str]]:
+    """Yield index, channel and joint name of the channels of some parts of joints."""
+    for i, channel in enumerate(channels):
+        group, _, target = channel.target.partition("/")
+        name, part = split_part(target, KEYED_PARTS)
+        if group == "joint" and part in parts:
+            yield i, channel, name
+
+
 def root_translations(
     channels: Sequence[ClipChannel], rig: Rig
 ) -> Iterator[tuple[int, ClipChannel]]:
     """Yield the translation channels of roots."""
     roots = {rig.names[j] for j in rig.roots}
-    for i, channel in enumerate(channels):
-        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        if part in {"translation", "local_translation"} and name in roots:
+    parts = "translation", "local_translation"
+    for i, channel, name in joint_channels(channels, *parts):
+        if name in roots:
             yield i, channel
 
 
@@ -67,32 +78,24 @@ def _warn_of_rest(
 ) -> None:
     """Warn of translations that already include the rest offset (CLIP112)."""
     size = rest_size(rig)
-    for i, channel in enumerate(channels):
-        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        if part != "translation" or not channel.target.startswith("joint/"):
-            continue
-        rest = np.array(rig.joints[rig.index(name)].translation)
-        length = float(np.linalg.norm(rest))
-        if length <= MIN_REST * size or not _is_near_rest_position(
-            channel.values, rest
-        ):
+    for i, channel, name in joint_channels(channels, "translation"):
+        joint = rig.joints[rig.index(name)]
+        rest = np.array(joint.translation)
+        is_at_parent = float(np.linalg.norm(rest)) <= MIN_REST * size
+        if is_at_parent or not _is_near_rest_position(channel.values, rest):
             continue
         position_text, sum_text = (
             length_text(float(np.linalg.norm(position)))
             for position in (rest, rest + channel.values[0])
         )
-        origin = (
-            "the origin" if rig.joints[rig.index(name)].parent < 0 else "its parent"
-        )
+        origin = "the origin" if joint.parent < 0 else "its parent"
         message = (
             f"{channel.target!r} is keyed near the joint's rest position, "
             f"{position_text} from {origin}; keys are added to the rest position, so "
             f"the joint is at {sum_text}"
         )
-        hint = (
-            "subtract the rest position from the keys, or key "
-            f"joint/{name}.local_translation"
-        )
+        hint = "subtract the rest position from the keys, or key "
+        hint += f"joint/{name}.local_translation"
         document.warn("CLIP112", ("channels", i, "keys", 0, "v"), message, hint)
         return
 
@@ -104,11 +107,8 @@ def _is_near_rest_position(values: FloatArray, rest: FloatArray) -> bool:
         return True
     fraction_along_rest = values @ rest / length**2
     is_near = abs(float(fraction_along_rest.mean()) - 1) <= NEAR_REST
-    return (
-        len(values) > 1
-        and is_near
-        and bool((abs(fraction_along_rest - 1) <= ABOUT_REST).all())
-    )
+    is_near &= bool((abs(fraction_along_rest - 1) <= ABOUT_REST).all())
+    return is_near and len(values) > 1
 
 
 def _warn_of_offsets(
@@ -116,10 +116,7 @@ def _warn_of_offsets(
 ) -> None:
     """Warn of offsets from rest that are keyed as local translations (CLIP122)."""
     size = rest_size(rig)
-    for i, channel in enumerate(channels):
-        name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
-        if part != "local_translation" or not channel.target.startswith("joint/"):
-            continue
+    for i, channel, name in joint_channels(channels, "local_translation"):
         joint = rig.joints[rig.index(name)]
         rest = np.array(joint.translation)
         length = float(np.linalg.norm(rest))
@@ -129,10 +126,8 @@ def _warn_of_offsets(
         distances = np.linalg.norm(channel.values, axis=1)
         k = int(distances.argmin())
         # A body that lies on the ground is near 0, but hardly at it.
-        is_near = (
-            abs(float(fraction_along_rest.mean())) <= NEAR_REST
-            and max(fraction_along_rest) <= ABOUT_REST
-        )
+        is_near = abs(float(fraction_along_rest.mean())) <= NEAR_REST
+        is_near &= max(fraction_along_rest) <= ABOUT_REST
         is_at_zero = distances[k] <= AT_REST * length
         if joint.parent < 0:
             is_at_zero |= bool(fraction_along_rest.mean() < 0)
@@ -147,13 +142,9 @@ def _warn_of_offsets(
             result = f"the joint is {length_text(drop)} lower than at rest"
         else:
             result = f"the joint is at {rig.names[joint.parent]!r}"
-        numbers = ", ".join(
-            f"{number:.4g}" for number in (rest / units.length).tolist()
-        )
-        message = (
-            f"{channel.target!r} is keyed near [0, 0, 0], but the rest position is "
-            f"[{numbers}]: {result}"
-        )
+        numbers = ", ".join(f"{number:.4g}" for number in rest / units.length)
+        message = f"{channel.target!r} is keyed near [0, 0, 0], but the rest position "
+        message += f"is [{numbers}]: {result}"
         hint = f"for moves from rest, key joint/{name}.translation"
         document.warn("CLIP122", ("channels", i, "keys", k, "v"), message, hint)
         return
@@ -176,15 +167,12 @@ def _warn_of_up_axis(
         end = float(rest @ up + heights[-1])
         if drop < rest_size(rig) / 2 or end >= lowest:
             continue
-        sideways = np.linalg.norm(
-            values - values[0] - np.outer(heights - heights[0], up), axis=1
-        )
-        even_heights = np.interp(
-            channel.times, channel.times[[0, -1]], heights[[0, -1]]
-        )
-        if sideways.max() > MAX_SIDEWAYS * drop or (
-            np.abs(heights - even_heights).max() > MAX_UNEVEN * drop
-        ):
+        offsets = values - values[0] - np.outer(heights - heights[0], up)
+        sideways = np.linalg.norm(offsets, axis=1)
+        times = channel.times
+        even_heights = np.interp(times, times[[0, -1]], heights[[0, -1]])
+        unevenness = np.abs(heights - even_heights).max()
+        if sideways.max() > MAX_SIDEWAYS * drop or unevenness > MAX_UNEVEN * drop:
             continue
         message = (
             f"{channel.target!r} moves {length_text(drop)} down along {rig.up} and "

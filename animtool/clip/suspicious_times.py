@@ -76,10 +76,8 @@ def seconds_texts(
         return None
     first = min(float(row[0]) for row in times)
     last = max(float(row[-1]) for row in times)
-    message = (
-        f"{first:g} to {last:g} look like seconds: as frames at {rate:g} fps they last "
-        f"{(last - first) / rate:.3g} s"
-    )
+    message = f"{first:g} to {last:g} look like seconds: as frames at {rate:g} fps "
+    message += f"they last {(last - first) / rate:.3g} s"
     start = 0.0
     if frames and in_range:
         start = frames[0]
@@ -111,10 +109,8 @@ def _warn_of_range(
         document.warn("CLIP201", ("channels", i, "keys", 0, "t"), message, hint)
         return
     other_count = len(keys_outside) - 1
-    message = (
-        f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the range "
-        f"from {first:g} to {last:g}: {frames}"
-    )
+    message = f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the "
+    message += f"range from {first:g} to {last:g}: {frames}"
     message += (
         f"; keys of {counted(other_count, 'other channel')} too" if other_count else ""
     )

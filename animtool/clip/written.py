@@ -47,31 +47,27 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         )
         contents |= {arrays_path: arrays} if arrays else {}
         contents[rig_path] = [rig_text(rig).encode()]
-    kept_clip = _unchanged_keys(take, options)
-    if kept_clip is not None:
-        text = clip_text(kept_clip, rig, path_from_folder(rig_path, path.parent))
-        contents[path] = [text.encode()]
-        frame_span = FrameSpan(kept_clip.first, kept_clip.last, kept_clip.fps)
-        notices = [*skipped_content_warnings, *kept_clip.notices]
-        return TakeFiles(contents, frame_span, len(rig.joints), notices)
-    tolerance = options.tolerance
-    keyed_result = fit_take_keys(
-        take,
-        rig,
-        stem,
-        parse_length(KEY_TOLERANCE) if tolerance is None else tolerance,
-        joint_tolerances=options.joint_tolerances,
-        base=base_take,
-    )
-    text = clip_text(keyed_result.clip, rig, path_from_folder(rig_path, path.parent))
+    keyed_result = None
+    clip = _unchanged_keys(take, options)
+    if clip is None:
+        tolerance = options.tolerance
+        keyed_result = fit_take_keys(
+            take,
+            rig,
+            stem,
+            parse_length(KEY_TOLERANCE) if tolerance is None else tolerance,
+            joint_tolerances=options.joint_tolerances,
+            base=base_take,
+        )
+        clip = keyed_result.clip
+    text = clip_text(clip, rig, path_from_folder(rig_path, path.parent))
     contents[path] = [text.encode()]
+    notices = clip.notices if keyed_result is None else keyed_result.notices
     return TakeFiles(
         contents,
-        FrameSpan(
-            keyed_result.clip.first, keyed_result.clip.last, keyed_result.clip.fps
-        ),
+        FrameSpan(clip.first, clip.last, clip.fps),
         len(rig.joints),
-        [*skipped_content_warnings, *keyed_result.notices],
+        [*skipped_content_warnings, *notices],
         keyed_result,
     )
 

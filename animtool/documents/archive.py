@@ -138,11 +138,9 @@ def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
     lengths = [length.strip().removesuffix("L") for length in text.split(",")]
     if lengths[-1] == "":
         lengths.pop()
-    if (
-        len(lengths) > MAX_DIMENSIONS
-        or (len(lengths) == 1 and "," not in text)
-        or not all(length.isdecimal() and len(length) < 20 for length in lengths)
-    ):
+    are_numbers = all(length.isdecimal() and len(length) < 20 for length in lengths)
+    is_number = len(lengths) == 1 and "," not in text
+    if len(lengths) > MAX_DIMENSIONS or is_number or not are_numbers:
         raise ArrayError(f"{array_label} has a shape that is not that of an array")
     return tuple(map(int, lengths))
 
@@ -338,9 +336,8 @@ class Archive:
         needed_mb = math.ceil(size / 1e6)
         message = f"{self._path.name}#{key} takes {needed_mb} MB of memory"
         if configured_limit is None and not is_plausible:
-            message += (
-                f", more than {MAX_COMPRESSION_RATIO} times what it takes in the file"
-            )
+            message += f", more than {MAX_COMPRESSION_RATIO} times what it takes in "
+            message += "the file"
         else:
             limit = (
                 DEFAULT_ARRAY_LIMIT if configured_limit is None else configured_limit

@@ -47,10 +47,9 @@ class _KeyedModels(ModelMetaclass):
 
 def model_field(key: Key, default: Any = MISSING) -> Any:
     """Return the model field for a key of a file."""
-    field_options = {} if default is MISSING else {"default": default}
-    return pydantic.Field(
-        description=key.description, examples=[key.example], **field_options
-    )
+    options = {} if default is MISSING else {"default": default}
+    description, examples = key.description, [key.example]
+    return pydantic.Field(description=description, examples=examples, **options)
 
 
 class FileModel(BaseModel, metaclass=_KeyedModels):
@@ -125,15 +124,10 @@ def record_of_options(
             known_options = copy.deepcopy(known_options)
             for location, choice in choices:
                 set_value_at(known_options, location, choice)
-    return None, faults + [
-        (
-            (keys.get(str(location[0]), location[0]), *location[1:])
-            if location
-            else location,
-            fault,
-        )
-        for location, fault in wrong_options
-    ]
+    for location, fault in wrong_options:
+        written_keys = [keys.get(str(step), step) for step in location[:1]]
+        faults.append(((*written_keys, *location[1:]), fault))
+    return None, faults
 
 
 def rename_options(
@@ -152,7 +146,7 @@ def rename_options(
         name = renamed_key(kind, (*location, key), value)
         if name is None or name in options:
             result[key] = value
-            continue
-        result[name] = value
-        warn_renamed_key(document, (*location, key), name)
+        else:
+            result[name] = value
+            warn_renamed_key(document, (*location, key), name)
     return result

@@ -245,10 +245,8 @@ class Document:
     def check(self) -> None:
         """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
-            in_file_order = sorted(
-                self.faults, key=lambda fault: (fault.lines, fault.column or 0)
-            )
-            raise FormatError(_first_faults(_merge_unknown_keys(in_file_order)))
+            order = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
+            raise FormatError(_first_faults(_merge_unknown_keys(order)))
 
 
 def location_text(location: Location) -> str:
@@ -322,19 +320,13 @@ def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
     """Yield a warning for each value in typographic quotes (DOC103)."""
     marks = document.marks()
     for index, text in marks.unquoted.items():
-        unquoted_text = text[1:-1]
+        word = text[1:-1]
         # In sentences they are meant.
-        if (
-            text[:1] not in QUOTES
-            or text[-1] not in QUOTES[text[0]]
-            or " " in unquoted_text
-        ):
+        if text[-1] not in QUOTES.get(text[0], "") or " " in word:
             continue
         line, column = marks.positions[index]
         message = f"typographic quotes are part of the value {text}"
-        hint = (
-            f'write "{unquoted_text}" with straight quotes, or {unquoted_text} without'
-        )
+        hint = f'write "{word}" with straight quotes, or {word} without'
         source = str(document.path), (line,)
         warning = Severity.WARNING
         yield Fault("DOC103", message, *source, hint, warning, column=column)

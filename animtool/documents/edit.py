@@ -76,9 +76,7 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
     """
     edits = list(edits)
     source = _SourceText.of(text, json=path.suffix == ".json")
-    splices = sorted(
-        (source.splice_of(edit) for edit in edits), key=lambda splice: splice[0]
-    )
+    splices = sorted((source.splice_of(e) for e in edits), key=lambda splice: splice[0])
     edited_text = text
     for start, end, replacement in reversed(splices):
         edited_text = edited_text[:start] + replacement + edited_text[end:]
@@ -131,10 +129,8 @@ class _SourceText:
 
     @classmethod
     def of(cls, text: str, *, json: bool) -> _SourceText:
-        yaml_text = (
-            _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text) if json else text
-        )
-        root = compose_yaml(yaml_text)
+        yaml_text = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text)
+        root = compose_yaml(yaml_text if json else text)
         return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
 
     def splice_of(self, edit: Edit) -> TextSplice:
@@ -143,9 +139,8 @@ class _SourceText:
             case Replace(location, value):
                 return self._replacement_text(self._node_at(location), value)
             case Rename((*parent_path, key), name):
-                return self._replacement_text(
-                    self._key_and_value(tuple(parent_path), str(key))[0], name
-                )
+                key_node, _ = self._key_and_value(tuple(parent_path), str(key))
+                return self._replacement_text(key_node, name)
             case Add(location, key, value):
                 return self._added_text(self._node_at(location), key, value)
             case Remove((*parent_path, step)):
@@ -204,9 +199,8 @@ class _SourceText:
         start, end = first.start_mark.index, _value_end(last)
         if node.flow_style:
             if index + 1 < len(entry_bounds):
-                end = self._end_after_comma(
-                    end, entry_bounds[index + 1][0].start_mark.index
-                )
+                next_start = entry_bounds[index + 1][0].start_mark.index
+                end = self._end_after_comma(end, next_start)
             elif index:
                 start = _value_end(entry_bounds[index - 1][1])
                 self._end_after_comma(start, first.start_mark.index)

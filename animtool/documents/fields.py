@@ -254,11 +254,7 @@ def _type_and_default(
     hint = get_type_hints(record, include_extras=True)[name]
     type_, *constraints = get_args(hint) if get_origin(hint) is Annotated else (hint,)
     type_ = Literal[key.choices] if key.choices else _KEY_TYPES.get(type_, type_)
-    (default,) = (
-        record_field.default
-        for record_field in fields(record)
-        if record_field.name == name
-    )
+    (default,) = (r.default for r in fields(record) if r.name == name)
     if _is_infinite(default):
         type_, default = type_ | None, None
     elif default == ():

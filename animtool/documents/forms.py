@@ -61,19 +61,15 @@ def form_hint(
         for example_entries in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), example_entries)
             if example_entries and len(text) <= MAX_EXAMPLE:
-                return (
-                    f"{'write' if example_entries is entries else 'for example'} {text}"
-                )
+                word = "write" if example_entries is entries else "for example"
+                return f"{word} {text}"
         if entries:
             return f"write '- {next(iter(entries[0]))}:', with a dash for each entry"
     entry_examples = _entry_examples(annotation_of(info))
+    options = {} if entry_examples is None else entry_examples.options
     name = inner_steps[0] if inner_steps else entry
-    if (
-        entry_examples is not None
-        and isinstance(name, str)
-        and name in entry_examples.options
-    ):
-        example = {name: entry_examples.options[name]}
+    if isinstance(name, str) and name in options:
+        example = {name: options[name]}
     elif isinstance(entry, str) and _takes_file(annotation_of(info)):
         # In a list, show the form of one entry.
         is_list = inner_steps or not models_of(annotation_of(info))
@@ -149,9 +145,7 @@ def paired_entries(
         required_keys = [key for key, info in fields.items() if info.is_required()]
         is_pair = len(required_keys) == 2 and "type" not in fields
         if is_pair and fields.keys().isdisjoint(value):
-            return [
-                dict(zip(required_keys, pair, strict=True)) for pair in value.items()
-            ]
+            return [dict(zip(required_keys, p, strict=True)) for p in value.items()]
     return []
 
 
@@ -171,16 +165,8 @@ def _list_entries(annotation: Any, value: Mapping[str, Any]) -> list[dict[str, A
 # Keys that other tools use for the ends of a range, the lower end first.
 _COMPONENT_NAMES = (tuple("xyz"), tuple("wxyz"), ("dt", "dv"))
 _RANGE_END_NAMES = (
-    "min",
-    "low",
-    "lower",
-    "first",
-    "start",
-    "max",
-    "high",
-    "upper",
-    "last",
-    "end",
+    *("min", "low", "lower", "first", "start"),
+    *("max", "high", "upper", "last", "end"),
 )
 
 
@@ -192,9 +178,8 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
         return _list_of_text(value.strip(), example)
     if isinstance(value, dict):
         bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
-        values = (
-            bounds if len(bounds) == _RANGE_LENGTH else vector_components(value) or []
-        )
+        is_range = len(bounds) == _RANGE_LENGTH
+        values = bounds if is_range else vector_components(value) or []
         return values if len(values) == len(value) == len(example) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
@@ -231,11 +216,9 @@ def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
     if all(isinstance(entry, str) for entry in example):
         return [text]
     pair_match = _NUMBER_PAIR.fullmatch(text)
-    parts = (
-        re.split(r"[\s,;]+", text.strip("()[] "))
-        if pair_match is None
-        else pair_match.groups()
-    )
+    parts: Sequence[str] = re.split(r"[\s,;]+", text.strip("()[] "))
+    if pair_match is not None:
+        parts = pair_match.groups()
     numbers = [plain_scalar(part) for part in parts if part]
     are_numbers = all(isinstance(entry, int | float) for entry in numbers)
     return numbers if are_numbers and len(numbers) == len(example) else None
@@ -244,9 +227,7 @@ def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
 def _example_contains(example: Any, value: Any) -> bool:
     """Return whether an example contains the value."""
     if isinstance(example, dict):
-        return any(
-            _example_contains(item, value) for item in (*example, *example.values())
-        )
+        return any(_example_contains(i, value) for i in (*example, *example.values()))
     if isinstance(example, list | tuple):
         return any(_example_contains(item, value) for item in example)
     return bool(example == value)

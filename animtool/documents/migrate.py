@@ -128,18 +128,15 @@ def plan_migration(
 def _rename_keys(plan: Migration) -> Migration:
     """Return a migration that renames keys and changes nothing else."""
     value = document_of(plan.before, plan.path).value
-    edits = [
-        Rename(location, name) for location, name in renamed_keys(plan.kind, value)
-    ]
+    edits = [Rename(location, n) for location, n in renamed_keys(plan.kind, value)]
     if not edits:
         return plan
     try:
         return replace(plan, after=apply_edits(plan.before, plan.path, edits))
     except EditError as error:
         message = f"its keys cannot be renamed: {error}"
-        hint = (
-            f"rename {listed([location_text(edit.location) for edit in edits])} by hand"
-        )
+        hint = f"rename {listed([location_text(edit.location) for edit in edits])} by "
+        hint += "hand"
         raise FormatError(Fault("DOC026", message, str(plan.path), (), hint)) from error
 
 
@@ -165,17 +162,13 @@ def migrate(
     plans = _plan_all(paths, table)
     refuse_warnings([note for plan_ in plans for note in plan_.notices], strict=strict)
     # A file and links to it are migrated once.
-    plan_by_path = {
-        plan.path.resolve(): plan for plan in reversed(plans) if plan.needed
-    }
+    plan_by_path = {p.path.resolve(): p for p in reversed(plans) if p.needed}
     outdated_documents = list(reversed(plan_by_path.values()))
     if check or not outdated_documents:
         return plans
     if not overwrite:
-        hint = (
-            f"{argument('overwrite', True)} replaces it, {argument('check')} shows "
-            "what would change"
-        )
+        hint = f"{argument('overwrite', True)} replaces it, {argument('check')} shows "
+        hint += "what would change"
         message = "would be replaced"
         names = [str(plan.path) for plan in outdated_documents]
         raise OptionError([Fault("OUT001", message, name, (), hint) for name in names])

@@ -63,9 +63,8 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
         if is_entry and hint is None and expected_structures(faults) == {"a list"}:
             lists_of_pairs.add(location[:-1])
             hint = "write pairs, such as [[1, 0], [24, 1]]"
-        located_faults.append(
-            (location, Fault("SCN002", values_message(faults), hint=hint))
-        )
+        fault = Fault("SCN002", values_message(faults), hint=hint)
+        located_faults.append((location, fault))
     return located_faults
 
 
@@ -119,9 +118,7 @@ class ModelFaults:
             faults_by_type.setdefault(faults[0]["type"], []).append(key)
         known_placeholders = frozenset(self.document.placeholders)
         # In this order: a misspelt key is not missing too.
-        unknown = [
-            location for location, _ in faults_by_type.pop("extra_forbidden", ())
-        ]
+        unknown = [key[0] for key in faults_by_type.pop("extra_forbidden", ())]
         entries = {
             location[:-1]
             for location in unknown
@@ -141,10 +138,8 @@ class ModelFaults:
             # In a union, the author meant the member with the most deeply nested
             # faults.
             new_placeholders = self.document.placeholders - known_placeholders
-            if (
-                key[0] not in ancestors | new_placeholders
-                and key[0][:-1] not in new_placeholders
-            ):
+            is_replaced = not new_placeholders.isdisjoint((key[0], key[0][:-1]))
+            if key[0] not in ancestors and not is_replaced:
                 self._record_wrong_value(key[0], faults_by_location[key])
         if error.error_count() > MAX_REPLACED:
             self.document.check()
@@ -193,20 +188,17 @@ class ModelFaults:
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
                 # An entry that is named by its only key, such as a system.
-                only_key = (
-                    next(iter(first_element), None) if len(first_element) == 1 else None
-                )
-                if only_key and key in fields_at(
-                    self.model, self.value, (*location, only_key)
-                ):
-                    where = location_text((*location, only_key))
-                    return f"it is a key of {where}: write it there"
+                if len(first_element) == 1:
+                    location = (*location, next(iter(first_element)))
+                    if key in fields_at(self.model, self.value, location):
+                        where = location_text(location)
+                        return f"it is a key of {where}: write it there"
         for absent_key in fields_at(self.model, self.value, mapping):
+            if absent_key in node:
+                continue
             for steps in ((absent_key,), (absent_key, 0)):
                 annotation = annotation_at(self.model, self.value, (*mapping, *steps))
-                if absent_key not in node and any(
-                    key in fields_of(kind) for kind in models_of(annotation)
-                ):
+                if any(key in fields_of(kind) for kind in models_of(annotation)):
                     return f"it is a key of {absent_key!r}: write it there"
         for depth in reversed(range(len(mapping))):
             if key in fields_at(self.model, self.value, mapping[:depth]):
@@ -300,29 +292,23 @@ class ModelFaults:
 
     def _record_wrong_entry(self, location: Location, faults: list[Any]) -> bool:
         """Record a single fault if the entries of a list have the wrong form."""
-        *parent_path, last_step = location
-        if (
-            not isinstance(last_step, int)
-            or not parent_path
-            or not expected_structures(faults)
-        ):
+        parent = location[:-1]
+        if not parent or not isinstance(location[-1], int):
             return False
-        hint = form_hint(self.model, self.value, tuple(parent_path), expects_list=True)
+        if not expected_structures(faults):
+            return False
+        hint = form_hint(self.model, self.value, parent, expects_list=True)
         if hint is None:
             return False
-        entries = value_at(self.value, parent_path)
-        if len(entries) == 3 and "rotat" in str(parent_path[-1]):
+        entries, message = value_at(self.value, parent), values_message(faults)
+        are_numbers = all(isinstance(entry, int | float) for entry in entries)
+        if len(entries) == 3 and "rotat" in str(parent[-1]):
             hint = "write a quaternion [w, x, y, z]"
-            message = "3 numbers where 4 are needed"
-            self.document.add("DOC022", tuple(parent_path), message, hint)
-            self._insert_placeholder(tuple(parent_path))
-            return True
-        if not hint.startswith("write ") and not all(
-            isinstance(entry, int | float) for entry in entries
-        ):
+            location, message = parent, "3 numbers where 4 are needed"
+        elif not (hint.startswith("write ") or are_numbers):
             return False
-        self.document.add("DOC022", location, values_message(faults), hint)
-        self._insert_placeholder(tuple(parent_path))
+        self.document.add("DOC022", location, message, hint)
+        self._insert_placeholder(parent)
         return True
 
     def _record_vector_mapping(self, mapping: Location) -> bool:
@@ -427,9 +413,7 @@ def _group_by_location(
 def _ancestors(faults_by_location: Iterable[tuple[Location, str]]) -> set[Location]:
     """Return the locations that contain a faulty one."""
     return {
-        location[:depth]
-        for location, _ in faults_by_location
-        for depth in range(len(location))
+        location[:d] for location, _ in faults_by_location for d in range(len(location))
     }
 
 

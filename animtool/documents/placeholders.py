@@ -76,9 +76,7 @@ def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[st
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models of a type; of a tagged union, only the one a value names."""
     kinds = map(_without_constraints, _union_members(annotation))
-    models = [
-        kind for kind in kinds if isinstance(kind, type) and issubclass(kind, BaseModel)
-    ]
+    models = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
     return [member for member in models if _selects_model(member, node)] or models
 
 
@@ -91,9 +89,7 @@ def placeholder_of(annotation: Any) -> Any:
     min_length, number_value = 0, 1.0
     if get_origin(annotation) is Annotated:
         annotation, *constraints = get_args(annotation)
-        min_length = max(
-            [getattr(constraint, "min_length", None) or 0 for constraint in constraints]
-        )
+        min_length = max([getattr(c, "min_length", None) or 0 for c in constraints])
         bounds = [getattr(constraint, "le", None) for constraint in constraints]
         number_value = min([1.0, *(bound for bound in bounds if bound is not None)])
     models = models_of(annotation)
@@ -171,10 +167,6 @@ def _union_members(annotation: Any) -> list[Any]:
     """Return the members of a union, or the type itself."""
     inner_type = _without_constraints(annotation)
     if get_origin(inner_type) in {Union, UnionType}:
-        alternatives = [
-            member
-            for argument in get_args(inner_type)
-            for member in _union_members(argument)
-        ]
+        alternatives = [m for a in get_args(inner_type) for m in _union_members(a)]
         return [member for member in alternatives if member is not NoneType]
     return [annotation]

@@ -76,24 +76,16 @@ def _outside_hint(path: Path, name: str, is_output: bool) -> str:
             f"into {folder}, and write its name here"
         )
     settings = find_config(path).path
-    if (
-        settings is None
-        and (project_folder := innermost_project(folder, target)) is not None
-    ):
-        return (
-            f"to use files of all {project_folder}, create an empty file animtool.toml "
-            "in it"
-        )
-    root = path_from_folder(
-        target.parent, folder if settings is None else settings.parent
-    )
-    line = f'roots = ["{root}"]'
-    table = ""
     if settings is None:
+        project_folder = innermost_project(folder, target)
+        if project_folder is not None:
+            hint = f"to use files of all {project_folder}, create an empty file "
+            return f"{hint}animtool.toml in it"
         settings = folder / "animtool.toml"
-    elif settings.name == "pyproject.toml":
-        table = " under [tool.animtool]"
-    return f"to allow that folder, add {line} to {settings}{table}"
+    root = path_from_folder(target.parent, settings.parent)
+    is_pyproject = settings.name == "pyproject.toml"
+    table = " under [tool.animtool]" if is_pyproject else ""
+    return f'to allow that folder, add roots = ["{root}"] to {settings}{table}'
 
 
 def missing_hint(document: Document, name: str) -> str | None:

@@ -77,9 +77,7 @@ def expected_structures(faults: Sequence[Any]) -> set[str]:
 def is_euler_angles(faults: Sequence[Any]) -> bool:
     """Return whether a value is three numbers where a quaternion is expected."""
     value = faults[0]["input"]
-    min_lengths = {
-        fault.get("ctx", {}).get("min_length") for fault in likely_faults(faults)
-    }
+    min_lengths = {f.get("ctx", {}).get("min_length") for f in likely_faults(faults)}
     return isinstance(value, list) and len(value) == 3 and min_lengths == {4}
 
 
@@ -122,12 +120,9 @@ def number_hint(key: str | int, value: Any) -> str | None:
     if not isinstance(plain_scalar(text), str):
         return f"remove the quotes: {text}"
     if re.fullmatch(r"[-+]?\d*[,-]\d+", text):
-        is_decimal = "," in text
-        return (
-            f"write {text.replace(',', '.')}, with a decimal point"
-            if is_decimal
-            else "write one number; variants of a batch are written 1..4"
-        )
+        decimal = f"write {text.replace(',', '.')}, with a decimal point"
+        other = "write one number; variants of a batch are written 1..4"
+        return decimal if "," in text else other
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     return match and _unit_hint(key, float(match[1]), match[2].lower())
 
@@ -155,21 +150,17 @@ def _missing_message(missing_step: int | str, value: Any) -> str:
     """Return a message for a missing key or list item."""
     if isinstance(missing_step, str):
         return f"key {missing_step!r} is missing"
-    return (
-        f"{counted(len(value), 'item')} where {_count_phrase(missing_step + 1)} needed"
-    )
+    count_text = counted(len(value), "item")
+    return f"{count_text} where {_count_phrase(missing_step + 1)} needed"
 
 
 def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages for the members of a union to one message."""
     first, *other_texts = texts
-    start, negation, _ = first.partition(" is not ")
-    if (
-        other_texts
-        and negation
-        and all(text.startswith(start + negation) for text in other_texts)
-    ):
-        kinds = [text.removeprefix(start + negation) for text in (first, *other_texts)]
+    start, negation, kind = first.partition(" is not ")
+    prefix = start + negation
+    if negation and other_texts and all(t.startswith(prefix) for t in other_texts):
+        kinds = [kind, *(text.removeprefix(prefix) for text in other_texts)]
         return f"{start} is neither {' nor '.join(kinds)}"
     return "; or ".join((first, *other_texts))
 
@@ -218,18 +209,13 @@ def _value_fault(value_text: str, pydantic_error: Any) -> str:
         return f"{value_text} is beyond {bound:g}"
     if bound is not None and 0 < bound <= SMALL_NUMBER:
         is_positive = pydantic_error["input"] > 0
-        return (
-            f"{value_text} is below {bound:g}"
-            if is_positive
-            else f"{value_text} is not above 0"
-        )
+        return f"{value_text} is {f'below {bound:g}' if is_positive else 'not above 0'}"
     if bound is not None:
         return f"{value_text} is {comparison.format(f'{bound:g}')}"
     if kind == "value_error":
         return str(context["error"])
-    return (
-        f"{value_text}: {pydantic_error['msg'][0].lower()}{pydantic_error['msg'][1:]}"
-    )
+    message = pydantic_error["msg"]
+    return f"{value_text}: {message[0].lower()}{message[1:]}"
 
 
 def _choice_hint(faults: Sequence[Any]) -> str | None:
@@ -260,13 +246,10 @@ def intended_choice(faults: Sequence[Any]) -> str | None:
 
     Euler orders are excluded, since some tools write extrinsic ones in lower case.
     """
-    (fault, *other_faults) = faults
+    fault, *other_faults = faults
     value, allowed = fault["input"], fault.get("ctx", {}).get("expected", "")
-    if (
-        other_faults
-        or fault["type"] not in _CHOICE_FAULTS
-        or not isinstance(value, str)
-    ):
+    is_choice = fault["type"] in _CHOICE_FAULTS and isinstance(value, str)
+    if other_faults or not is_choice:
         return None
     names = re.findall(r"'([^']*)'", str(allowed))
     return None if "XYZ" in names else _name_ignoring_case(value, names)

@@ -109,11 +109,8 @@ def with_variables(schema: Any) -> Any:
         return schema
     extended_schema = {key: _inner_schema(key, value) for key, value in schema.items()}
     if "anyOf" not in schema and _excludes_text(schema):
-        type_keywords = {
-            key: extended_schema.pop(key)
-            for key in list(extended_schema)
-            if key in _TYPE_KEYWORDS
-        }
+        type_keys = [key for key in extended_schema if key in _TYPE_KEYWORDS]
+        type_keywords = {key: extended_schema.pop(key) for key in type_keys}
         extended_schema["anyOf"] = [type_keywords, _VARIABLE_TEXT]
     return extended_schema
 
@@ -162,9 +159,9 @@ class _Resolver:
     def defaults(self) -> None:
         """Read the default values of variables; each may use the ones before it."""
         default_values = self.document.value.get(DEFAULTS_KEY)
-        for name, value in (
-            default_values if isinstance(default_values, dict) else {}
-        ).items():
+        if not isinstance(default_values, dict):
+            return
+        for name, value in default_values.items():
             location = (DEFAULTS_KEY, name)
             if not is_variable_name(name):
                 message = f"{name!r} is not a valid variable name"
@@ -174,10 +171,9 @@ class _Resolver:
             self.defined_names.add(name)
             if name in self.values:
                 continue
-            source_text_ = self.document.source_text(location)
-            text = self.resolve(
-                location, str(value) if source_text_ is None else source_text_
-            )
+            source_text = self.document.source_text(location)
+            default_text = str(value) if source_text is None else source_text
+            text = self.resolve(location, default_text)
             if text is None or isinstance(value, dict | list) or value is None:
                 self.faulty.add(name)
             else:
@@ -203,10 +199,8 @@ class _Resolver:
     def substitute(self, location: Location, text: str) -> None:
         """Substitute variables in one text of the document."""
         resolved_text = self.resolve(location, text)
-        if (
-            resolved_text is not None
-            and (location[0], location[-1]) in OUTPUT_PATH_KEYS
-        ):
+        is_output_path = (location[0], location[-1]) in OUTPUT_PATH_KEYS
+        if resolved_text is not None and is_output_path:
             resolved_text = self.output_name(location, text, resolved_text)
         value: Any = resolved_text
         if resolved_text is not None and self.is_typed(location, text):
@@ -226,11 +220,7 @@ class _Resolver:
     ) -> str | None:
         """Return the name of an output; None with a fault if it is unsafe."""
         for component in text.split("/"):
-            used_names = {
-                match["name"]
-                for match in _VARIABLE_USE.finditer(component)
-                if match["name"]
-            }
+            used_names = {match["name"] for match in _VARIABLE_USE.finditer(component)}
             if not used_names & self.component_names:
                 continue
             name = self.resolve(location, component) or ""

@@ -77,18 +77,16 @@ def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault
     """Return the fault of a key without a colon, above the position of the scanner."""
     line_text = lines[min(line, len(lines)) - 1]
     line_before = _line_above(lines, line)
-    bare_key = _bare_key(lines[line_before - 1]) if line_before else None
-    if bare_key is None or not (
-        "could not find expected ':'" in problem
-        or (
-            "mapping values" in problem
-            and _indent_width(line_text) >= _indent_width(lines[line_before - 1])
-        )
-    ):
+    text_before = lines[line_before - 1] if line_before else ""
+    bare_key = _bare_key(text_before)
+    is_indented = _indent_width(line_text) >= _indent_width(text_before)
+    is_missing = "could not find expected ':'" in problem
+    is_missing |= "mapping values" in problem and is_indented
+    if bare_key is None or not is_missing:
         return None
     name, _, remaining_text = bare_key.partition(" ")
     hint = f"write '{name}: {remaining_text.strip(' =') or 'value'}'"
-    column = lines[line_before - 1].index(bare_key) + 1
+    column = text_before.index(bare_key) + 1
     return YamlFault("a key has no colon", hint, line_before, column)
 
 
@@ -97,11 +95,10 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
     if "mapping values are not allowed" in problem:
         line_text = lines[min(line, len(lines)) - 1]
         line_before = _line_above(lines, line)
-        if line_before and _indent_width(line_text) > _indent_width(
-            lines[line_before - 1]
-        ):
+        indent_before = _indent_width(lines[line_before - 1])
+        if line_before and _indent_width(line_text) > indent_before:
             message = f"line {line} is indented further than line {line_before}"
-            hint = f"start it in column {_indent_width(lines[line_before - 1]) + 1}"
+            hint = f"start it in column {indent_before + 1}"
             return YamlFault(message, hint, line, column)
         entry = _ENTRY_ON_A_LINE.fullmatch(line_text)
         hint = "put the value in quotes"
@@ -110,9 +107,7 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
         return YamlFault("a value contains ': '", hint, line, column)
     if "expected key" in problem or "expected '-' indicator" in problem:
         return _indentation_fault(lines, line, column)
-    known_fault = next(
-        (fault for words, fault in _SCANNER_FAULTS.items() if words in problem), None
-    )
+    known_fault = next((f for w, f in _SCANNER_FAULTS.items() if w in problem), None)
     message, hint_ = known_fault or (f"invalid YAML: {problem}", None)
     return YamlFault(message, hint_, line, column)
 
@@ -126,21 +121,16 @@ def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
         for text in lines[: line - 1]
         if text.strip() and text.lstrip().startswith("-") == is_entry
     ]
-    nearest_indent = min(
-        indents, key=lambda candidate: abs(candidate - indent), default=None
-    )
+    nearest_indent = min(indents, key=lambda i: abs(i - indent), default=None)
     if nearest_indent is None or nearest_indent == indent:
         message = "this line does not belong to the block above it"
         return YamlFault(message, "align it with the lines of its block", line, column)
+    nearest = f"in column {nearest_indent + 1}"
+    message = f"this line starts in column {indent + 1}; the keys above it start "
     if is_entry:
-        message = f"the '-' on this line is in column {indent + 1}"
-        message += f"; the others of this list are in column {nearest_indent + 1}"
-    else:
-        message = f"this line starts in column {indent + 1}"
-        message += f"; the keys above it start in column {nearest_indent + 1}"
-    return YamlFault(
-        message, f"start it in column {nearest_indent + 1}", line, indent + 1
-    )
+        message = f"the '-' on this line is in column {indent + 1}; the others of this "
+        message += "list are "
+    return YamlFault(message + nearest, f"start it {nearest}", line, indent + 1)
 
 
 def _bare_key(line: str) -> str | None:

@@ -18,6 +18,7 @@ _ENTRY_START = re.compile(rf"- |{_KEY_PATTERN}:(?:\s|$)")
 _FLOW_KEY = re.compile(rf'({_KEY_PATTERN}|"[^"]*"):(?:\s|$)')
 _TIGHT_DASH = re.compile(r"-(?=[\[{\"'A-Za-z_])")
 _TIGHT_KEY = re.compile(rf"(?:- )*({_KEY_PATTERN}):(?![\s/\\])(\S.*)")
+_TIGHT_FLOW_KEY = re.compile(rf"({_KEY_PATTERN}):(?![\s/\\])([^,\]}}]+[\]}}]?)")
 # What may follow a value in brackets, and one that is text.
 _AFTER_VALUE = re.compile(r"\s*(?:[,\]}:]|#|$)")
 _FLOW_TEXT = re.compile(r"(?:[^,\[\]{}#:]|:(?=\S)|(?<=\S)#)*")
@@ -57,9 +58,8 @@ class _SlipFinder:
         self.stop = stop
         self.line_number = 0  # of the line, from 1
         self.line = ""
-        self.open_brackets: list[
-            tuple[str, int, int, int]
-        ] = []  # bracket, line, column, indent
+        # Bracket, line, column, indent.
+        self.open_brackets: list[tuple[str, int, int, int]] = []
         self.open_quote: tuple[str, int, int] | None = None  # character, line, column
         # Line, column and last character of a value within brackets that has ended.
         self.ended_value: tuple[int, int, str] | None = None
@@ -75,11 +75,8 @@ class _SlipFinder:
             slip = self._line_start_fault(indent) or self._slip_after_indent(indent)
             if slip is not None:
                 return slip
-            if (
-                not self.open_brackets
-                and not self.open_quote
-                and _BLOCK_TEXT.search(line)
-            ):
+            is_open = self.open_brackets or self.open_quote
+            if not is_open and _BLOCK_TEXT.search(line):
                 text_indent = indent
         if self.open_quote:
             quote, open_line, column = self.open_quote
@@ -95,16 +92,13 @@ class _SlipFinder:
     def _line_start_fault(self, indent: int) -> YamlFault | None:
         """Return the typing mistake at the start of a line, if any."""
         line_text = self.line[indent:]
-        if self.open_quote is None and line_text.startswith("//"):
-            return self._fault_here(
-                "'//' does not start a comment", "write '#'", indent
-            )
-        if self.open_quote or self.open_brackets:
-            return (
-                None
-                if self.open_quote
-                else self._line_in_brackets_fault(line_text, indent)
-            )
+        if self.open_quote:
+            return None
+        if line_text.startswith("//"):
+            message = "'//' does not start a comment"
+            return self._fault_here(message, "write '#'", indent)
+        if self.open_brackets:
+            return self._line_in_brackets_fault(line_text, indent)
         if _TIGHT_DASH.match(line_text):
             hint = f"write '- {line_text[1:].split(' ')[0]}'"
             return self._fault_here("no space after '-'", hint, indent)
@@ -132,9 +126,8 @@ class _SlipFinder:
 
     def _tight_fault(self, key: str, value: str, column: int) -> YamlFault:
         short_value = value if len(value) <= 20 else value[:20] + "…"
-        return self._fault_here(
-            f"no space after '{key}:'", f"write '{key}: {short_value}'", column
-        )
+        hint = f"write '{key}: {short_value}'"
+        return self._fault_here(f"no space after '{key}:'", hint, column)
 
     def _unclosed_fault(self, line: int) -> YamlFault:
         """Return the fault of the innermost bracket that a line leaves open."""
@@ -142,10 +135,8 @@ class _SlipFinder:
         while line > start and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
         end = "this line" if line == start else f"line {line}"
-        closers = "".join(
-            _CLOSING_BRACKETS[open_bracket[0]]
-            for open_bracket in reversed(self.open_brackets)
-        )
+        open_brackets = [open_bracket for open_bracket, *_ in self.open_brackets]
+        closers = "".join(_CLOSING_BRACKETS[b] for b in reversed(open_brackets))
         hint = f"add '{closers}' at the end of {end}"
         return YamlFault(f"'{bracket}' is not closed", hint, start, column)
 
@@ -165,33 +156,26 @@ class _SlipFinder:
             if slip is not None:
                 return slip
             if letter in "[{" and (may_start_value or self.open_brackets):
-                self.open_brackets.append(
-                    (letter, self.line_number, column + 1, indent)
-                )
+                column_number = column + 1
+                bracket = letter, self.line_number, column_number, indent
+                self.open_brackets.append(bracket)
                 may_start_value, column = True, column + 1
             elif letter in "]}" and self.open_brackets:
                 slip = self._close_bracket(letter, column)
                 may_start_value, column = False, column + 1
-                self.ended_value = (
-                    (self.line_number, column, letter) if self.open_brackets else None
-                )
+                ended_value = self.line_number, column, letter
+                self.ended_value = ended_value if self.open_brackets else None
             elif letter in "\"'" and may_start_value:
                 start, column = column, self._quoted_end(column)
                 may_start_value, slip = False, self._after_quote_fault(start, column)
             elif may_start_value and _RESERVED_CHARACTER.match(line[column:]):
                 slip = self._reserved_fault(column)
             else:
-                slip = (
-                    self._flow_key_slip(column)
-                    if may_start_value and self.open_brackets
-                    else None
-                )
-                may_start_value = bool(self.open_brackets and letter == ",")
-                may_start_value = may_start_value or line[column : column + 2] in {
-                    ": ",
-                    "- ",
-                    ":",
-                }
+                if may_start_value and self.open_brackets:
+                    slip = self._flow_key_slip(column)
+                is_separator = bool(self.open_brackets) and letter == ","
+                is_indicator = line[column : column + 2] in {": ", "- ", ":"}
+                may_start_value = is_separator or is_indicator
                 column += 1
             if slip is not None:
                 return slip
@@ -231,28 +215,23 @@ class _SlipFinder:
             closer = _CLOSING_BRACKETS[bracket]
             line_text = "this line" if line == self.line_number else f"line {line}"
             message = f"'{bracket}' in column {column} of {line_text} is not closed"
-            return self._fault_here(
-                message, f"add '{closer}' before this '{letter}'", end_column
-            )
+            hint = f"add '{closer}' before this '{letter}'"
+            return self._fault_here(message, hint, end_column)
         self.open_brackets.pop()
         text_after = self.line[end_column + 1 :]
         if not self.open_brackets and re.match(r"\s*[\]}]", text_after):
             extra = end_column + 1 + len(text_after) - len(text_after.lstrip())
             message = f"'{self.line[extra]}' closes nothing"
             return self._fault_here(message, "remove it", extra)
-        if _AFTER_VALUE.match(text_after) or (
-            self.open_brackets and text_after[:1] in " [{"
-        ):
-            return None  # if it is another value, a comma is missing
-        if (
-            line != self.line_number
-            or text_after[:1] == " "
-            or " " in self.line[column:end_column]
-        ):
-            message, hint = "text follows the closing bracket", "remove it"
-            return self._fault_here(
-                message, f"{hint}, or put all in quotes", end_column + 1
-            )
+        # If another value follows, a comma is missing.
+        starts_value = self.open_brackets and text_after[:1] in " [{"
+        if _AFTER_VALUE.match(text_after) or starts_value:
+            return None
+        has_space = text_after[:1] == " " or " " in self.line[column:end_column]
+        if has_space or line != self.line_number:
+            message = "text follows the closing bracket"
+            hint = "remove it, or put all in quotes"
+            return self._fault_here(message, hint, end_column + 1)
         name = "mapping" if bracket == "{" else "list"
         message = f"a value that starts with {bracket} is a {name}"
         hint = f'put it in quotes: "{self._scalar_text(column - 1)}"'
@@ -273,20 +252,16 @@ class _SlipFinder:
     def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
         """Return the fault of a text that continues after a closing quote, if any."""
         text_after = self.line[column:]
-        if (
-            self.open_quote
-            or _AFTER_VALUE.match(text_after)
-            or text_after.lstrip()[:1] in "\"'[{"
-        ):
+        following = text_after.lstrip()
+        starts_value = following[:1] in "\"'[{"
+        if self.open_quote or starts_value or _AFTER_VALUE.match(text_after):
             return None
         value = self._scalar_text(start)
         hint = "put all of the value in quotes"
         if "'" not in value:
             hint = f"put all of it in single quotes: '{value}'"
         message = "text follows the closing quote"
-        return self._fault_here(
-            message, hint, column + len(text_after) - len(text_after.lstrip())
-        )
+        return self._fault_here(message, hint, len(self.line) - len(following))
 
     def _reserved_fault(self, column: int) -> YamlFault:
         message = f"a value cannot start with '{self.line[column]}'"
@@ -296,13 +271,9 @@ class _SlipFinder:
     def _flow_key_slip(self, column: int) -> YamlFault | None:
         """Return the mistake in a key or a value inside brackets, if any."""
         text_after = self.line[column:]
-        tight_match = re.match(
-            rf"({_KEY_PATTERN}):(?![\s/\\])([^,\]}}]+[\]}}]?)", text_after
-        )
-        is_key = self.open_brackets[-1][0] == "{" and re.search(
-            r"[{,]\s*$", self.line[:column]
-        )
-        if tight_match and is_key:
+        tight_match = _TIGHT_FLOW_KEY.match(text_after)
+        is_in_mapping = self.open_brackets[-1][0] == "{"
+        if tight_match and is_in_mapping and re.search(r"[{,]\s*$", self.line[:column]):
             return self._tight_fault(tight_match[1], tight_match[2], column)
         text = _FLOW_TEXT.match(text_after)
         key_match = re.search(rf"\s({_KEY_PATTERN}):(?:\s|$)", text_after)

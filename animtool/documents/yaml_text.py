@@ -48,15 +48,7 @@ def yaml_text(value: dict[str, Any]) -> str:
     bind:
       a: [1, 2.5]
     """
-    text: str = yaml.dump(
-        value,
-        Dumper=_Dumper,
-        default_flow_style=None,
-        allow_unicode=True,
-        sort_keys=False,
-        width=LINE_WIDTH,
-    )
-    return text
+    return _dump(value, LINE_WIDTH, is_flow=None)
 
 
 def flow_text(key: str, value: Any) -> str:
@@ -65,15 +57,19 @@ def flow_text(key: str, value: Any) -> str:
     >>> flow_text("keys", [{"t": 1.0, "v": 0.5}])
     'keys: [{t: 1, v: 0.5}]'
     """
+    return _dump({key: _integral_values(value)}, sys.maxsize, is_flow=True).strip()
+
+
+def _dump(value: Any, width: int, *, is_flow: bool | None) -> str:
     text: str = yaml.dump(
-        {key: _integral_values(value)},
+        value,
         Dumper=_Dumper,
-        default_flow_style=True,
+        default_flow_style=is_flow,
         allow_unicode=True,
         sort_keys=False,
-        width=sys.maxsize,
+        width=width,
     )
-    return text.strip()
+    return text
 
 
 def _integral_values(value: Any) -> Any:

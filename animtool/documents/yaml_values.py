@@ -178,9 +178,8 @@ def _yaml_escape(escape: re.Match[str]) -> str:
     high, low = escape.groups()
     if high is None:
         return escape[0]
-    return (
-        f"\\U{0x10000 + ((int(high, 16) - 0xD800) << 10) + int(low, 16) - 0xDC00:08X}"
-    )
+    offset = ((int(high, 16) - 0xD800) << 10) + int(low, 16) - 0xDC00
+    return f"\\U{0x10000 + offset:08X}"
 
 
 def plain_scalar(text: str) -> Any:
@@ -221,9 +220,8 @@ class _YamlReader:
         hint: str | None = None,
     ) -> None:
         line, column = position
-        self.faults.append(
-            Fault(code, message, str(self.path), (line,), hint, column=column)
-        )
+        fault = Fault(code, message, str(self.path), (line,), hint, column=column)
+        self.faults.append(fault)
         if len(self.faults) >= MAX_FAULTS:
             raise FormatError(self.faults)
 
@@ -248,20 +246,17 @@ class _YamlReader:
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:
                     self.unquoted[len(self.positions) - 1] = unquoted
-                stack[-1].add_node(
-                    self._scalar(event, position), position, self, unquoted
-                )
+                scalar = self._scalar(event, position)
+                stack[-1].add_node(scalar, position, self, unquoted)
             elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
                 position = self._node_position(event)
                 value: Any = {} if kind is yaml.MappingStartEvent else []
                 if len(stack) > MAX_DEPTH:
                     self._stop("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
-                is_keys_value = stack[-1].key == TIMED_KEY
+                collection = _OpenCollection(value, is_flow=bool(event.flow_style))
+                collection.is_keys_value = stack[-1].key == TIMED_KEY
                 stack[-1].add_node(value, position, self)
-                is_flow = bool(event.flow_style)
-                stack.append(
-                    _OpenCollection(value, is_flow=is_flow, is_keys_value=is_keys_value)
-                )
+                stack.append(collection)
             elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
                 stack.pop().report_time_keys(self)
             elif kind is yaml.AliasEvent:
@@ -348,27 +343,26 @@ class _OpenCollection:
             if self.is_flow and (self.text_pieces or "(" in unquoted):
                 self._rejoin_piece(value, position, reader, unquoted)
             return
+        placeholder = f"\0{position}"
         if self.is_keys_value and type(value) in (int, float):
             self.times.append((value, position))
-            value = f"\0{position}"
+            value = placeholder
         elif unquoted.isdigit() and self._is_decimal(position, reader):
             digits, number_position = reader.previous_node()
             message = f"'{digits},{unquoted}' has a decimal comma"
             hint = f"write {digits}.{unquoted}, with a decimal point"
             reader.fault("DOC010", message, number_position, hint)
-            value = f"\0{position}"
+            value = placeholder
         elif not isinstance(value, str):
-            value_text = (
-                "a collection" if isinstance(value, dict | list) else repr(value)
-            )
-            reader.fault(
-                "DOC010", f"a key is {value_text}, not text", position, "quote it"
-            )
-            value = f"\0{position}"
+            is_collection = isinstance(value, dict | list)
+            value_text = "a collection" if is_collection else repr(value)
+            message = f"a key is {value_text}, not text"
+            reader.fault("DOC010", message, position, "quote it")
+            value = placeholder
         elif len(value) > MAX_KEY_LENGTH:
             message = f"a key of {len(value)} characters; the limit is {MAX_KEY_LENGTH}"
             reader.fault("DOC025", message, position)
-            value = f"\0{position}"
+            value = placeholder
         elif "\n" in value or "\t" in value:
             message = f"key {excerpt(value)} contains a line end or a tab"
             reader.fault("DOC023", message, position, "remove it")
@@ -425,17 +419,14 @@ class _OpenCollection:
             # One fault replaces those of the pieces.
             del reader.faults[self.faults :]
             message = f"{excerpt(self.text_pieces[0])} ends at a comma"
-            hint = f'quote all of it: "{", ".join(self.text_pieces)}"'
-            reader.fault(
-                "DOC010", message, self.pieces_position, hint[:MAX_HINT_LENGTH]
-            )
+            hint = f'quote all of it: "{", ".join(self.text_pieces)}"'[:MAX_HINT_LENGTH]
+            reader.fault("DOC010", message, self.pieces_position, hint)
             self.text_pieces = []
 
 
 def _shortened_name(name: str) -> str:
-    return (
-        name if len(name) <= MAX_SHOWN_KEY_LENGTH else name[:MAX_SHOWN_KEY_LENGTH] + "…"
-    )
+    is_short = len(name) <= MAX_SHOWN_KEY_LENGTH
+    return name if is_short else f"{name[:MAX_SHOWN_KEY_LENGTH]}…"
 
 
 def flow_value(value: Any) -> str:

@@ -88,9 +88,8 @@ def _read_arrays(
     positions_name = _find_positions_array(file, archives, path, array_names, array)
     header = archives.header(path, positions_name)
     if len(header.shape) != 3 or header.shape[2] != 3 or header.kind not in "fiu":
-        message = (
-            f"{positions_name!r} has shape {header.shape}, not (frames, markers, 3)"
-        )
+        message = f"{positions_name!r} has shape {header.shape}, not (frames, markers, "
+        message += "3)"
         raise file.error("MKR012", message)
     frames, point_count, _ = header.shape
     if frames == 0 or point_count == 0:
@@ -98,10 +97,8 @@ def _read_arrays(
             "MKR013", f"{positions_name!r} has {frames} frames of {point_count} points"
         )
     if frames * point_count > MAX_POSITIONS:
-        message = (
-            f"{positions_name!r} has {frames} frames of {point_count} points, above "
-            "the limit"
-        )
+        message = f"{positions_name!r} has {frames} frames of {point_count} points, "
+        message += "above the limit"
         raise file.error("MKR012", message)
     _, underscore, suffix_text = positions_name.rpartition("_")
     suffix = _UNIT_SUFFIX.fullmatch(underscore + suffix_text)
@@ -215,9 +212,7 @@ def _find_positions_array(
         )
     if len(candidates) > 1:
         # The array of marker names has the same prefix.
-        candidates = [
-            key for key in candidates if _UNIT_SUFFIX.search(key)
-        ] or candidates
+        candidates = [k for k in candidates if _UNIT_SUFFIX.search(k)] or candidates
     return candidates[0]
 
 

@@ -133,16 +133,12 @@ def find_steps(
     if gap_steps is not None and gap_steps.regular:
         return gap_steps
     regular_times = times[0] + median * row_frames
-    close_steps = [
-        step for step in stated_steps if abs(step - mean) <= RATE_TOLERANCE * mean
-    ]
+    close_steps = [s for s in stated_steps if abs(s - mean) <= RATE_TOLERANCE * mean]
     step = close_steps[0] if close_steps else median
     gap_steps = fit_frames_with_gaps(times, step, rounding)
-    error = (
-        gap_steps.error
-        if gap_steps is not None
-        else float(np.abs(times - regular_times).max())
-    )
+    error = float(np.abs(times - regular_times).max())
+    if gap_steps is not None:
+        error = gap_steps.error
     return TimeSteps(step, row_frames, error, False)
 
 

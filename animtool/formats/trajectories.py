@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Sequence
 from dataclasses import field
@@ -71,19 +70,14 @@ class MarkerFile:
         """Return the frame rate: the option, else the stated one."""
         if fps is not None:
             return rate_option(fps)
-        is_valid = stated_rate is not None and math.isfinite(stated_rate)
-        if (
-            stated_rate is None
-            or not is_valid
-            or not LOWEST_WRITTEN_RATE <= stated_rate <= HIGHEST_WRITTEN_RATE
-        ):
-            message = "the file states no frame rate"
-            if stated_rate:
-                message = f"the stated frame rate {stated_rate:g} is not usable"
-            raise self.error(
-                "MKR010", message, f"set the rate with {argument('source.fps')}"
-            )
-        return rate_from_float(stated_rate)
+        rate = stated_rate or 0.0
+        if LOWEST_WRITTEN_RATE <= rate <= HIGHEST_WRITTEN_RATE:
+            return rate_from_float(rate)
+        message = "the file states no frame rate"
+        if stated_rate:
+            message = f"the stated frame rate {stated_rate:g} is not usable"
+        hint = f"set the rate with {argument('source.fps')}"
+        raise self.error("MKR010", message, hint)
 
     def unit(
         self, stated_unit: str | None, option: LengthUnit | None, default: LengthUnit
@@ -119,9 +113,7 @@ class MarkerFile:
         same, or if it is the requested subject. Duplicate names get a number (MKR101).
         """
         clean_labels = [label.strip() for label in labels]
-        prefixes = {
-            name.rpartition(":")[0] for name in clean_labels if not is_unlabelled(name)
-        }
+        prefixes = {n.rpartition(":")[0] for n in clean_labels if not is_unlabelled(n)}
         if subject is None and len(prefixes) == 1:
             subject = next(iter(prefixes))
         if subject:
@@ -131,11 +123,7 @@ class MarkerFile:
             for i, name in enumerate(clean_labels)
         ]
         unique = numbered_names(label_names)
-        renamed = [
-            unique_name
-            for source_name, unique_name in zip(label_names, unique, strict=True)
-            if source_name != unique_name
-        ]
+        renamed = [u for s, u in zip(label_names, unique, strict=True) if s != u]
         if renamed:
             warning = names_fault(
                 "MKR101", "duplicate names; later ones became ", renamed,

@@ -32,7 +32,6 @@ from animtool.preview.open_file import OpenFile, open_file
 from animtool.preview.options import PreviewOptions
 from animtool.preview.page import page_parts
 from animtool.preview.pictures.kinds import PAGE_SUFFIXES
-from animtool.preview.streams import quantize_range
 from animtool.preview.takes import PageTake, add_take
 from animtool.preview.timing import (
     FEWER_FRAMES_HINT,
@@ -258,12 +257,10 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
-    quantized = quantize_range(positions.reshape(len(frames), -1), period=3)
-    draft.record_error(position=quantized.error)
     draft.points.append(
         {
             "name": name,
-            "positions": draft.packer.add(quantized),
+            "positions": draft.add_positions(positions),
             "radius": 0.0,
             "radii": None,
             "color": None,

@@ -15,7 +15,7 @@ from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, counted
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.preview.streams import StreamPacker
+from animtool.preview.streams import Array, StreamPacker, quantize_range
 
 FORMAT_VERSION = 1
 
@@ -96,6 +96,12 @@ class PageDraft:
         self.position_error = max(self.position_error, position)
         self.rotation_error = max(self.rotation_error, rotation)
 
+    def add_positions(self, positions: Array) -> int:
+        """Add a stream of positions ``(F, ...)`` [m]; return its index."""
+        quantized = quantize_range(positions.reshape(len(positions), -1), period=3)
+        self.record_error(position=quantized.error)
+        return self.packer.add(quantized)
+
     def manifest(
         self, title: str, source: dict[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
@@ -149,8 +155,6 @@ def round_up_error(error: float) -> float:
         return 0.0
     digits = 1 - int(np.floor(np.log10(error)))
     rounded_error = round(error, digits)
-    return (
-        rounded_error
-        if rounded_error >= error
-        else round(rounded_error + 10.0**-digits, digits)
-    )
+    if rounded_error >= error:
+        return rounded_error
+    return round(rounded_error + 10.0**-digits, digits)

@@ -15,7 +15,7 @@ from animtool.preview.streams import Quantized, json_numbers, quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.surfaces import Surface
 from animtool.skin.character import CharacterMesh, character_meshes
-from animtool.skin.deform import DeformedMesh, deform
+from animtool.skin.deform import deform
 from animtool.skin.shapes import PreparedShapes, column_weights
 from animtool.skin.skinning import PreparedSkin, SkinMethod
 
@@ -124,7 +124,6 @@ def mesh_entry(
     color: Sequence[float] | None,
     *,
     take: int | None = None,
-    double_sided: bool = True,
     colors: FloatArray | None = None,
 ) -> dict[str, Any]:
     """Return the manifest entry of a mesh with its points and triangles.
@@ -148,7 +147,6 @@ def mesh_entry(
         else draft.packer.add_static(
             np.rint(colors.clip(0, 1) ** (1 / 2.2) * 255).astype(np.uint8), "u8"
         ),
-        "doubleSided": double_sided,
     }
 
 
@@ -233,21 +231,6 @@ def _point_stream(draft: PageDraft, page_take: PageTake, mesh: CharacterMesh) ->
     for begin in range(0, page_take.frames, BLOCK_FRAMES):
         frames = slice(begin, min(begin + BLOCK_FRAMES, page_take.frames))
         block_weights = None if weights is None else weights[frames]
-        deformed = deform(
-            _drop_unused_shapes(mesh.mesh, block_weights),
-            block_weights,
-            page_take.world(frames),
-        )
+        deformed = deform(mesh.mesh, block_weights, page_take.world(frames))
         blocks.append(deformed.points.astype(np.float32))
-    quantized = quantize_range(
-        np.concatenate(blocks).reshape(page_take.frames, -1), period=3
-    )
-    draft.record_error(position=quantized.error)
-    return draft.packer.add(quantized)
-
-
-def _drop_unused_shapes(mesh: DeformedMesh, weights: FloatArray | None) -> DeformedMesh:
-    """Return a mesh without shapes whose weights are 0 in every frame."""
-    if weights is not None or mesh.shapes is None:
-        return mesh
-    return DeformedMesh(mesh.points, None, mesh.skin)
+    return draft.add_positions(np.concatenate(blocks))

@@ -59,7 +59,7 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         return
     entry = _stage_mesh_entry(draft, prim.name, faces)
     entry["cache"] = _point_stream(draft, prim, codes, len(faces.points))
-    entry["visible"] = _prim_visibility(draft, prim, codes)
+    entry["visible"] = visibility_stream(draft, prim.visibility(codes))
     draft.meshes.append(entry)
 
 
@@ -72,7 +72,6 @@ def _stage_mesh_entry(draft: PageDraft, name: str, faces: ShownMesh) -> dict[str
         faces.counts,
         faces.indices,
         faces.color,
-        double_sided=faces.double_sided,
         colors=faces.colors,
     )
 
@@ -88,7 +87,7 @@ def _add_rigid(
             f"{prim.name!r} has a transform that is not finite: it is not drawn"
         )
         return
-    visibility = _prim_visibility(draft, prim, codes)
+    visibility = visibility_stream(draft, prim.visibility(codes))
     if not prim.is_moving and visibility is None:
         placed_points = faces.points @ matrices[0, :3, :3].T + matrices[0, :3, 3]
         rigid_mesh = replace(faces, points=placed_points)
@@ -106,7 +105,6 @@ def _add_rigid(
                 draft, matrices[:, None, :3, 3], rotations[:, None], scales[:, None]
             ),
             "visible": visibility,
-            "names": None,
         }
     )
 
@@ -116,14 +114,11 @@ def _instance_streams(
 ) -> dict[str, Any]:
     """Add streams of positions, rotations and scales; return their manifest entry."""
     frames = len(positions)
-    positions_stored = quantize_range(positions.reshape(frames, -1), period=3)
     rotations_stored = quantize_units(so3.align_signs(rotations).reshape(frames, -1))
-    draft.record_error(
-        position=positions_stored.error, rotation=2 * rotations_stored.error
-    )
+    draft.record_error(rotation=2 * rotations_stored.error)
     sizes = scales.reshape(frames, -1)
     return {
-        "t": draft.packer.add(positions_stored),
+        "t": draft.add_positions(positions),
         "r": draft.packer.add(rotations_stored),
         "s": None
         if np.allclose(sizes, 1.0, atol=1e-6)
@@ -145,16 +140,7 @@ def _point_stream(
             draft.add_notice(
                 f"{prim.name!r} has a different number of points in some frames"
             )
-    quantized = quantize_range(rows, period=3)
-    draft.record_error(position=quantized.error)
-    return draft.packer.add(quantized)
-
-
-def _prim_visibility(
-    draft: PageDraft, prim: ShownPrim, codes: FloatArray
-) -> int | None:
-    """Return the stream index of a prim's visibility; None if always visible."""
-    return visibility_stream(draft, prim.visibility(codes))
+    return draft.add_positions(rows)
 
 
 def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
@@ -166,8 +152,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
         _add_points(draft, prim, codes)
         return
     counts = prim.curve_counts()
-    is_animated = prim.is_deforming or prim.is_moving
-    times = codes if is_animated else codes[:1]
+    times = codes if prim.is_animated else codes[:1]
     count = len(prim.points(float(codes[0])))
     if not count or counts.sum() != count:
         return
@@ -188,8 +173,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
 
 def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     """Add points with widths and colors; each point keeps one slot."""
-    is_animated = prim.is_deforming or prim.is_moving
-    times = (codes if is_animated else codes[:1]).tolist()
+    times = (codes if prim.is_animated else codes[:1]).tolist()
     point_slots = PointSlots()
     rows = [(point_slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times]
     if not point_slots.count:
@@ -197,12 +181,10 @@ def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     positions = _spread_to_slots(rows, point_slots.count)
     widths = _slot_values(rows, [prim.widths(t) for t in times], point_slots.count)
     colors = _slot_values(rows, [prim.colors(t) for t in times], point_slots.count)
-    quantized = quantize_range(positions, period=3)
-    draft.record_error(position=quantized.error)
     draft.points.append(
         {
             "name": prim.name,
-            "positions": draft.packer.add(quantized),
+            "positions": draft.add_positions(positions),
             "radius": 0.0 if widths is None else _finite_mean(widths) / 2,
             "radii": None
             if widths is None or np.ptp(widths) == 0
@@ -274,7 +256,7 @@ def _slot_values(
 def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     """Add the instances of each prototype."""
     prototypes = prim.prototypes()
-    times = (codes if prim.is_deforming or prim.is_moving else codes[:1]).tolist()
+    times = (codes if prim.is_animated else codes[:1]).tolist()
     samples = [prim.instances(code) for code in times]
     point_slots = PointSlots()
     rows = [point_slots.assign(sample.ids, sample.points) for sample in samples]
@@ -308,7 +290,6 @@ def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None
                     "visible": None
                     if visible.all()
                     else draft.packer.add(Quantized(visible.astype("<u1"), "u8")),
-                    "names": None,
                 }
             )
 
@@ -363,9 +344,6 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     draft.record_error(
         position=positions_stored.error, rotation=2 * rotations_stored.error
     )
-    clip = [0.01, 1e5]
-    if "clippingRange" in names:
-        clip = sampled.values[names.index("clippingRange")][0].tolist()
     draft.cameras.append(
         {
             "name": track.path,
@@ -382,7 +360,6 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
                     ("verticalAperture", 15.2908),
                 )
             ],
-            "clip": clip,
         }
     )
 

@@ -6,7 +6,7 @@ import base64
 import hashlib
 import zlib
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -179,15 +179,10 @@ class StreamPacker:
         flat = np.asarray(values).reshape(1, -1).astype(TYPES[kind])
         return self.add(Quantized(flat, kind))
 
-    def add_static_range(self, values: FloatArray, period: int = 3) -> int:
+    def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
-        data = quantize_range(np.reshape(values, (-1, period)), period=period)
-        flat = data.stored_values.reshape(1, -1)
-        return self.add(
-            Quantized(
-                flat, data.kind, data.scale, data.offset, data.has_gaps, data.error
-            )
-        )
+        data = quantize_range(np.reshape(values, (-1, 3)), period=3)
+        return self.add(replace(data, stored_values=data.stored_values.reshape(1, -1)))
 
     @property
     def total_bytes(self) -> int:

@@ -15,7 +15,6 @@ from animtool.ik.goals import Targets
 from animtool.ik.tracks import TargetTracks
 from animtool.maths import so3
 from animtool.preview.draft import PageDraft, skip_unreadable
-from animtool.preview.streams import quantize_range
 from animtool.preview.takes import PageTake
 from animtool.rig.kinematics import WorldTransforms, bind_matrices
 from animtool.rig.skeleton import Joint, Rig
@@ -124,12 +123,10 @@ def _add_markers(
         if not np.isfinite(rows).any():
             continue
         label = "" if kind == "position" else f" {kind}"
-        quantized = quantize_range(rows, period=3)
-        draft.record_error(position=quantized.error)
         draft.points.append(
             {
                 "name": f"{tracks.path.name}{label}",
-                "positions": draft.packer.add(quantized),
+                "positions": draft.add_positions(rows),
                 "radius": radius,
                 "radii": None,
                 "color": list(color),

@@ -144,21 +144,19 @@ def timeline_of(
     ]
     step = Fraction(1)
     for file in files:
-        if file.contents is not None and (span := _moving_span(file.contents)):
+        if file.contents is not None and (moving := _moving_span(file.contents)):
             ratio = fps / file.contents.fps
-            spans.append((span[0] * ratio, span[1] * ratio))
+            spans.append((moving[0] * ratio, moving[1] * ratio))
         if file.markers is not None:
-            clock = file.markers.clock
-            ratio = fps / clock.fps
-            last = clock.start + (clock.count - 1) * clock.step
-            spans.append((clock.start * ratio, last * ratio))
+            span = file.markers.clock.span
+            ratio = fps / span.fps
+            spans.append((span.first * ratio, span.last * ratio))
         if file.targets is not None and all(
             timed.motion.frames < 2 for timed in timed_takes
         ):
-            clock = file.targets.clock
-            ratio = Fraction(1) if file.targets.fps is None else fps / clock.fps
-            last = clock.start + (clock.count - 1) * clock.step
-            spans.append((clock.start * ratio, last * ratio))
+            span = file.targets.clock.span
+            ratio = Fraction(1) if file.targets.fps is None else fps / span.fps
+            spans.append((span.first * ratio, span.last * ratio))
     first = min(
         (span_start for span_start, _ in spans),
         default=timed_takes[0].first_frame if timed_takes else Fraction(1),
@@ -201,5 +199,5 @@ def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] 
 
 def _moving_span(contents: StageContents) -> tuple[Fraction, Fraction] | None:
     """Return the frame span of a stage's animated prims; None if nothing moves."""
-    is_moving = any(prim.is_deforming or prim.is_moving for prim in contents.prims)
+    is_moving = any(prim.is_animated for prim in contents.prims)
     return contents.span if is_moving or contents.cameras() else None

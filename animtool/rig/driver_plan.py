@@ -74,11 +74,9 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
     if part in parts:
         return None
     message = f"the {rig_joint.type} joint {joint!r} has no coordinate {part!r}"
-    hint = (
-        f"it has {', '.join(parts)}"
-        if parts
-        else ("drivers read pin, prismatic and ball joints")
-    )
+    hint = "drivers read pin, prismatic and ball joints"
+    if parts:
+        hint = f"it has {', '.join(parts)}"
     if rig_joint.type is JointType.BALL and not isinstance(rig_joint.limits, BallLimit):
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
     elif part == TWIST and rig_joint.type is JointType.BALL:

@@ -150,11 +150,9 @@ def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArr
     swing, twist = swing_twist(rotations, limits.twist_axis)
     if part == TWIST:
         twist_low, twist_high = limits.twist or (-np.inf, np.inf)
-        middle = (
-            (twist_low + twist_high) / 2
-            if twist_high - twist_low < 2 * np.pi - REVOLUTION_TOLERANCE
-            else 0.0
-        )
+        middle = 0.0
+        if twist_high - twist_low < 2 * np.pi - REVOLUTION_TOLERANCE:
+            middle = (twist_low + twist_high) / 2
         return np.asarray(twist - 2 * np.pi * np.round((twist - middle) / (2 * np.pi)))
     vector = so3.log(swing)
     if part == SWING:

@@ -70,19 +70,12 @@ FUNCTIONS: dict[str, tuple[Callable[..., Any], int]] = {
 }
 
 _CONSTANTS = {"pi": np.pi}
-_OPERATORS: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
-    ast.Add: np.add,
-    ast.Sub: np.subtract,
-    ast.Mult: np.multiply,
-    ast.Div: np.divide,
-}
-
-
-_UNARY_OPERATORS: dict[type[ast.operator], str] = {
-    ast.Add: "+",
-    ast.Sub: "-",
-    ast.Mult: "*",
-    ast.Div: "/",
+# Symbol and function of each binary operator.
+_OPERATORS: dict[type[ast.operator], tuple[str, Callable[[Any, Any], Any]]] = {
+    ast.Add: ("+", np.add),
+    ast.Sub: ("-", np.subtract),
+    ast.Mult: ("*", np.multiply),
+    ast.Div: ("/", np.divide),
 }
 
 
@@ -331,7 +324,7 @@ def _postfix_program(node: ast.expr) -> Iterator[tuple[str, float | str]]:
         case ast.BinOp(left=left, op=operator, right=right):
             yield from _postfix_program(left)
             yield from _postfix_program(right)
-            yield "call", _UNARY_OPERATORS[type(operator)]
+            yield "call", _OPERATORS[type(operator)][0]
         case ast.Call(func=ast.Name(id=name), args=arguments):
             for argument in arguments:
                 yield from _postfix_program(argument)
@@ -354,7 +347,7 @@ def _evaluate_node(node: ast.expr, values: Mapping[str, FloatArray]) -> Any:
             value = _evaluate_node(operand, values)
             return -value if isinstance(operator, ast.USub) else value
         case ast.BinOp(left=left, op=operator, right=right):
-            apply = _OPERATORS[type(operator)]
+            apply = _OPERATORS[type(operator)][1]
             return apply(_evaluate_node(left, values), _evaluate_node(right, values))
         case ast.Call(func=ast.Name(id=name), args=arguments):
             return FUNCTIONS[name][0](*(_evaluate_node(a, values) for a in arguments))

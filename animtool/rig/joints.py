@@ -183,11 +183,9 @@ def part_hint(
     suffixes = [".".join(text_parts[i:]) for i in range(1, len(text_parts))]
     for suffix in suffixes:
         normalized_name = re.sub("[._]", "", suffix.lower())
-        name_without_axis = (
-            normalized_name[:-1]
-            if normalized_name[-1:] in ("x", "y", "z")
-            else normalized_name
-        )
+        name_without_axis = normalized_name
+        if normalized_name[-1:] in ("x", "y", "z"):
+            name_without_axis = normalized_name[:-1]
         meant_part = _PART_SYNONYMS.get(name_without_axis, name_without_axis)
         axis = normalized_name[-1] if name_without_axis != normalized_name else "x"
         single_part = (

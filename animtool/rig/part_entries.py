@@ -213,8 +213,10 @@ class PartReader:
                 message = f"{chain.tip!r} is not below {chain.root!r}"
                 hint = "name a joint below the root"
                 if self._is_descendant(chain.tip, chain.root):
-                    hint = f"root and tip are swapped: write root: {chain.tip}, "
-                    hint += f"tip: {chain.root}"
+                    hint = (
+                        f"root and tip are swapped: write root: {chain.tip}, "
+                        f"tip: {chain.root}"
+                    )
                 elif chain.tip == chain.root:
                     message = f"root and tip are both {chain.tip!r}"
                 self.document.add("RIG022", (*location, "tip"), message, hint)

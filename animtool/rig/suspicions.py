@@ -205,8 +205,10 @@ def warn_of_quaternion_length(
         ", ".join(f"{number:.4g}" for number in numbers)
         for numbers in (wxyz, [number / length for number in wxyz])
     )
-    message = f"quaternion [{written_text}] has length {length:.3g}; "
-    message += f"it is read as [{unit_text}]"
+    message = (
+        f"quaternion [{written_text}] has length {length:.3g}; "
+        f"it is read as [{unit_text}]"
+    )
     hint = f"write [{unit_text}], w first"
     if rotation := _axis_angle_text(wxyz):
         hint = rotation

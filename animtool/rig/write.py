@@ -330,11 +330,9 @@ def _stretch_text(pose: Pose) -> str | None:
     if pose.stretch is None:
         return None
     deviations = [value - (i % 4 == 0) for i, value in enumerate(pose.stretch)]
-    return (
-        _number_list(pose.stretch)
-        if max(map(abs, deviations)) > STRETCH_TOLERANCE
-        else None
-    )
+    if max(map(abs, deviations)) > STRETCH_TOLERANCE:
+        return _number_list(pose.stretch)
+    return None
 
 
 def _poses_at_rest(rig: Rig) -> dict[str, Pose]:

@@ -48,9 +48,8 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     ratio = math.nan if step is None else _error_ratio(step, run.state, run.options)
     if step is None or not ratio <= 1:
         run.rejected += 1
-        run.trial = h * (
-            FAILED_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
-        )
+        factor = FAILED_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
+        run.trial = h * factor
         return run.budget_status()
     # A step shortened to end at the target says little about the next one.
     next_step = h * _step_factor(ratio, run)
@@ -108,9 +107,8 @@ def _initial_step(run: IntegrationRun) -> float:
     tolerances = np.maximum(options.least + options.relative * np.abs(y), 1e-300)
 
     def norm(values: FloatArray) -> float:
-        return (
-            float(np.sqrt(np.mean((values / tolerances) ** 2))) if values.size else 0.0
-        )
+        squares = (values / tolerances) ** 2
+        return float(np.sqrt(np.mean(squares))) if values.size else 0.0
 
     rate = equations.rate(run.time, y)
     state_norm, rate_norm = norm(y), norm(rate)

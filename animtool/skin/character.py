@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
@@ -54,19 +55,17 @@ def character_meshes(
     """
     joint_indices = {name: i for i, name in enumerate(joints)}
     column_of_shape = {name: i for i, name in enumerate(shapes)}
-    meshes, faults = [], []
+    meshes: list[CharacterMesh] = []
+    faults: list[Fault] = []
     for surface in surfaces:
-        try:
-            mesh = _prepare_mesh(surface, joint_indices, bind)
-        except FormatError as error:
-            faults += [_with_mesh_name(fault, surface.name) for fault in error.faults]
-            continue
         shape_columns = [
             _shape_column(surface, shape, column_of_shape) for shape in surface.shapes
         ]
-        meshes.append(
-            CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
-        )
+        with _collect_faults(faults, f"mesh {surface.name!r}"):
+            mesh = _prepare_mesh(surface, joint_indices, bind)
+            meshes.append(
+                CharacterMesh(surface.name, mesh, np.array(shape_columns, np.int64))
+            )
     if faults:
         raise FormatError(faults)
     return meshes
@@ -82,30 +81,32 @@ def character_strands(
         joints: Names of the J joints of the skeleton.
         bind: World transforms of the joints at bind time ``(J, 4, 4)`` [m].
     """
-    meshes, faults = [], []
+    meshes: list[CharacterMesh] = []
+    faults: list[Fault] = []
     no_shapes = np.zeros(0, np.int64)
     for entry in strands:
         points = entry.points.reshape(-1, 3)
         carrier_joint = np.array([joints.index(entry.joint)])
-        try:
-            binding = Binding([[0]], [[1.0]], bind, carrier_joint)
+        binding = Binding([[0]], [[1.0]], bind, carrier_joint)
+        with _collect_faults(faults, f"strands {entry.name!r}"):
             skin = prepare_skin(binding, len(points))
-        except FormatError as error:
-            faults += [
-                replace(fault, message=f"strands {entry.name!r}: " + fault.message)
-                for fault in error.faults
-            ]
-            continue
-        mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
-        meshes.append(CharacterMesh(entry.name, mesh, no_shapes))
+            mesh = DeformedMesh(np.ascontiguousarray(points), skin=skin)
+            meshes.append(CharacterMesh(entry.name, mesh, no_shapes))
     if faults:
         raise FormatError(faults)
     return meshes
 
 
-def _with_mesh_name(fault: Fault, mesh: str) -> Fault:
-    """Return a fault whose message starts with the mesh's name."""
-    return replace(fault, message=f"mesh {mesh!r}: " + fault.message)
+@contextmanager
+def _collect_faults(faults: list[Fault], label: str) -> Iterator[None]:
+    """In a block, record faults, with a label before their messages."""
+    try:
+        yield
+    except FormatError as error:
+        faults += [
+            replace(fault, message=f"{label}: {fault.message}")
+            for fault in error.faults
+        ]
 
 
 def _shape_column(

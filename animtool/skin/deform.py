@@ -297,8 +297,7 @@ def _deform_normals(
         return skin_normals(
             mesh.skin, normals, world, vertices=mesh.normal_vertices, out=out
         )
-    length = np.linalg.norm(normals, axis=-1, keepdims=True)
-    normals = normals / np.where(length > 0, length, 1.0)
+    normals = unit_normals(normals)
     return np.ascontiguousarray(np.broadcast_to(normals, (frames, *normals.shape[1:])))
 
 
@@ -345,11 +344,8 @@ def replace_points(
     new_points = np.ascontiguousarray(points_with_margin[requested_rows])
     velocities = deformed.velocities
     if times is not None:
-        velocities = np.zeros_like(new_points)
-        if len(points_with_margin) > 1:
-            velocities = np.gradient(points_with_margin, times[first:stop], axis=0)[
-                requested_rows
-            ]
+        velocities = _point_velocities(points_with_margin, times[first:stop])
+        velocities = velocities[requested_rows]
     normals = deformed.normals
     if normals is not None and surface is not None:
         has_changed = (new_points != deformed.points).any(axis=(1, 2))
@@ -378,5 +374,14 @@ def vertex_normals(surface: Surface, points: FloatArray) -> FloatArray:
     sums_by_vertex = np.moveaxis(normal_sums, 1, 0)
     for k in range(3):
         np.add.at(sums_by_vertex, corners[:, k], np.moveaxis(area_vectors, 1, 0))
-    length = np.linalg.norm(normal_sums, axis=-1, keepdims=True)
-    return np.asarray(normal_sums / np.where(length > 0, length, 1.0))
+    return unit_normals(normal_sums)
+
+
+def unit_normals(normals: FloatArray) -> FloatArray:
+    """Return normals ``(..., 3)`` with length 1; those with length 0 stay zero.
+
+    >>> unit_normals(np.array([[0.0, 2.0, 0.0], [0.0, 0.0, 0.0]])).tolist()
+    [[0.0, 1.0, 0.0], [0.0, 0.0, 0.0]]
+    """
+    length = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.asarray(normals / np.where(length > 0, length, 1.0))

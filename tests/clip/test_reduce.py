@@ -10,12 +10,7 @@ from support.data import data_files
 from support.suite import some_quick
 
 from animtool.clip.coordinates import Tolerances, joint_tracks, relative_joint_motions
-from animtool.clip.reduction.keys import (
-    ChannelKind,
-    Reduction,
-    channel_values,
-    evaluate_reduction,
-)
+from animtool.clip.reduction.keys import ReducedChannel, Reduction
 from animtool.clip.reduction.points import attached_points, point_errors
 from animtool.clip.reduction.reduce import LIMIT_SLACK, reduce_motion
 from animtool.clip.reduction.tracks import additive_pose, euler_order
@@ -25,6 +20,7 @@ from animtool.core.errors import FormatError, OptionError
 from animtool.edit import trim
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import euler, so3
+from animtool.maths.fit import evaluate_keys
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.limits import BallLimit
@@ -69,9 +65,41 @@ def world_errors(take: Take, found: Motion, base: Take | None = None) -> FloatAr
     )
 
 
+def values_of(channel: ReducedChannel, frames: FloatArray) -> FloatArray:
+    """A channel's values at frames, rotations as quaternions."""
+    values = evaluate_keys(channel.keys, frames)
+    return (
+        values if channel.order is None else euler.to_quaternion(values, channel.order)
+    )
+
+
+def evaluated(
+    rig: Rig, reduction: Reduction, frames: FloatArray | None = None
+) -> Motion:
+    """The motion of the keys, and of the rest pose where there are none."""
+    frames = np.arange(reduction.clock.count) if frames is None else frames
+    joints, count = len(rig.joints), len(frames)
+    values = {
+        "translation": np.tile(rig.rest_translations, (count, 1, 1)),
+        "rotation": np.tile(rig.rest_rotations, (count, 1, 1)),
+        "scale": np.ones((count, joints, 3)),
+        "weight": np.zeros((count, len(rig.shapes), 1)),
+    }
+    for channel in reduction.channels:
+        group, _, name = channel.target.partition("/")
+        if group == "shape":
+            part, index = "weight", [s.name for s in rig.shapes].index(name)
+        else:
+            joint, _, part = name.rpartition(".")
+            index = rig.index(joint)
+        part = part.removeprefix("local_")
+        values[part][:, index] = values_of(channel, frames)
+    return Motion(*map(Channel.from_dense, values.values()))
+
+
 def check(take: Take, reduction: Reduction, tolerance: float) -> FloatArray:
     """The reduction keeps its tolerance, and says what it reached."""
-    off = world_errors(take, evaluate_reduction(reduction))
+    off = world_errors(take, evaluated(take.rig, reduction))
     assert reduction.held
     assert off.max() <= tolerance * ROOM
     frame, joint = reduction.frame, take.rig.index(reduction.joint)
@@ -140,9 +168,10 @@ def test_what_stays_has_one_key_and_rest_has_none() -> None:
     rotations[:, 2] = so3.from_axis_angle([0, 0, 1], 0.5)
     reduction = reduce_motion(take_of(arm(), rotations), 1e-3)
     counts = {c.target: len(c.keys.frames) for c in reduction.channels}
-    assert counts.keys() == {"j0.rotation", "j2.rotation"}
-    assert counts["j2.rotation"] == 1
-    assert counts["j0.rotation"] > 1
+    moving, still = "joint/j0.local_rotation", "joint/j2.local_rotation"
+    assert counts.keys() == {moving, still}
+    assert counts[still] == 1
+    assert counts[moving] > 1
     assert reduction.samples == len(rotations)
 
 
@@ -192,14 +221,14 @@ def test_scales_weights_and_translations() -> None:
     take = replace(take, motion=motion)
     reduction = reduce_motion(take, 1e-3, weight_tolerance=0.01)
     check(take, reduction, 1e-3)
-    found = evaluate_reduction(reduction)
+    found = evaluated(rig, reduction)
     assert found.weights is not None
     off = np.abs(found.weights.dense() - weights).max()
     assert off == pytest.approx(reduction.weight_error)
     assert 0 < off <= 0.01
-    kinds = {c.kind for c in reduction.channels}
-    assert kinds == {*ChannelKind} - {ChannelKind.CONTROL}
-    assert reduction.channels[-1].target == "weight[1]"
+    parts = {c.target.rpartition(".")[2] for c in reduction.channels}
+    assert {"local_translation", "local_rotation", "scale"} < parts
+    assert reduction.channels[-1].target == "shape/jaw"
     assert reduction.keys * 5 < reduction.samples
 
 
@@ -210,17 +239,19 @@ def test_additive_deltas_are_measured_on_their_base() -> None:
     nothing = Channel.from_dense(np.zeros((200, 3, 3)))
     deltas = replace(deltas, motion=replace(deltas.motion, translations=nothing))
     reduction = reduce_motion(deltas, 1e-3, base=base)
-    off = world_errors(deltas, evaluate_reduction(reduction), base)
+    unmoved = tuple(replace(joint, translation=(0, 0, 0)) for joint in rig.joints)
+    found = evaluated(replace(rig, joints=unmoved), reduction)
+    off = world_errors(deltas, found, base)
     assert reduction.held
     assert off.max() <= 1e-3 * ROOM
     assert off.max() == pytest.approx(reduction.error, abs=1e-12)
-    assert {c.kind for c in reduction.channels} == {ChannelKind.ROTATION}
+    assert all(c.target.endswith(".local_rotation") for c in reduction.channels)
 
 
 def test_keys_between_frames_and_outside() -> None:
     take = take_of(arm(), swing())
     reduction = reduce_motion(take, 1e-3)
-    found = evaluate_reduction(reduction, [-5.0, 0.0, 10.5, 199.0, 300.0])
+    found = evaluated(take.rig, reduction, np.array([-5.0, 0.0, 10.5, 199.0, 300.0]))
     assert found.frames == 5
     turns = found.rotations.dense()
     np.testing.assert_array_equal(turns[0], turns[1])
@@ -239,7 +270,6 @@ def test_an_unreachable_tolerance_is_said() -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"shell": 0.0},
         {"weight_tolerance": 0.0},
         {"base": take_of(arm(), swing(19))},
         {"base": take_of(arm(4), swing(20, 4))},
@@ -247,7 +277,7 @@ def test_an_unreachable_tolerance_is_said() -> None:
 )
 def test_wrong_arguments_are_refused(options) -> None:
     take = take_of(arm(), swing(20))
-    with pytest.raises(ValueError, match=r"tolerance|shell|base"):
+    with pytest.raises(ValueError, match=r"tolerance|base"):
         reduce_motion(take, 1e-3, **options)
 
 
@@ -280,19 +310,17 @@ def test_keys_of_a_ball_keep_its_limits_between_frames(tolerance: float) -> None
     tracks = joint_tracks(rig, motions, {}, {}, Tolerances(1e-9, 1e-9, 1e-9))
     found = reduce_motion(take_of(rig, turns), tolerance, tracks=tracks)
     assert found.held
-    beyond = limit.excess(evaluated(found, "j0", 8)).max()
+    beyond = limit.excess(ball_rotations(found, 8)).max()
     # The slack, and what a straight segment of Euler angles adds at 5 degrees a frame.
     assert beyond < LIMIT_SLACK + 2e-4
     # A fit that does not know of them swings out.
     free = [replace(track, limits=None) for track in tracks]
     loose = reduce_motion(take_of(rig, turns), tolerance, tracks=free)
-    assert limit.excess(evaluated(loose, "j0", 8)).max() > 10 * beyond
+    assert limit.excess(ball_rotations(loose, 8)).max() > 10 * beyond
 
 
-def evaluated(found: Reduction, joint: str, times: int) -> FloatArray:
-    """Return a joint's rotations at so many times the rate ``(N, 4)``."""
-    channel = next(
-        c for c in found.channels if c.joint == joint and c.order is not None
-    )
+def ball_rotations(found: Reduction, times: int) -> FloatArray:
+    """Return the rotations of joint j0 at so many times the rate ``(N, 4)``."""
+    channel = next(c for c in found.channels if c.target == "joint/j0.rotation")
     last = int(channel.keys.frames[-1])
-    return channel_values(channel, np.linspace(0, last, times * last + 1))
+    return values_of(channel, np.linspace(0, last, times * last + 1))

@@ -40,10 +40,8 @@ def joint_bounds(
     >>> joint_bounds(arm, 0.001, {"ha*": 0.0001}).tolist()
     [0.001, 0.0001]
     """
-    bounds_by_option = [
-        ("reduce", tolerance),
-        *(("reduce_at", other) for other in tolerances_by_pattern.values()),
-    ]
+    bounds_by_option = [("reduce", tolerance)]
+    bounds_by_option += [("reduce_at", v) for v in tolerances_by_pattern.values()]
     faults = [
         Fault(
             "CLIP020",
@@ -130,12 +128,9 @@ class TrackBudget:
     @staticmethod
     def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
         """Fit initial keys to a track with a tolerance."""
-        frames = len(track.samples)
+        ones = np.ones(len(track.samples))
         keys = fit_keys(track.samples, tolerance, bounds_or_none=track.range)
-        no_fraction = np.zeros(frames)
-        budget = TrackBudget(
-            track, tolerance, np.ones(frames), keys, no_fraction, track.samples
-        )
+        budget = TrackBudget(track, tolerance, ones, keys, 0 * ones, track.samples)
         budget.update_errors()
         return budget
 
@@ -152,35 +147,25 @@ class TrackBudget:
 
         ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``.
         """
-        frames_and_limits = np.asarray(frames)
+        frame_indices = np.asarray(frames)
         limits = np.asarray(factor) / self.tolerance
         starts = self.keys.frames
-        segment_indices = np.searchsorted(starts, frames_and_limits, side="right") - 1
+        segment_indices = np.searchsorted(starts, frame_indices, side="right") - 1
         segment_indices = segment_indices.clip(0, max(0, len(starts) - 2))
-        lengths = (
-            np.diff(starts)
-            if len(starts) > 1
-            else np.array([len(self.tolerance_fractions)])
-        )
+        lengths = np.diff(starts)
+        if not len(lengths):
+            lengths = np.array([len(self.tolerance_fractions)])
         half_widths = np.maximum(1, lengths[segment_indices] // 4)
-        for frame, limit, half_width in zip(
-            frames_and_limits, limits, half_widths, strict=True
-        ):
-            affected_frames = slice(
-                max(0, int(frame - half_width)), int(frame + half_width + 1)
-            )
-            self.tolerance_fractions[affected_frames] = np.minimum(
-                self.tolerance_fractions[affected_frames], limit
-            )
+        columns = zip(frame_indices, limits, half_widths, strict=True)
+        for frame, limit, half_width in columns:
+            first = max(0, int(frame - half_width))
+            fractions = self.tolerance_fractions[first : int(frame + half_width + 1)]
+            np.minimum(fractions, limit, out=fractions)
         is_kept = np.ones(len(starts), np.bool_)
-        changed_segments = np.unique(segment_indices)
-        if spread:
-            is_kept[(changed_segments + 1).clip(max=len(starts) - 1)] = False
-        else:
-            merged_segments = changed_segments[
-                np.isin(changed_segments + 1, changed_segments)
-            ]
-            is_kept[(merged_segments + 1).clip(max=len(starts) - 1)] = False
+        segments = np.unique(segment_indices)
+        if not spread:
+            segments = segments[np.isin(segments + 1, segments)]
+        is_kept[(segments + 1).clip(max=len(starts) - 1)] = False
         self.refit(starts[1:-1][is_kept[1:-1]])
 
     def straighten_segments(self, frames: IntArray) -> None:

@@ -25,7 +25,7 @@ from animtool.clip.reduction.tracks import (
 )
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
+from animtool.maths.fit import evaluate_keys, fit_keys
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
@@ -51,7 +51,6 @@ def reduce_motion(
     take: Take,
     tolerance: float,
     *,
-    shell: float = SHELL_DISTANCE,
     joint_tolerances: Mapping[str, float] | None = None,
     weight_tolerance: float = WEIGHT_TOLERANCE,
     base: Take | None = None,
@@ -82,7 +81,6 @@ def reduce_motion(
     Args:
         take: A take of at least one frame.
         tolerance: Largest error of any joint > 0 [m].
-        shell: Distance of the measured points from the joint's origin > 0 [m].
         joint_tolerances: Other tolerances by joint name or pattern such as ``hand_*`` >
             0 [m].
         weight_tolerance: Largest error of a shape's weight > 0 [1].
@@ -94,16 +92,12 @@ def reduce_motion(
             full transform.
         start: Result for joints without a track; None uses the take's motion.
 
-    Returns:
-        Keys and their errors; `animtool.clip.reduction.keys.evaluate_reduction` returns
-        the motion if ``tracks`` is None.
-
     References:
         N. Frechette, Animation Compression Library, 2017: error on a shell around
         each joint, in world space.
     """
     rig, motion = take.rig, take.motion
-    _check(take, base, shell)
+    _check(take, base)
     if not (np.isfinite(weight_tolerance) and weight_tolerance > 0):
         raise ValueError(f"weight_tolerance must be above 0, not {weight_tolerance}")
     rest_motion = _unkeyed_motion(rig, motion, additive=base is not None)
@@ -114,9 +108,9 @@ def reduce_motion(
 
     base_motion = None if base is None else base.motion
     budgets: list[TrackBudget] = []
-    search_result = _SearchResult([], np.zeros((motion.frames, 1)), 0.0, 0)
+    search_result = _SearchResult(np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
-        world = _WorldErrors(rig, motion, base_motion, shell, bounds)
+        world = _WorldErrors(rig, motion, base_motion, bounds)
         if start is not None:
             world.pose = additive_pose(rig, start, base_motion)
         budgets = [
@@ -131,32 +125,35 @@ def reduce_motion(
         if track.is_animated
     ]
 
-    frame, joint = divmod(
-        int(np.argmax(search_result.errors)), search_result.errors.shape[1]
-    )
+    errors = search_result.errors
+    frame, joint = divmod(int(np.argmax(errors)), errors.shape[1])
+    keys = {(b.track.kind, b.track.index): b.keys for b in [*budgets, *weight_budgets]}
     return Reduction(
         clock=take.clock,
-        rest=rest_motion,
-        channels=_reduced_channels(
-            rig, joint_tracks + weight_tracks, [*budgets, *weight_budgets]
+        channels=tuple(
+            ReducedChannel(
+                f"shape/{rig.shapes[t.index].name}"
+                if t.kind is ChannelKind.WEIGHT
+                else f"joint/{rig.joints[t.index].name}.{t.part}",
+                t.order,
+                keys[t.kind, t.index] if t.is_animated else fit_keys(t.samples, 1.0),
+            )
+            for t in joint_tracks + weight_tracks
         ),
         samples=motion.frames * sum(track.is_animated for track in tracks),
-        error=float(search_result.errors[frame, joint]),
+        error=float(errors[frame, joint]),
         joint=rig.joints[joint].name if rig.joints else "",
         frame=frame,
         held=search_result.error_ratio <= 1,
-        weight_error=max(
-            (float(shape.errors.max()) for shape in weight_budgets), default=0.0
-        ),
+        weight_error=max((float(b.errors.max()) for b in weight_budgets), default=0.0),
         rounds=search_result.rounds,
     )
 
 
 @dataclass(frozen=True, slots=True)
 class _SearchResult:
-    """Keys of the tolerance search, their world errors and number of rounds."""
+    """World errors of a tolerance search, and its number of rounds."""
 
-    keys: list[FittedKeys]
     errors: FloatArray
     error_ratio: float
     rounds: int
@@ -170,14 +167,13 @@ class _WorldErrors:
         rig: Rig,
         motion: Motion,
         base: Motion | None,
-        shell: float,
         bounds: FloatArray,
     ) -> None:
         self.rig, self.bounds = rig, bounds
         self.pose: ReducedPose = additive_pose(rig, motion, base)
         self.original_world = self.pose.world_transforms()
         self.reduced_world: WorldTransforms | None = None
-        self.points = attached_points(rig, shell)
+        self.points = attached_points(rig, SHELL_DISTANCE)
         self.point_distances = point_distances(self.points)
         self.is_descendant = _descendants(rig)
         self.pose = self.pose.copy()
@@ -185,19 +181,16 @@ class _WorldErrors:
     def initial_tolerance(self, track: KeyTrack) -> float:
         """Return a channel's initial tolerance by the lever arms of its descendants."""
         descendants = np.flatnonzero(self.is_descendant[track.index])
-        frames = np.linspace(0, len(self.original_world.positions) - 1, 8).astype(
-            np.int64
-        )
-        positions = self.original_world.positions[frames]
-        arms = np.linalg.norm(
-            positions[:, descendants] - positions[:, track.index, None], axis=-1
-        )
-        lever_arms = arms.max(axis=0) + self.point_distances[descendants]
+        bounds = self.bounds[descendants]
         if track.kind is ChannelKind.TRANSLATION:
-            return float(self.bounds[descendants].min() / 2)
-        tolerance = float(
-            (self.bounds[descendants] / (2 * lever_arms.clip(min=1e-9))).min()
-        )
+            return float(bounds.min() / 2)
+        frame_count = len(self.original_world.positions)
+        frames = np.linspace(0, frame_count - 1, 8).astype(np.int64)
+        positions = self.original_world.positions[frames]
+        offsets = positions[:, descendants] - positions[:, track.index, None]
+        arms = np.linalg.norm(offsets, axis=-1).max(axis=0)
+        lever_arms = arms + self.point_distances[descendants]
+        tolerance = float((bounds / (2 * lever_arms.clip(min=1e-9))).min())
         is_rotation = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if is_rotation else tolerance
 
@@ -224,21 +217,18 @@ def _search_tolerances(
     for _ in range(CALIBRATION_ROUNDS if budgets else 0):
         error_ratios = subtree_maxima(world.rig.parents, errors / world.bounds)
         for budget in budgets:
-            typical_ratio = float(
-                np.quantile(error_ratios[:, budget.track.index], CALIBRATION_QUANTILE)
-            )
-            budget.scale_tolerance(
-                float(np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0))
-            )
+            joint_ratios = error_ratios[:, budget.track.index]
+            typical_ratio = float(np.quantile(joint_ratios, CALIBRATION_QUANTILE))
+            factor = np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0)
+            budget.scale_tolerance(float(factor))
         errors = world.measure_errors(budgets)
         rounds += 1
     ratio = float((errors / world.bounds).max())
     while rounds < MAX_ROUNDS:
         changed_budgets = []
         if ratio > 1:
-            changed_budgets = _tighten(
-                world, budgets, errors, spread=rounds < FIRST_SPLITTING_ROUND
-            )
+            spread = rounds < FIRST_SPLITTING_ROUND
+            changed_budgets = _tighten(world, budgets, errors, spread=spread)
         for budget in budgets:
             frames = _frames_beyond_limits(budget)
             if len(frames):
@@ -249,7 +239,7 @@ def _search_tolerances(
         errors = world.measure_errors(changed_budgets)
         ratio = float((errors / world.bounds).max())
         rounds += 1
-    return _SearchResult([b.keys for b in budgets], errors, ratio, rounds)
+    return _SearchResult(errors, ratio, rounds)
 
 
 def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
@@ -261,20 +251,13 @@ def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
     sample_excess = track.limit_excess(track.samples)
-    allowed_excess = (
-        np.repeat(
-            np.maximum(sample_excess[:-1], sample_excess[1:]),
-            LIMIT_CHECKS_PER_FRAME - 1,
-        )
-        + LIMIT_SLACK
-    )
+    larger_excess = np.maximum(sample_excess[:-1], sample_excess[1:])
+    allowed_excess = np.repeat(larger_excess, LIMIT_CHECKS_PER_FRAME - 1) + LIMIT_SLACK
     substeps = np.arange(1, LIMIT_CHECKS_PER_FRAME * (len(sample_excess) - 1))
-    times_between = (
-        substeps[substeps % LIMIT_CHECKS_PER_FRAME != 0] / LIMIT_CHECKS_PER_FRAME
-    )
-    is_beyond = (
-        track.limit_excess(evaluate_keys(budget.keys, times_between)) > allowed_excess
-    )
+    times = substeps / LIMIT_CHECKS_PER_FRAME
+    times_between = times[substeps % LIMIT_CHECKS_PER_FRAME != 0]
+    excess = track.limit_excess(evaluate_keys(budget.keys, times_between))
+    is_beyond = excess > allowed_excess
     first_frames = np.unique(np.floor(times_between[is_beyond]).astype(np.int64))
     return np.setdiff1d(first_frames, budget.straight_starts)
 
@@ -288,61 +271,22 @@ def _tighten(
     contributions = np.zeros((len(budgets), len(frames)))
     for i, budget in enumerate(budgets):
         joint = budget.track.index
-        affected_frames = np.flatnonzero(world.is_descendant[joint, joints_beyond])
-        arms = world.lever_arms(
-            joint, frames[affected_frames], joints_beyond[affected_frames]
-        )
-        contributions[i, affected_frames] = (
-            budget.displacement_per_unit(arms) * budget.errors[frames[affected_frames]]
-        )
-    is_main_cause = (contributions >= 0.5 * contributions.max(axis=0, initial=0.0)) & (
-        contributions > 0
-    )
+        is_affected = world.is_descendant[joint, joints_beyond]
+        arms = world.lever_arms(joint, frames[is_affected], joints_beyond[is_affected])
+        errors_in_frames = budget.errors[frames[is_affected]]
+        displacements = budget.displacement_per_unit(arms) * errors_in_frames
+        contributions[i, is_affected] = displacements
+    is_large = contributions >= 0.5 * contributions.max(axis=0, initial=0.0)
     changed_budgets = []
-    for i, budget in enumerate(budgets):
-        affected_frames = np.flatnonzero(is_main_cause[i])
-        if len(affected_frames):
-            frame_positions, inverse = np.unique(
-                frames[affected_frames], return_inverse=True
-            )
-            largest_excess = np.zeros(len(frame_positions))
-            np.maximum.at(largest_excess, inverse, excess[affected_frames])
-            budget.tighten_frames(
-                frame_positions,
-                budget.errors[frame_positions] * 0.9 / largest_excess,
-                spread=spread,
-            )
+    for budget, is_cause in zip(budgets, is_large & (contributions > 0), strict=True):
+        if is_cause.any():
+            bad_frames, inverse = np.unique(frames[is_cause], return_inverse=True)
+            largest_excess = np.zeros(len(bad_frames))
+            np.maximum.at(largest_excess, inverse, excess[is_cause])
+            factors = budget.errors[bad_frames] * 0.9 / largest_excess
+            budget.tighten_frames(bad_frames, factors, spread=spread)
             changed_budgets.append(budget)
     return changed_budgets
-
-
-def _reduced_channels(
-    rig: Rig, tracks: list[KeyTrack], budgets: list[TrackBudget]
-) -> tuple[ReducedChannel, ...]:
-    """Return one channel per track, with one key if static."""
-    keys = {(budget.track.kind, budget.track.index): budget.keys for budget in budgets}
-    return tuple(
-        _reduced_channel(
-            rig,
-            track,
-            keys[track.kind, track.index]
-            if track.is_animated
-            else fit_keys(track.samples, 1.0),
-        )
-        for track in tracks
-    )
-
-
-def _reduced_channel(rig: Rig, track: KeyTrack, keys: FittedKeys) -> ReducedChannel:
-    """Return the reduced channel of a track."""
-    if track.kind is ChannelKind.WEIGHT:
-        target, joint = f"weight[{track.index}]", None
-    else:
-        joint = rig.joints[track.index].name
-        target = f"{joint}.{track.kind}"
-    return ReducedChannel(
-        target, track.kind, track.index, joint, track.order, keys, track.part
-    )
 
 
 def _descendants(rig: Rig) -> BoolArray:
@@ -366,12 +310,10 @@ def _unkeyed_motion(rig: Rig, motion: Motion, *, additive: bool) -> Motion:
     )
 
 
-def _check(take: Take, base: Take | None, shell: float) -> None:
-    """Raise if the take is empty, or a base or shell is invalid."""
+def _check(take: Take, base: Take | None) -> None:
+    """Raise if the take is empty, or a base is invalid."""
     if not take.motion.frames:
         raise ValueError("the take has no frame")
-    if not (np.isfinite(shell) and shell > 0):
-        raise ValueError(f"shell must be above 0 and finite, not {shell}")
     if base is not None and (
         base.rig.names != take.rig.names or base.motion.frames != take.motion.frames
     ):

@@ -50,16 +50,13 @@ class KeyTrack:
     def to_parent_space(self, values: FloatArray) -> FloatArray:
         """Return values ``(F, D)`` in the space of the joint's parent."""
         if self.kind is ChannelKind.ROTATION:
-            rotation = (
-                so3.from_axis_angle(self.axis, np.radians(values[:, 0]))
-                if self.order is None
-                else euler.to_quaternion(values, self.order)
-            )
-            return (
-                rotation
-                if self.reference is None
-                else so3.multiply(self.reference, rotation)
-            )
+            if self.order is None:
+                rotation = so3.from_axis_angle(self.axis, np.radians(values[:, 0]))
+            else:
+                rotation = euler.to_quaternion(values, self.order)
+            if self.reference is None:
+                return rotation
+            return so3.multiply(self.reference, rotation)
         if self.reference is None:
             return values
         vectors = values * np.array(self.axis) if values.shape[1] == 1 else values
@@ -79,9 +76,8 @@ class KeyTrack:
         """Return the angle by which ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
-        rotations = so3.multiply(
-            so3.conjugate(np.array(self.rest)), self.to_parent_space(values)
-        )
+        inverse_rest = so3.conjugate(np.array(self.rest))
+        rotations = so3.multiply(inverse_rest, self.to_parent_space(values))
         return self.limits.excess(rotations)
 
     @property
@@ -100,14 +96,10 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     'XZY'
     """
     bvh_order = "".join(
-        channel[0].upper()
-        for channel in joint.channels or ()
-        if channel.lower().endswith("rotation")
+        c[0].upper() for c in joint.channels or () if c.lower().endswith("rotation")
     )
-    if (
-        bvh_order in euler.ORDERS
-        and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE
-    ):
+    is_order = bvh_order in euler.ORDERS
+    if is_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:
         return bvh_order
     lock_cosines = {order: _lock_cosine(rotations, order) for order in euler.ORDERS}
     # Rounded, so that ties do not depend on the last digit.
@@ -138,26 +130,23 @@ def _tracks(rig: Rig, motion: Motion, rest: Motion) -> Iterator[KeyTrack]:
     ):
         if channel is None or rest_channel is None:
             continue
+        part = LOCAL_PARTS.get(kind, "")
         for index, values in _rows_to_key(channel.compact(), rest_channel):
+            order, samples = None, np.ascontiguousarray(values)
             if kind is ChannelKind.ROTATION:
                 order = euler_order(rig.joints[index], values)
                 samples = euler.from_quaternion(values, order)
-                yield KeyTrack(kind, index, order, samples, LOCAL_PARTS[kind])
-            else:
-                samples, part = np.ascontiguousarray(values), LOCAL_PARTS.get(kind, "")
-                yield KeyTrack(kind, index, None, samples, part)
+            yield KeyTrack(kind, index, order, samples, part)
 
 
 def _rows_to_key(channel: Channel, rest: Channel) -> Iterator[tuple[int, FloatArray]]:
     """Yield rows that move or differ from rest, with their values."""
-    animated_rows = set(channel.animated.tolist())
-    for i, index in enumerate(channel.animated):
-        yield int(index), channel.values[:, i]
-    for index, (value, rest_value) in enumerate(
-        zip(channel.rest, rest.rest, strict=True)
-    ):
-        if index not in animated_rows and (value != rest_value).any():
-            yield index, value[None]
+    for i, index in enumerate(channel.animated.tolist()):
+        yield index, channel.values[:, i]
+    differs = (channel.rest != rest.rest).any(axis=-1)
+    differs[channel.animated] = False
+    for index in np.flatnonzero(differs).tolist():
+        yield index, channel.rest[index][None]
 
 
 def _lock_cosine(rotations: FloatArray, order: str) -> float:
@@ -178,28 +167,25 @@ class ReducedPose:
     translations: FloatArray  # ``(F, J, 3)`` [m]
     rotations: FloatArray  # ``(F, J, 4)``
     scales: FloatArray | None  # ``(F, J, 3)`` [1]; None if nothing is scaled
-    base: ReducedPose | None = (
-        None  # the base pose that the channels are added to; None for a complete pose
-    )
+    # Base pose that the channels are added to; None for a complete pose.
+    base: ReducedPose | None = None
 
     def set_track(self, track: KeyTrack, values: FloatArray) -> None:
         """Set the values ``(F, D)`` of a track."""
         j, base, local = track.index, self.base, track.to_parent_space(values)
         if track.kind is ChannelKind.ROTATION:
-            self.rotations[:, j] = (
-                local if base is None else add_rotation(base.rotations[:, j], local)
-            )
+            if base is not None:
+                local = add_rotation(base.rotations[:, j], local)
+            self.rotations[:, j] = local
         elif track.kind is ChannelKind.TRANSLATION:
-            self.translations[:, j] = (
-                local if base is None else add_offset(base.translations[:, j], local)
-            )
+            if base is not None:
+                local = add_offset(base.translations[:, j], local)
+            self.translations[:, j] = local
         elif track.kind is ChannelKind.SCALE and self.scales is not None:
             base_scales = None if base is None else base.scales
-            self.scales[:, j] = (
-                local
-                if base_scales is None
-                else multiply_scale(base_scales[:, j], local)
-            )
+            if base_scales is not None:
+                local = multiply_scale(base_scales[:, j], local)
+            self.scales[:, j] = local
 
     def world_transforms(self, out: WorldTransforms | None = None) -> WorldTransforms:
         """Return the world transforms, in ``out`` if given."""
@@ -220,12 +206,10 @@ def additive_pose(rig: Rig, motion: Motion, base: Motion | None) -> ReducedPose:
         return ReducedPose(rig, *motion.dense())
     base_pose = additive_pose(rig, base, None)
     translations, rotations, scales = motion.dense()
-    if base_pose.scales is not None:
-        scales = (
-            base_pose.scales
-            if scales is None
-            else multiply_scale(base_pose.scales, scales)
-        )
+    if base_pose.scales is not None and scales is not None:
+        scales = multiply_scale(base_pose.scales, scales)
+    elif base_pose.scales is not None:
+        scales = base_pose.scales
     return ReducedPose(
         rig,
         add_offset(base_pose.translations, translations),

@@ -349,22 +349,17 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
             hint = f"it looks like milliseconds: {float(text) / 1000:g} s are {label}; "
             hint += f"set {argument('source.fps', label.split()[0])}"
         elif slowest <= float(text) <= fastest:
-            hint = (
-                "is it a rate instead of a time? then set "
-                f"{argument('source.fps', text)}"
-            )
+            hint = "is it a rate instead of a time? then set "
+            hint += f"{argument('source.fps', text)}"
     elif rate.kind is RateKind.PRINTED:
         code = "BVH106"
-        message = (
-            f"Frame Time {text} is not a standard rate; using {rate_label(rate.fps)}"
-        )
+        message = f"Frame Time {text} is not a standard rate; using "
+        message += f"{rate_label(rate.fps)}"
     elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
         rivals = listed(rate.ambiguous_rates, 6)
-        message = (
-            f"Frame Time {text} is rounded: {rivals} fps would be printed the same"
-        )
-        message += f"; using {rate_label(rate.fps)}"
+        message = f"Frame Time {text} is rounded: {rivals} fps would be printed the "
+        message += f"same; using {rate_label(rate.fps)}"
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]

@@ -92,9 +92,8 @@ class HeaderLines:
             self._data, self._offset = self.unread + chunk, 0
         if self._offset == len(self._data):
             return None
-        line_stop, next_start = (
-            match.span() if match else (len(self._data), len(self._data))
-        )
+        end = len(self._data)
+        line_stop, next_start = match.span() if match else (end, end)
         if line_stop - self._offset > MAX_LINE_BYTES:
             self._fail_line_too_long()
         line, self._offset = self._data[self._offset : line_stop], next_start
@@ -235,11 +234,8 @@ class RowReader:
         path = self._path
         if fault_code == 2:
             text = token.decode("utf-8", "replace")
-            name = (
-                self.source.channels[column]
-                if column < self._column_count
-                else "another word"
-            )
+            is_column = column < self._column_count
+            name = self.source.channels[column] if is_column else "another word"
             hint = "write decimals with a point" if "," in text else None
             message = f"{excerpt(text)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
@@ -248,21 +244,15 @@ class RowReader:
             hint = "does the HIERARCHY name every channel?"
         elif is_last_line:
             hint = "the file ends here: is it truncated? copy or export it again"
-        message = (
-            f"the row has {counted(column, 'number')}, but the channels need "
-            f"{self._column_count}"
-        )
+        message = f"the row has {counted(column, 'number')}, but the channels need "
+        message += f"{self._column_count}"
         return Fault("BVH010", message, path, (line,), hint)
 
     def _record_counts(self, lines: IntArray) -> None:
         first_row, self._row_count = self._row_count, self._row_count + len(lines)
-        if (
-            self._first_surplus_line is None
-            and self._row_count > self.source.declared_frames
-        ):
-            self._first_surplus_line = int(
-                lines[self.source.declared_frames - first_row]
-            )
+        declared = self.source.declared_frames
+        if self._first_surplus_line is None and self._row_count > declared:
+            self._first_surplus_line = int(lines[declared - first_row])
 
     def _record_invalid(self, rows: FloatArray, lines: IntArray) -> None:
         with np.errstate(invalid="ignore"):
@@ -307,10 +297,8 @@ class RowReader:
             )
             if is_too_many or missing_count == self._row_count:
                 name = self.source.channels[column]
-                message = (
-                    f"{name}: {missing_count} of {self._row_count} values are not "
-                    "finite"
-                )
+                message = f"{name}: {missing_count} of {self._row_count} values are "
+                message += "not finite"
                 hint = "too many to interpolate"
                 faults.append(Fault("BVH012", message, path, tuple(lines[:10]), hint))
         if faults:

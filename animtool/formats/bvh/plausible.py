@@ -37,14 +37,12 @@ def stated_rate_notice(header: BvhHeader, rate: Fraction, path: str) -> list[Fau
     if rate_warning(rate):
         return []
     option_text = argument("source.fps", f"{float(rate):g}")
-    message = (
-        f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not {option_text}"
-    )
+    message = f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not "
+    message += f"{option_text}"
     if frame_count:
         durations = [f"{float(frame_count / fps):.3g} s" for fps in (rate, file_rate)]
-        message += (
-            f": {frame_count} frames last {durations[0]} instead of {durations[1]}"
-        )
+        message += f": {frame_count} frames last {durations[0]} instead of "
+        message += f"{durations[1]}"
     hint = f"to resample the motion, use {argument('fps')} instead"
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
@@ -53,9 +51,7 @@ def unused_positions_notice(header: BvhHeader, path: str) -> list[Fault]:
     """Return a note if no joint below a root has position channels (BVH113)."""
     child_joints = [joint for joint in header.joints if joint.parent >= 0]
     has_positions = any(
-        channel.endswith("position")
-        for joint in child_joints
-        for channel in joint.channels or ()
+        c.endswith("position") for j in child_joints for c in j.channels or ()
     )
     if has_positions:
         return []
@@ -112,8 +108,6 @@ def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
         f"{moving_channels} rotation "
         f"channels that change exceeds {max_angle:.3g}: the rotations look like radians"
     )
-    hint = (
-        f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
-        "export degrees, or multiply the rotation channels by 57.2958"
-    )
+    hint = f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
+    hint += "export degrees, or multiply the rotation channels by 57.2958"
     return [Fault("BVH112", message, path, (), hint, Severity.WARNING)]

@@ -90,11 +90,7 @@ def read_bvh(
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _RATE_CODES]
         notices += stated_rate_notice(header, rate, str(path))
-    channels = [
-        f"{joint.name}.{channel}"
-        for joint in header.joints
-        for channel in joint.channels or ()
-    ]
+    channels = [f"{j.name}.{c}" for j in header.joints for c in j.channels or ()]
     if positions == "offsets":
         notices += unused_positions_notice(header, str(path))
     rows = RowSource(
@@ -140,10 +136,8 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
         return []
     file_extent = meters / rig.meters_per_unit
     unit = stated_unit or LengthUnit.CM
-    message = (
-        f"the skeleton spans {file_extent:.4g}, which is not plausible for a character "
-        f"in {unit}"
-    )
+    message = f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
+    message += f"character in {unit}"
     hint = _unit_hint(file_extent)
     severity = Severity.NOTE if stated_unit is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]
@@ -326,10 +320,8 @@ def _collapsed_bones_notice(
         f"frames, but their OFFSETs reach {longest_offset:.4g}: the joints are at "
         f"their parents, without a bone ({listed(names, MAX_LISTED_JOINTS)})"
     )
-    hint = (
-        "position channels replace OFFSETs; "
-        f"{argument('source.positions', 'offsets')} keeps the OFFSETs"
-    )
+    hint = "position channels replace OFFSETs; "
+    hint += f"{argument('source.positions', 'offsets')} keeps the OFFSETs"
     # If channels of other joints have values, the zeros may be intended as well.
     severity = (
         Severity.WARNING if is_collapsed.sum() == has_length.sum() else Severity.NOTE

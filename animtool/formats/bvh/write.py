@@ -113,9 +113,7 @@ def _position_channels(
     joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
     """Return the position channels needed to store a joint's translations."""
-    declared_names = tuple(
-        name for name in joint.channels or () if name.endswith("position")
-    )
+    declared_names = tuple(n for n in joint.channels or () if n.endswith("position"))
     is_off_rest = np.abs(values - offset).max(axis=0) > tolerance
     is_covered = all(
         not is_off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
@@ -132,9 +130,7 @@ def _rotation_channels(
     joint: Joint, values: FloatArray
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the rotation channels needed for a joint's rotations, and their angles."""
-    declared_names = tuple(
-        name for name in joint.channels or () if name.endswith("rotation")
-    )
+    declared_names = tuple(n for n in joint.channels or () if n.endswith("rotation"))
     names = declared_names if joint.channels is not None else _DEFAULT_ROTATION_CHANNELS
     axis_order = "".join(name[0] for name in names)
     axis_order += "".join(letter for letter in "XYZ" if letter not in axis_order)
@@ -231,13 +227,10 @@ def _unit_notices(rig: Rig) -> list[Fault]:
     unit = unit_name(rig.meters_per_unit)
     if (unit, rig.up) == (LengthUnit.CM.value, UpAxis.Y):
         return []
-    message = (
-        f"a BVH states neither unit nor up axis: this one is in {unit}, {rig.up} up"
-    )
-    hint = (
-        f"read it back with {argument('source.unit', unit)} "
-        f"{argument('source.up', rig.up)}"
-    )
+    message = f"a BVH states neither unit nor up axis: this one is in {unit}, {rig.up} "
+    message += "up"
+    hint = f"read it back with {argument('source.unit', unit)} "
+    hint += f"{argument('source.up', rig.up)}"
     return [Fault("BVH110", message, None, (), hint, Severity.NOTE)]
 
 
@@ -249,9 +242,8 @@ def _scale_notices(take: Take) -> list[Fault]:
     names = [take.rig.names[j] for j in np.flatnonzero(has_scale)]
     if not names:
         return []
-    message = (
-        f"BVH has no scale: the scale of {len(names)} joints is lost ({listed(names)})"
-    )
+    message = f"BVH has no scale: the scale of {len(names)} joints is lost "
+    message += f"({listed(names)})"
     return [Fault("BVH108", message, severity=Severity.WARNING)]
 
 
@@ -263,9 +255,7 @@ def _shape_notices(take: Take) -> list[Fault]:
     names = [take.rig.shapes[k].name for k in np.flatnonzero(has_weight)]
     if not names:
         return []
-    message = (
-        f"BVH has no shapes: the weights of {counted(len(names), 'shape')} are lost "
-        f"({listed(names)})"
-    )
+    message = f"BVH has no shapes: the weights of {counted(len(names), 'shape')} are "
+    message += f"lost ({listed(names)})"
     hint = "write .usdc or .glb, which store them"
     return [Fault("BVH114", message, None, (), hint, Severity.WARNING)]

@@ -30,11 +30,8 @@ class Claim:
         """Return the cost of a layout value under this claim; 0 if they agree."""
         if value == self.value or (self.is_saturated and value > self.value):
             return 0.0
-        if (
-            self.can_wrap
-            and value >= WORD_RANGE
-            and value % WORD_RANGE == self.value % WORD_RANGE
-        ):
+        has_wrapped = value >= WORD_RANGE and (value - self.value) % WORD_RANGE == 0
+        if self.can_wrap and has_wrapped:
             return 0.25
         return self.weight
 
@@ -152,10 +149,7 @@ def _analog_claims(sections: Sections) -> tuple[tuple[Claim, ...], tuple[int, ..
         len(sections.texts("ANALOG", "LABELS")),
     }
     factors = {1, samples, samples_from_rates or 0}
-    candidates = {
-        0,
-        *(channel_count * factor for channel_count in channels for factor in factors),
-    }
+    candidates = {0, *(c * f for c in channels for f in factors)}
     return tuple(claims), tuple(sorted(candidates - {claim.value for claim in claims}))
 
 

@@ -171,9 +171,7 @@ def contradicted_claims(
         # A saturated count does not contradict a larger count that another claim
         # states.
         opposing = [
-            claim
-            for claim in opposing
-            if claim.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
+            c for c in opposing if c.cost(value) >= MIN_CLAIM_WEIGHT or not supporting
         ]
         if opposing:
             contradictions.append((name, value, opposing))
@@ -259,9 +257,7 @@ def _costed_values(
     """Return candidate values, each with the cost of the claims it contradicts."""
     claimed_values = {claim.value for claim in claims}
     unclaimed_cost = UNSTATED_COST if claims else 0.0
-    return [
-        (value, _claims_cost(claims, value)) for value in sorted(claimed_values)
-    ] + [
+    return [(v, _claims_cost(claims, v)) for v in sorted(claimed_values)] + [
         (value, _claims_cost(claims, value) + unclaimed_cost)
         for value in sorted(set(other_values) - claimed_values)
     ]
@@ -273,9 +269,7 @@ def _claims_cost(claims: Sequence[Claim], value: int) -> float:
 
 def _claims_agree(claims: Sequence[Claim]) -> bool:
     """Return whether all claims except hints state the same value."""
-    return (
-        len({claim.value for claim in claims if claim.weight >= MIN_CLAIM_WEIGHT}) == 1
-    )
+    return len({c.value for c in claims if c.weight >= MIN_CLAIM_WEIGHT}) == 1
 
 
 def _can_solve(claims: Sequence[Claim]) -> bool:
@@ -294,9 +288,7 @@ def _solve_frame_counts(claims: Claims, count: int) -> list[tuple[int, float, bo
     if any(claim.value == count for claim in frames):
         return []
     cost = _claims_cost(frames, count)
-    if not frames or any(
-        claim.is_saturated and count > claim.value for claim in frames
-    ):
+    if not frames or any(c.is_saturated and count > c.value for c in frames):
         return [(count, cost + UNSTATED_COST, False)]
     if any(claim.can_wrap and claim.cost(count) < claim.weight for claim in frames):
         return [(count, cost, False)]

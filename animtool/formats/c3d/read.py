@@ -76,9 +76,7 @@ def read_screen_axes(
     """Return the up axis of ``X_SCREEN`` and ``Y_SCREEN``; an option overrides it."""
     if stated_up is not None:
         return ScreenAxes(UpAxis(stated_up))
-    right_axis, up_axis = (
-        _read_axis(file, sections, f"{name}_SCREEN") for name in "XY"
-    )
+    right_axis, up_axis = (_read_axis(file, sections, f"{n}_SCREEN") for n in "XY")
     if up_axis is None and right_axis is not None and right_axis[1] == "Y":
         # Y points sideways and cannot be the default up axis.
         message = f"the file states no up axis; using Z, as X_SCREEN is {right_axis}"
@@ -87,10 +85,8 @@ def read_screen_axes(
     if up_axis is None:
         return ScreenAxes(file.up(None, None))
     if right_axis is not None and right_axis[1] == up_axis[1]:
-        message = (
-            f"X_SCREEN is {right_axis} and Y_SCREEN {up_axis}, which are the same "
-            "axis; "
-        )
+        message = f"X_SCREEN is {right_axis} and Y_SCREEN {up_axis}, which are the "
+        message += "same axis; "
         file.warn(
             "C3D105",
             f"{message}{up_axis} is used as up",
@@ -217,13 +213,10 @@ def _find_layout(file: MarkerFile, sections: Sections, data: bytes) -> Layout:
     if layout.points * layout.frames > MAX_POSITIONS:
         message = f"claims {layout.points} points in {layout.frames} frames, "
         raise file.error("C3D001", message + "above the limit")
-    candidates = [
-        _candidate_text(*candidate) for candidate in contradicted_claims(claims, layout)
-    ]
+    candidates = [_candidate_text(*c) for c in contradicted_claims(claims, layout)]
     if candidates:
-        message = (
-            "its header, parameters and size disagree; what matches the file size is "
-        )
+        message = "its header, parameters and size disagree; what matches the file "
+        message += "size is "
         file.warn("C3D101", f"{message}read: {'; '.join(candidates)}")
     if layout.trailing_bytes >= min(
         BLOCK_BYTES, layout.width * layout.numbers_per_frame
@@ -303,18 +296,13 @@ def _check_scale(file: MarkerFile, sections: Sections, layout: Layout) -> None:
     parameter_scale = sections.number("POINT", "SCALE")
     if layout.width == 4:
         return
-    scales = [
-        abs(scale)
-        for scale in (parameter_scale, header_scale)
-        if scale and np.isfinite(scale)
-    ]
+    scales = [abs(s) for s in (parameter_scale, header_scale) if s and np.isfinite(s)]
     if not scales:
         message = "has integers without a scale; they are read unscaled"
         file.warn("C3D101", message, "check the size of the captured subject")
     elif len(scales) == 2 and not math.isclose(scales[0], scales[1], rel_tol=1e-4):
-        message = (
-            f"its header has the scale {scales[1]:g}, but its parameters {scales[0]:g}"
-        )
+        message = f"its header has the scale {scales[1]:g}, but its parameters "
+        message += f"{scales[0]:g}"
         file.warn("C3D101", f"{message}; using the parameters")
 
 
@@ -325,14 +313,10 @@ def _frame_rate(
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate
-    if (
-        fps is None
-        and header_rate > 0
-        and not np.isclose(header_rate, parameter_rate, rtol=1e-4)
-    ):
-        message = (
-            f"its header has {header_rate:g} fps, but its parameters {parameter_rate:g}"
-        )
+    are_close = np.isclose(header_rate, parameter_rate, rtol=1e-4)
+    if fps is None and header_rate > 0 and not are_close:
+        message = f"its header has {header_rate:g} fps, but its parameters "
+        message += f"{parameter_rate:g}"
         file.warn("C3D101", f"{message}; using the parameters")
     return parameter_rate
 
@@ -401,11 +385,9 @@ def _residuals(words: IntArray, visible: BoolArray, scale: float) -> FloatArray 
     """Return residuals [m]; NaN where the position was not measured."""
     residual_steps = words & 0xFF
     is_measured = visible & (residual_steps > 0)
-    return (
-        np.where(is_measured, residual_steps * scale, np.nan)
-        if is_measured.any()
-        else None
-    )
+    if not is_measured.any():
+        return None
+    return np.where(is_measured, residual_steps * scale, np.nan)
 
 
 def _filled_positions(

@@ -74,12 +74,7 @@ def _build_head(markers: Markers, path: Path) -> bytes:
     # The parameters contain the start of the data, so their size is needed first.
     parameters = _build_parameters(markers, 2 + blocks)
     blocks = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
-    if (
-        marker_count > MAX_COUNT
-        or blocks > MAX_BLOCKS
-        or frames == 0
-        or marker_count == 0
-    ):
+    if not 0 < marker_count <= MAX_COUNT or blocks > MAX_BLOCKS or frames == 0:
         message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
         message += f"and at least one frame, not {marker_count} in {frames} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))

@@ -92,10 +92,8 @@ class SkinBinder:
         )
         if is_singular.any():
             if where:
-                message = (
-                    f"{int(is_singular.sum())} inverse bind matrices are singular: "
-                    "using the identity"
-                )
+                message = f"{int(is_singular.sum())} inverse bind matrices are "
+                message += "singular: using the identity"
                 path = str(self.file.path)
                 location = f"{where}/inverseBindMatrices"
                 notice = Fault(
@@ -135,15 +133,11 @@ class SkinBinder:
         magnitude = float(np.abs(squared_linear).max())
         geometry = np.eye(4)
         deviation = np.abs(squared_linear - squared_linear[0]).max() / magnitude
-        if (
-            deviation <= RIGID_TOLERANCE
-            and np.abs(squared_linear[0] - np.eye(3)).max() > RIGID_TOLERANCE
-        ):
-            eigenvalues, eigenvectors = np.linalg.eigh(squared_linear[0])
+        is_rigid = np.abs(squared_linear[0] - np.eye(3)).max() <= RIGID_TOLERANCE
+        if deviation <= RIGID_TOLERANCE and not is_rigid:
+            eigenvalues, vectors = np.linalg.eigh(squared_linear[0])
             if eigenvalues.min() > 1e-12 * eigenvalues.max():
-                geometry[:3, :3] = (
-                    eigenvectors @ np.diag(eigenvalues**-0.5) @ eigenvectors.T
-                )
+                geometry[:3, :3] = vectors @ np.diag(eigenvalues**-0.5) @ vectors.T
         return geometry
 
     def joint_names(self) -> list[str]:

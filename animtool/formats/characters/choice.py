@@ -62,10 +62,8 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         if node_group in members:
             members[node_group].append(node)
     return tuple(
-        CharacterNodes(path, tuple(nodes))
-        for path, nodes in zip(
-            _character_paths(file, members), members.values(), strict=True
-        )
+        CharacterNodes(p, tuple(n))
+        for p, n in zip(_character_paths(file, members), members.values(), strict=True)
     )
 
 
@@ -105,11 +103,7 @@ def choose_character(
         if len(candidates) > 1 and file.default_scene >= 0:
             scene_roots = set(file.scenes[file.default_scene])
             best_candidate = next(
-                (
-                    candidate
-                    for candidate in candidates
-                    if scene_roots & set(candidate.nodes)
-                ),
+                (c for c in candidates if scene_roots & set(c.nodes)),
                 best_candidate,
             )
         return best_candidate, _skipped_characters_note(

@@ -43,10 +43,8 @@ def renamed_joints_notice(
     renaming_list = listed(
         [f"{excerpt(a)} is {b!r}" for a, b in renamed_joints], MAX_LISTED_JOINTS
     )
-    message = (
-        f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
-        f"{renaming_list}"
-    )
+    message = f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
+    message += f"{renaming_list}"
     return [Fault(code, message, path, severity=Severity.NOTE)]
 
 
@@ -62,9 +60,7 @@ def unique_take_names(names: Iterable[str], noun: str) -> list[str]:
     ['walk', 'take_2', 'walk_2']
     """
     printable_names = map(replace_unprintable, names)
-    return numbered_names(
-        name or f"{noun}_{i}" for i, name in enumerate(printable_names, 1)
-    )
+    return numbered_names(n or f"{noun}_{i}" for i, n in enumerate(printable_names, 1))
 
 
 def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:

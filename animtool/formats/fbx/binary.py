@@ -107,10 +107,8 @@ class _RecordReader:
                 message += f"goes on to byte {record_end}: it is cut off or damaged"
             _raise_fault(self.notes, offset, message)
         if values_bytes > record_end - values_start or value_count > values_bytes:
-            message = (
-                f"{value_count} values of {values_bytes} bytes do not fit in their "
-                "record"
-            )
+            message = f"{value_count} values of {values_bytes} bytes do not fit in "
+            message += "their record"
             _raise_fault(self.notes, offset, message)
         self.element_count += 1
         if self.element_count > MAX_ELEMENTS or depth > MAX_DEPTH:
@@ -165,22 +163,16 @@ class _RecordReader:
 
     def _read_value_batch(self, offset: int, count: int, end: int) -> Any:
         """Read a long run of numbers of one type as an array; None for other values."""
-        type_code = (
-            chr(self.content[offset])
-            if count >= MIN_BATCH_VALUES and offset < end
-            else ""
-        )
+        is_batch = count >= MIN_BATCH_VALUES and offset < end
+        type_code = chr(self.content[offset]) if is_batch else ""
         if type_code not in _BATCH_TYPES:
             return None
         row_type = np.dtype([("kind", "u1"), ("value", _BATCH_TYPES[type_code])])
         if end - offset != count * row_type.itemsize:
             return None
         records = np.frombuffer(self.content, row_type, count, offset)
-        return (
-            records["value"].copy()
-            if (records["kind"] == ord(type_code)).all()
-            else None
-        )
+        is_uniform = (records["kind"] == ord(type_code)).all()
+        return records["value"].copy() if is_uniform else None
 
     def _read_length(self, offset: int, end: int) -> int:
         if offset + 4 > end:
@@ -201,9 +193,8 @@ class _RecordReader:
                 self.notes, offset, f"an array of {stored_size} bytes is cut off"
             )
         if compression and byte_count > compressed_size * MAX_INFLATION_RATIO:
-            message = (
-                f"{compressed_size} bytes cannot hold an array of {byte_count} bytes"
-            )
+            message = f"{compressed_size} bytes cannot hold an array of {byte_count} "
+            message += "bytes"
             _raise_fault(self.notes, offset, message)
         self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
@@ -222,8 +213,7 @@ class _RecordReader:
         except zlib.error as error:
             _raise_fault(self.notes, offset, f"an array cannot be inflated: {error}")
         if len(array_bytes) != size:
-            message = (
-                f"an array inflates to {len(array_bytes)} bytes, but states {size}"
-            )
+            message = f"an array inflates to {len(array_bytes)} bytes, but states "
+            message += f"{size}"
             _raise_fault(self.notes, offset, message)
         return array_bytes

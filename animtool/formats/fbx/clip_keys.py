@@ -10,7 +10,6 @@ from animtool.clip.channels import ClipChannel
 from animtool.clip.clip import Clip
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity, counted
-from animtool.core.record import dataclass
 from animtool.formats.fbx.joined import JoinedKeys, join_keys
 from animtool.formats.fbx.layers import (
     OUTER_ROTATIONS,
@@ -56,19 +55,8 @@ def build_clip(
     channels += builder.shape_channels()
     first_frame = Fraction(frames.first)
     last_frame = first_frame + frames.count - 1
-    return Clip(
-        name, frames.fps, first_frame, last_frame, tuple(channels)
-    ), builder.sampling_notices()
-
-
-@dataclass(slots=True, eq=False)
-class _SamplingErrors:
-    """Errors of sampled channels between their keys."""
-
-    count: int = 0
-    metres: float = 0.0
-    radians: float = 0.0
-    scale: float = 0.0
+    clip = Clip(name, frames.fps, first_frame, last_frame, tuple(channels))
+    return clip, builder.sampling_notices()
 
 
 class _ClipBuilder:
@@ -80,7 +68,9 @@ class _ClipBuilder:
         self.frames = frames
         self.models = sampler.scene.models
         self.axes_rotation = so3.from_matrix(sampler.scene.settings.basis)
-        self.errors = _SamplingErrors()
+        self.sampled_count = 0
+        # Largest errors between keys of translations, rotations and scales.
+        self.max_errors = [0.0, 0.0, 0.0]
         self.sampled_joints: list[set[int]] = [set(), set(), set()]
         defaults = np.ones((len(fbx_rig.rig.joints), 3))
         rig = fbx_rig.rig
@@ -99,9 +89,8 @@ class _ClipBuilder:
                 else:
                     self.sampled_joints[component].add(j)
             elif np.abs(rest[j] - self.defaults[component][j]).max() > REST_TOLERANCE:
-                channels.append(
-                    self._static_channel(self._channel_target(j, component), rest[j])
-                )
+                target = self._channel_target(j, component)
+                channels.append(self._static_channel(target, rest[j]))
         return channels + self._sampled_channels(component)
 
     def shape_channels(self) -> list[ClipChannel]:
@@ -122,14 +111,13 @@ class _ClipBuilder:
             if keys is None:
                 ticks = self._sample_times()
                 values = self.sampler.weight(row, ticks)[:, None]
-                self.errors.count += 1
-                channels.append(
-                    self._sampled_key_channel(target, ticks, values, Interp.LINEAR)
-                )
-                continue
-            channels.append(
-                self._build_channel(target, keys, np.eye(1) / full_percent, np.zeros(1))
-            )
+                self.sampled_count += 1
+                arguments = target, ticks, values, Interp.LINEAR
+                channels.append(self._sampled_key_channel(*arguments))
+            else:
+                factor = np.eye(1) / full_percent
+                built = self._build_channel(target, keys, factor, np.zeros(1))
+                channels.append(built)
         return channels
 
     def _channel_target(self, j: int, component: int) -> str:
@@ -144,9 +132,9 @@ class _ClipBuilder:
             return []
         if component == 1:
             return self._rotation_channels(j, model, keys)
-        return (self._translation_channels if component == 0 else self._scale_channels)(
-            j, model, keys
-        )
+        if component == 2:
+            return self._scale_channels(j, model, keys)
+        return self._translation_channels(j, model, keys)
 
     def _translation_channels(
         self, j: int, model: Model, keys: JoinedKeys
@@ -156,12 +144,8 @@ class _ClipBuilder:
             return []
         factor = self.fbx_rig.translation_factors[j]
         basis = self.sampler.scene.settings.basis if model.parent < 0 else np.eye(3)
-        target = self._channel_target(j, 0)
-        return [
-            self._build_channel(
-                target, keys, basis * factor, basis @ pivot_offset * factor
-            )
-        ]
+        target, offset = self._channel_target(j, 0), basis @ pivot_offset * factor
+        return [self._build_channel(target, keys, basis * factor, offset)]
 
     def _scale_channels(
         self, j: int, model: Model, keys: JoinedKeys
@@ -169,11 +153,8 @@ class _ClipBuilder:
         inherits_scale = model.scale_inheritance == INHERIT or model.parent < 0
         if not inherits_scale or self.fbx_rig.joint_rows[j].kind is not RowKind.FULL:
             return []
-        return [
-            self._build_channel(
-                self._channel_target(j, 2), keys, np.eye(3), np.zeros(3)
-            )
-        ]
+        target = self._channel_target(j, 2)
+        return [self._build_channel(target, keys, np.eye(3), np.zeros(3))]
 
     def _find_track(self, model: Model, name: str) -> PropertyTrack | None:
         return find_track(self.sampler.take, model.object.id, name)
@@ -185,15 +166,11 @@ class _ClipBuilder:
         rotation_offset, rotation_pivot, scaling_offset, scaling_pivot = model.pivots
         if not (scaling_offset.any() or scaling_pivot.any() or rotation_pivot.any()):
             return np.asarray(rotation_offset)
-        if any(
-            self._find_track(model, name)
-            for name in (ROTATION, SCALING, *OUTER_ROTATIONS)
-        ):
+        names = ROTATION, SCALING, *OUTER_ROTATIONS
+        if any(self._find_track(model, name) for name in names):
             return None
-        ticks = np.zeros(1, np.int64)
-        return np.asarray(
-            model.local_transforms(None, ticks)[0][0] - model.base_values[0]
-        )
+        translations, *_ = model.local_transforms(None, np.zeros(1, np.int64))
+        return np.asarray(translations[0] - model.base_values[0])
 
     def _rotation_channels(
         self, j: int, model: Model, keys: JoinedKeys
@@ -205,27 +182,19 @@ class _ClipBuilder:
             return []
         is_inner = self.fbx_rig.joint_rows[j].kind is RowKind.INNER
         is_root = model.parent < 0 and not is_inner
-        pre_rotation = (
-            so3.multiply(self.axes_rotation, model.pre_rotation)
-            if is_root
-            else model.pre_rotation
-        )
+        pre_rotation = model.pre_rotation
+        if is_root:
+            pre_rotation = so3.multiply(self.axes_rotation, pre_rotation)
         pre_rotation = so3.normalize(pre_rotation)
         channels = []
         if so3.angle_between(pre_rotation, self.defaults[1][j]) > REST_TOLERANCE:
-            channels.append(
-                self._static_channel(self._channel_target(j, 1), pre_rotation)
-            )
-        axis_matrix = np.eye(3)[list(euler.axes_of(model.rotation_order))] * (
-            np.pi / 180.0
-        )
+            target = self._channel_target(j, 1)
+            channels.append(self._static_channel(target, pre_rotation))
+        order = model.rotation_order
+        axis_matrix = np.eye(3)[list(euler.axes_of(order))] * (np.pi / 180.0)
         target = f"joint/{self.fbx_rig.rig.names[j]}.rotation"
-        return [
-            *channels,
-            self._build_channel(
-                target, keys, axis_matrix, np.zeros(3), model.rotation_order
-            ),
-        ]
+        built = self._build_channel(target, keys, axis_matrix, np.zeros(3), order)
+        return [*channels, built]
 
     def _build_channel(
         self,
@@ -293,13 +262,10 @@ class _ClipBuilder:
         key_times = np.zeros(0, np.int64) if take is None else take.key_times()
         key_times = key_times[(key_times > ticks[0]) & (key_times < ticks[-1])]
         frame_after = np.clip(np.searchsorted(ticks, key_times), 1, len(ticks) - 1)
-        frame_distance = np.minimum(
-            np.abs(ticks[frame_after] - key_times),
-            np.abs(key_times - ticks[frame_after - 1]),
-        )
-        key_times = key_times[
-            frame_distance > FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
-        ]
+        neighbours = np.stack([ticks[frame_after], ticks[frame_after - 1]])
+        frame_distance = np.abs(neighbours - key_times).min(axis=0)
+        tolerance = FRAME_TOLERANCE * TICKS_PER_SECOND / float(self.frames.fps)
+        key_times = key_times[frame_distance > tolerance]
         return ticks if len(key_times) > len(ticks) else np.union1d(ticks, key_times)
 
     def _sampled_channels(self, component: int) -> list[ClipChannel]:
@@ -310,37 +276,25 @@ class _ClipBuilder:
         ticks = self._sample_times()
         middles = (ticks[1:] + ticks[:-1]) // 2
         columns = self.sampler.animated_joints[component].tolist()
-        values, middle_values = (
-            self._sampled_values(component, sample_ticks)
-            for sample_ticks in (ticks, middles)
-        )
+        values = self._sampled_values(component, ticks)
+        middle_values = self._sampled_values(component, middles)
         channels = []
         for column, j in enumerate(columns):
             if j not in sampled_joints:
                 continue
             samples, exact_values = values[:, column], middle_values[:, column]
-            self.errors.count += 1
+            self.sampled_count += 1
+            interp = Interp.LINEAR
             if component == 1:
-                samples = so3.align_signs(samples)
-                errors = so3.angle_between(
-                    so3.slerp(samples[:-1], samples[1:], 0.5), exact_values
-                )
-                max_angle = float(errors.max(initial=0.0))
-                self.errors.radians = max(self.errors.radians, max_angle)
+                interp, samples = Interp.SLERP, so3.align_signs(samples)
+                interpolated = so3.slerp(samples[:-1], samples[1:], 0.5)
+                errors = so3.angle_between(interpolated, exact_values)
             else:
-                max_error = np.abs((samples[:-1] + samples[1:]) / 2 - exact_values).max(
-                    initial=0.0
-                )
-                if component == 0:
-                    self.errors.metres = max(self.errors.metres, float(max_error))
-                else:
-                    self.errors.scale = max(self.errors.scale, float(max_error))
-            interp = Interp.SLERP if component == 1 else Interp.LINEAR
-            channels.append(
-                self._sampled_key_channel(
-                    self._channel_target(j, component), ticks, samples, interp
-                )
-            )
+                errors = np.abs((samples[:-1] + samples[1:]) / 2 - exact_values)
+            largest = float(errors.max(initial=0.0))
+            self.max_errors[component] = max(self.max_errors[component], largest)
+            target = self._channel_target(j, component)
+            channels.append(self._sampled_key_channel(target, ticks, samples, interp))
         return channels
 
     def _sampled_values(self, component: int, ticks: IntArray) -> FloatArray:
@@ -351,13 +305,11 @@ class _ClipBuilder:
 
     def sampling_notices(self) -> list[Fault]:
         """Return one notice with the count and errors of sampled channels."""
-        errors = self.errors
-        if not errors.count:
+        if not self.sampled_count:
             return []
-        message = f"{counted(errors.count, 'channel')} sampled, as a clip has no such "
-        message += "keys (layers, pivots, inherited scales, steps of one part): up to "
-        message += (
-            f"{errors.metres * 1e3:.3g} mm, {np.degrees(errors.radians):.3g} degrees "
-        )
-        message += f"and {errors.scale:.3g} of scale off between keys"
+        metres, radians, scale = self.max_errors
+        message = f"{counted(self.sampled_count, 'channel')} sampled, as a clip has no "
+        message += "such keys (layers, pivots, inherited scales, steps of one part): "
+        message += f"up to {metres * 1e3:.3g} mm, {np.degrees(radians):.3g} degrees "
+        message += f"and {scale:.3g} of scale off between keys"
         return [Fault("FBX121", message, severity=Severity.NOTE)]

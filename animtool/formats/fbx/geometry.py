@@ -65,20 +65,14 @@ class FbxGeometry:
 def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
     """Return the mesh of each node that has one, by node id."""
     if file.version < FIRST_NUMBERED_VERSION:
-        mesh_objects = [
-            mesh_object
-            for mesh_object in file.of_kind("Model")
-            if mesh_object.element.find("Vertices")
-        ]
+        mesh_objects = [m for m in file.of_kind("Model") if m.element.find("Vertices")]
         mesh_models = [(mesh_object, mesh_object) for mesh_object in mesh_objects]
         # Instances share the mesh of another object.
         mesh_objects = file.of_kind("Geometry", "Mesh")
     else:
         mesh_models, mesh_objects = [], file.of_kind("Geometry", "Mesh")
     for mesh_object in mesh_objects:
-        mesh_models += [
-            (mesh_object, model) for model in file.targets(mesh_object.id, "Model")
-        ]
+        mesh_models += [(mesh_object, m) for m in file.targets(mesh_object.id, "Model")]
     meshes_by_object: dict[ObjectId, FbxGeometry | None] = {}
     meshes: dict[ObjectId, FbxGeometry] = {}
     for mesh_object, model in mesh_models:
@@ -119,11 +113,8 @@ def _read_faces(
         return np.zeros((0, 3), np.int64)
     is_last = vertex_indices < 0
     point_indices = np.where(is_last, ~vertex_indices, vertex_indices)
-    if (
-        not is_last[-1]
-        or (point_indices >= point_count).any()
-        or (point_indices < 0).any()
-    ):
+    is_valid = (point_indices >= 0) & (point_indices < point_count)
+    if not is_last[-1] or not is_valid.all():
         message = f"a face of {name!r} has a corner outside its {point_count} points"
         file.notes.fail("FBX008", mesh_object.element.where, message)
     last_corner_rows = np.flatnonzero(is_last)
@@ -132,12 +123,10 @@ def _read_faces(
         message = f"faces of {name!r} have up to {int(corner_counts.max())} corners"
         file.notes.fail("FBX013", mesh_object.element.where, message)
     rows = np.repeat(np.arange(len(corner_counts)), corner_counts)
-    columns = np.arange(len(point_indices)) - np.repeat(
-        last_corner_rows + 1 - corner_counts, corner_counts
-    )
-    faces = np.full(
-        (len(corner_counts), max(3, int(corner_counts.max()))), -1, np.int64
-    )
+    first_corners = last_corner_rows + 1 - corner_counts
+    columns = np.arange(len(point_indices)) - first_corners[rows]
+    shape = len(corner_counts), max(3, int(corner_counts.max()))
+    faces = np.full(shape, -1, np.int64)
     faces[rows, columns] = point_indices
     return faces[corner_counts >= 3]
 
@@ -157,9 +146,8 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
         skins = [deformer for deformer in skins if _has_weights(file, deformer)]
     if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins on top of each other"
-        notes.fail(
-            "FBX004", mesh_object.element.where, message, "export it with one skin"
-        )
+        hint = "export it with one skin"
+        notes.fail("FBX004", mesh_object.element.where, message, hint)
     for skin in skins:
         for deformer in file.sources(skin.id, "Deformer", "Cluster"):
             cluster = _read_cluster(file, deformer, len(mesh.points), name)
@@ -177,9 +165,7 @@ def _add_skin(file: FbxFile, mesh_object: Object, mesh: FbxGeometry, name: str) 
 
 def _has_weights(file: FbxFile, skin: Object) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    indices = [
-        read_integers(indices_.element, "Indexes", file.notes) for indices_ in clusters
-    ]
+    indices = [read_integers(i.element, "Indexes", file.notes) for i in clusters]
     return any(row is not None and len(row) for row in indices)
 
 
@@ -187,11 +173,7 @@ def _read_cluster(
     file: FbxFile, source: Object, point_count: int, name: str
 ) -> Cluster | None:
     notes, element = file.notes, source.element
-    bones = [
-        bone_object
-        for bone_object in file.sources(source.id, "Model")
-        if bone_object.id not in ROOT_IDS
-    ]
+    bones = [b for b in file.sources(source.id, "Model") if b.id not in ROOT_IDS]
     indices = read_integers(element, "Indexes", notes)
     weights = read_floats(element, "Weights", notes)
     if indices is None or weights is None or not len(indices):
@@ -205,29 +187,22 @@ def _read_cluster(
         message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
         notes.fail("FBX004", element.where, message)
     if len(indices) != len(weights):
-        message = (
-            f"{len(indices)} indices of {source.name!r} have {len(weights)} weights"
-        )
+        message = f"{len(indices)} indices of {source.name!r} have {len(weights)} "
+        message += "weights"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= point_count).any():
-        message = (
-            f"cluster {source.name!r} refers to a point that {name!r} does not have"
-        )
+        message = f"cluster {source.name!r} refers to a point that {name!r} does not "
+        message += "have"
         notes.fail("FBX008", element.where, message)
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
         notes.fail("FBX008", element.where, message)
-    matrices = [
+    bone = bones[0].id
+    transform, link = (
         _read_matrix(file, element, key) for key in ("Transform", "TransformLink")
-    ]
-    return Cluster(
-        bones[0].id,
-        matrices[0],
-        matrices[1],
-        indices,
-        np.maximum(weights, 0.0),
-        element.where,
     )
+    weights = np.maximum(weights, 0.0)
+    return Cluster(bone, transform, link, indices, weights, element.where)
 
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
@@ -236,10 +211,9 @@ def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     if numbers is None:
         return np.eye(4)
     matrix = numbers.reshape(4, 4).T.copy()
-    magnitude = float(np.abs(matrix[:3, :3]).max())
-    is_singular = (
-        not magnitude or abs(np.linalg.det(matrix[:3, :3] / magnitude)) < 1e-12
-    )
+    linear = matrix[:3, :3]
+    magnitude = float(np.abs(linear).max())
+    is_singular = not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12
     if is_singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         message = f"{name} has no inverse"
         file.notes.fail("FBX008", element.where, message)
@@ -257,13 +231,9 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     weights = np.concatenate([cluster.weights for cluster in mesh.clusters])
     cluster_sizes = [len(cluster.indices) for cluster in mesh.clusters]
     cluster_indices = np.repeat(np.arange(cluster_count), cluster_sizes)
-    has_weight = weights > 0
-    points = points[has_weight]
-    weights = weights[has_weight]
-    cluster_indices = cluster_indices[has_weight]
     order = np.argsort(points, kind="stable")
-    points = points[order]
-    weights = weights[order]
+    order = order[weights[order] > 0]
+    points, weights = points[order], weights[order]
     cluster_indices = cluster_indices[order]
     influence_counts = np.bincount(points, minlength=point_count)
     influence_count = max(1, int(influence_counts.max(initial=0)))
@@ -289,16 +259,13 @@ def has_unweighted_points(mesh: FbxGeometry) -> bool:
 def _add_shapes(
     file: FbxFile, mesh_object: Object, mesh: FbxGeometry, model: Object
 ) -> None:
-    notes = file.notes
-    for shape in (
-        old_shapes(file, model) if file.version < FIRST_NUMBERED_VERSION else ()
-    ):
-        offsets = _shape_offsets(file, shape, shape.text(0), len(mesh.points))
-        percent = read_scalar(model, shape.text(0), 0.0, notes)
-        channel_id = old_shape_id(model.id, shape.text(0))
-        mesh.shapes.append(
-            ShapeChannel(channel_id, shape.text(0), percent, [(100.0, offsets)])
-        )
+    is_old = file.version < FIRST_NUMBERED_VERSION
+    for shape in old_shapes(file, model) if is_old else ():
+        name = shape.text(0)
+        offsets = _shape_offsets(file, shape, name, len(mesh.points))
+        percent, targets = read_scalar(model, name, 0.0, file.notes), [(100.0, offsets)]
+        channel_id = old_shape_id(model.id, name)
+        mesh.shapes.append(ShapeChannel(channel_id, name, percent, targets))
     for blend_shape in file.sources(mesh_object.id, "Deformer", "BlendShape"):
         for channel in file.sources(blend_shape.id, "Deformer", "BlendShapeChannel"):
             shape_channel = _read_shape_channel(file, channel, len(mesh.points))
@@ -321,23 +288,19 @@ def _read_shape_channel(
             full_weights = np.full(len(shapes), 100.0)
     if full_weights is None or len(full_weights) < len(shapes):
         if len(shapes) > 1:
-            message = (
-                f"{counted(len(shapes), 'shape')} of {source.name!r} have no weights"
-            )
+            message = f"{counted(len(shapes), 'shape')} of {source.name!r} have no "
+            message += "weights"
             notes.fail("FBX008", element.where, message)
         full_weights = np.array([100.0])
     percent = read_scalar(source, DEFORM_PERCENT, 0.0, notes)
     if DEFORM_PERCENT not in source.properties:
         percents = read_floats(element, DEFORM_PERCENT, notes)
-        percent = (
-            float(percents[0]) if percents is not None and len(percents) else percent
-        )
+        if percents is not None and len(percents):
+            percent = float(percents[0])
     targets = []
     for shape, full_weight in zip(shapes, full_weights.tolist(), strict=False):
-        offsets = _shape_offsets(
-            file, shape.element, shape.name, point_count, point_percents
-        )
-        targets.append((full_weight, offsets))
+        arguments = shape.element, shape.name, point_count, point_percents
+        targets.append((full_weight, _shape_offsets(file, *arguments)))
     targets.sort(key=lambda entry: entry[0])
     return ShapeChannel(source.id, source.name, percent, targets)
 
@@ -345,15 +308,8 @@ def _read_shape_channel(
 def _has_weights_per_point(file: FbxFile) -> bool:
     """Return whether Blender wrote the file, whose full weights are per point."""
     header = file.root.find("FBXHeaderExtension")
-    creators = [
-        creator
-        for element in (file.root, header)
-        if element
-        for creator in element.find_all("Creator")
-    ]
-    return any(
-        creator.text(0).lower().startswith(_BLENDER_EXPORTER) for creator in creators
-    )
+    creators = [c for e in (file.root, header) if e for c in e.find_all("Creator")]
+    return any(c.text(0).lower().startswith(_BLENDER_EXPORTER) for c in creators)
 
 
 def _shape_offsets(
@@ -374,9 +330,8 @@ def _shape_offsets(
     if indices is None or coordinates is None or not len(indices):
         return point_offsets
     if len(coordinates) != 3 * len(indices):
-        message = (
-            f"{len(indices)} indices of shape {name!r} have {len(coordinates)} numbers"
-        )
+        message = f"{len(indices)} indices of shape {name!r} have {len(coordinates)} "
+        message += "numbers"
         notes.fail("FBX008", element.where, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"shape {name!r} counts a point that its mesh has not"

@@ -75,23 +75,16 @@ def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     for column, segmented_curve in zip(columns, segmented_curves, strict=True):
         outs[:-1, column] = segmented_curve.out_slopes * outs[:-1, 0]
         ins[1:, column] = segmented_curve.in_slopes * ins[1:, 0]
-    values = track.evaluate(base, ticks)
-    return JoinedKeys(
-        ticks, values, (*interps, Interp.LINEAR), ins, outs, *extrapolation
-    )
+    values, interps = track.evaluate(base, ticks), [*interps, Interp.LINEAR]
+    return JoinedKeys(ticks, values, tuple(interps), ins, outs, *extrapolation)
 
 
 def _common_extrapolation(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
-    end_pairs = {
-        (
-            _convert_extrapolation(curve, curve.pre),
-            _convert_extrapolation(curve, curve.post),
-        )
-        for curve in curves
-    }
+    convert = _convert_extrapolation
+    end_pairs = {(convert(c, c.pre), convert(c, c.post)) for c in curves}
     if len(end_pairs) != 1:
         return None
     ((pre, post),) = end_pairs
@@ -111,9 +104,8 @@ def _common_extrapolation(
 def _convert_extrapolation(
     curve: FbxCurve, extrapolation: FbxExtrapolation
 ) -> Extrapolation | None:
-    if len(curve.times) == 1 or (
-        extrapolation.count == 0 and extrapolation.mode != "K"
-    ):
+    is_constant = extrapolation.count == 0 and extrapolation.mode != "K"
+    if is_constant or len(curve.times) == 1:
         return Extrapolation.HOLD
     if extrapolation.count > 0 and extrapolation.mode in "RAM":
         return None
@@ -157,27 +149,15 @@ def _split_curve(curve: FbxCurve, ticks: IntArray) -> _SegmentedCurve:
     is_split = is_in_range & ((starts != key_ticks) | (ends != next_ticks))
     durations = (next_ticks - key_ticks) / TICKS_PER_SECOND
     value_change = curve.values[key_index + 1] - curve.values[key_index]
-    is_flat = (value_change == 0) & (
-        ~is_cubic
-        | ((curve.out_slopes[key_index] == 0) & (curve.in_slopes[key_index] == 0))
-    )
-    slope = value_change / durations
-    end_slopes = [
-        np.where(
-            is_cubic,
-            _evaluate_slope(
-                curve,
-                key_index,
-                (times - key_ticks) / TICKS_PER_SECOND / durations,
-                durations,
-            ),
-            slope,
-        )
-        for times in (starts, ends)
-    ]
-    out_slopes, in_slopes = (
-        np.where(is_in_range & ~is_stepped, slopes, 0.0) for slopes in end_slopes
-    )
+    has_slope = (curve.out_slopes[key_index] != 0) | (curve.in_slopes[key_index] != 0)
+    is_flat = (value_change == 0) & ~(is_cubic & has_slope)
+    end_slopes = []
+    for times in (starts, ends):
+        fraction = (times - key_ticks) / TICKS_PER_SECOND / durations
+        cubic_slopes = _evaluate_slope(curve, key_index, fraction, durations)
+        slopes = np.where(is_cubic, cubic_slopes, value_change / durations)
+        end_slopes.append(np.where(is_in_range & ~is_stepped, slopes, 0.0))
+    out_slopes, in_slopes = end_slopes
     # Complete segments keep the slopes of the keys, whatever their weights.
     is_complete = is_cubic & ~is_split
     out_slopes = np.where(is_complete, curve.out_slopes[key_index], out_slopes)
@@ -217,21 +197,13 @@ def _segment_interpolations(
     curves: Sequence[_SegmentedCurve], count: int
 ) -> list[Interp] | None:
     """Return the interpolation of each segment; None if components differ."""
-    is_cubic = np.logical_or.reduce(
-        [curve.is_cubic & ~curve.is_flat for curve in curves]
-    )
-    is_moving = np.logical_or.reduce(
-        [~curve.is_flat & ~curve.is_stepped for curve in curves]
-    )
-    is_stepped = np.logical_or.reduce(
-        [curve.is_stepped & ~curve.is_flat for curve in curves]
-    )
+    is_cubic = np.logical_or.reduce([c.is_cubic & ~c.is_flat for c in curves])
+    is_moving = np.logical_or.reduce([~c.is_flat & ~c.is_stepped for c in curves])
+    is_stepped = np.logical_or.reduce([c.is_stepped & ~c.is_flat for c in curves])
     if (is_stepped & is_moving).any():
         return None
     # A stepped segment changes its value only at the end of the unsplit segment.
-    split_step_masks = [
-        curve.is_stepped & curve.is_split & ~curve.is_flat for curve in curves
-    ]
+    split_step_masks = [c.is_stepped & c.is_split & ~c.is_flat for c in curves]
     if len(curves) > 1 and np.logical_or.reduce(split_step_masks).any():
         return None
     interpolation_codes = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))

@@ -65,12 +65,9 @@ def read_curve(
         return notes.fail("FBX006", element.where, "a curve lacks an array of its keys")
     attribute_bits = _attribute_bits(attribute_data, notes)
     has_valid_counts = (reference_counts >= 0) & (reference_counts <= count)
-    if (
-        len(flags) != len(reference_counts)
-        or attribute_bits.size != 4 * len(flags)
-        or not has_valid_counts.all()
-        or int(reference_counts.sum()) != count
-    ):
+    fits = len(flags) == len(reference_counts) and attribute_bits.size == 4 * len(flags)
+    fits = fits and has_valid_counts.all() and int(reference_counts.sum()) == count
+    if not fits:
         message = f"the attributes of {count} keys do not fit them"
         notes.fail("FBX006", element.where, message)
     flags = np.repeat(flags, reference_counts)
@@ -80,10 +77,8 @@ def read_curve(
     is_tcb = is_cubic & (flags & TCB != 0)
     key_data = rows[:, :3].copy().view(np.float32).astype(np.float64)
     # The third number is the bias of TCB tangents; for others, two packed weights.
-    if (
-        not np.isfinite(key_data[is_cubic, :2]).all()
-        or not np.isfinite(key_data[is_tcb]).all()
-    ):
+    is_finite = np.isfinite(key_data)
+    if not is_finite[is_cubic, :2].all() or not is_finite[is_tcb].all():
         notes.fail("FBX006", element.where, "a slope of a key is not finite")
     packed_weights = rows[:, 2].astype(np.int64) & 0xFFFFFFFF
     weights = np.full((count, 2), ONE_THIRD)

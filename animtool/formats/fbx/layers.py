@@ -85,12 +85,7 @@ class PropertyTrack:
 
     def curves(self) -> list[FbxCurve]:
         """Return the curves of all layers."""
-        return [
-            curve
-            for layer_values in self.layers
-            for curve in layer_values.curves
-            if curve is not None
-        ]
+        return [c for v in self.layers for c in v.curves if c is not None]
 
     def constant_value(self, base: FloatArray) -> FloatArray | None:
         """Return the property's values if they never change, else None."""

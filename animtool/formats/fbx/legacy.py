@@ -42,16 +42,10 @@ def _add_model(
             message = f"{child.name} of {name!r} is not supported in files this old"
             notes.fail("FBX004", child.where, excerpt(message))
     type_element = model.find("Type")
-    subtype = (
-        "Mesh"
-        if model.find("Vertices")
-        else type_element.text(0)
-        if type_element
-        else ""
-    )
-    geometry_elements = [
-        child for child in model.children if child.name in _GEOMETRY_ELEMENTS
-    ]
+    subtype = type_element.text(0) if type_element else ""
+    if model.find("Vertices"):
+        subtype = "Mesh"
+    geometry_elements = [c for c in model.children if c.name in _GEOMETRY_ELEMENTS]
     new_model = Element(
         "Model", [f"Model::{name}", subtype], model.where, geometry_elements
     )

@@ -110,9 +110,7 @@ def read_models(file: FbxFile) -> list[Model]:
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
         file.notes.fail("FBX013", file.root.where, message)
-    parents = {
-        node_object.id: _parent_model(file, node_object) for node_object in objects
-    }
+    parents = {n.id: _parent_model(file, n) for n in objects}
     children: dict[ObjectId | None, list[Object]] = {}
     for node_object in objects:
         children.setdefault(parents[node_object.id], []).append(node_object)
@@ -126,16 +124,10 @@ def read_models(file: FbxFile) -> list[Model]:
         elif parent >= 0 and node.scale_inheritance == IGNORE:
             node.scale_source = models[parent].scale_source
         models.append(node)
-        stack += [
-            (child, index) for child in reversed(children.get(node_object.id, []))
-        ]
+        stack += [(c, index) for c in reversed(children.get(node_object.id, []))]
     if len(models) < len(objects):
         reachable_ids = {model.object.id for model in models}
-        cyclic_object = next(
-            node_object
-            for node_object in objects
-            if node_object.id not in reachable_ids
-        )
+        cyclic_object = next(n for n in objects if n.id not in reachable_ids)
         message = f"the node {cyclic_object.name!r} is its own ancestor"
         file.notes.fail("FBX009", cyclic_object.element.where, message)
     return models
@@ -174,20 +166,16 @@ def _read_model(file: FbxFile, node: Object, parent: int) -> Model:
         order_index = int(read_scalar(node, "RotationOrder", 0, notes))
         pre, post = (tuple(read_triple(f"{name}Rotation")) for name in ("Pre", "Post"))
     if not 0 <= order_index < len(_ROTATION_ORDERS):
-        message = (
-            f"the node {node.name!r} has rotation order {order_index}, which is not "
-            "supported"
-        )
+        message = f"the node {node.name!r} has rotation order {order_index}, which is "
+        message += "not supported"
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
         notes.fail("FBX004", node.element.where, message, hint)
     outer_angles = np.array([pre, post])
     outer_rotations = rotations_from_angles(outer_angles, XYZ)
     scale_inheritance = int(read_scalar(node, "InheritType", INHERIT, notes))
     if scale_inheritance not in {COMPONENTWISE, INHERIT, IGNORE}:
-        message = (
-            f"the node {node.name!r} has inherit type {scale_inheritance}, which is "
-            "not supported"
-        )
+        message = f"the node {node.name!r} has inherit type {scale_inheritance}, which "
+        message += "is not supported"
         notes.fail("FBX004", node.element.where, message)
     geometric_transform = np.eye(4)
     rotation = rotations_from_angles(read_triple("GeometricRotation")[None], XYZ)[0]

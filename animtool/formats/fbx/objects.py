@@ -64,35 +64,17 @@ class FbxFile:
         self, object_id: ObjectId, kind: str, subtype: str | None = None
     ) -> list[Object]:
         """Return objects of a kind connected to an object as sources."""
-        objects = [
-            self.objects.get(candidate)
-            for candidate, _ in self.incoming.get(object_id, ())
-        ]
-        return [
-            candidate
-            for candidate in objects
-            if candidate is not None and _is_of_kind(candidate, kind, subtype)
-        ]
+        objects = [self.objects.get(c) for c, _ in self.incoming.get(object_id, ())]
+        return [c for c in objects if c is not None and _is_of_kind(c, kind, subtype)]
 
     def targets(self, object_id: ObjectId, kind: str) -> list[Object]:
         """Return objects of a kind that an object is connected to."""
-        objects = [
-            self.objects.get(candidate)
-            for candidate, _ in self.outgoing.get(object_id, ())
-        ]
-        return [
-            candidate
-            for candidate in objects
-            if candidate is not None and candidate.kind == kind
-        ]
+        objects = [self.objects.get(c) for c, _ in self.outgoing.get(object_id, ())]
+        return [c for c in objects if c is not None and c.kind == kind]
 
     def of_kind(self, kind: str, subtype: str | None = None) -> list[Object]:
         """Return all objects of a kind, in file order."""
-        return [
-            candidate
-            for candidate in self.objects.values()
-            if _is_of_kind(candidate, kind, subtype)
-        ]
+        return [c for c in self.objects.values() if _is_of_kind(c, kind, subtype)]
 
 
 def _is_of_kind(candidate: Object, kind: str, subtype: str | None) -> bool:
@@ -106,12 +88,9 @@ def read_vector(
     values = owner.values(name)[: len(default)]
     if len(values) < len(default):
         return default
-    if not all(
-        isinstance(value, int | float) and abs(value) <= FLOAT32_MAX for value in values
-    ):
-        message = (
-            f"{name} of {owner.name!r} must be numbers, not {excerpt(str(values))}"
-        )
+    if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_MAX for v in values):
+        message = f"{name} of {owner.name!r} must be numbers, not "
+        message += f"{excerpt(str(values))}"
         notes.fail("FBX005", owner.element.where, message)
     return tuple(float(value) for value in values)
 
@@ -134,24 +113,17 @@ def open_objects(path: Path | str) -> FbxFile:
     version, root = (read_text if is_text else read_binary)(content, notes)
     version = _find_version(root, version)
     if not MIN_VERSION <= version <= MAX_VERSION:
-        message = (
-            f"version {version} is not supported, only {MIN_VERSION} to {MAX_VERSION}"
-        )
-        hint = (
-            "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
-            "imports it"
-        )
+        message = f"version {version} is not supported, only {MIN_VERSION} to "
+        message += f"{MAX_VERSION}"
+        hint = "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
+        hint += "imports it"
         notes.fail("FBX003", root.where, message, hint)
     if version < FIRST_OBJECT_VERSION:
         root = convert_to_objects(root, notes)
     templates = _default_properties(root)
     objects: dict[ObjectId, Object] = {}
     settings = Object(-1, "GlobalSettings", "", "", root, {}, {})
-    elements = [
-        fbx_object
-        for objects_element in root.find_all("Objects")
-        for fbx_object in objects_element.children
-    ]
+    elements = [f for e in root.find_all("Objects") for f in e.children]
     for element in [*elements, *root.find_all("GlobalSettings")]:
         if element.name == "GlobalSettings":
             settings.properties |= _read_properties(element)
@@ -160,10 +132,8 @@ def open_objects(path: Path | str) -> FbxFile:
         if fbx_object is None:
             continue
         if fbx_object.id in objects:
-            message = (
-                f"two objects have the ID {excerpt(str(fbx_object.id))}: using the "
-                "first"
-            )
+            message = f"two objects have the ID {excerpt(str(fbx_object.id))}: using "
+            message += "the first"
             notes.warn("FBX106", element.where, message)
             continue
         objects[fbx_object.id] = fbx_object

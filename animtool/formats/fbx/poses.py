@@ -156,9 +156,8 @@ class AnimatedComponents:
         has_translation, has_rotation, has_scale = self.animated[row.model]
         if (has_rotation or has_scale) and has_pivots(model, self.take):
             has_translation = True
-        has_animated_parent_scale = model.parent >= 0 and self.has_animated_scale(
-            model.parent
-        )
+        has_parent = model.parent >= 0
+        has_animated_parent_scale = has_parent and self.has_animated_scale(model.parent)
         if row.kind is RowKind.OUTER:
             return has_translation, False, has_animated_parent_scale
         if row.kind is RowKind.INNER:
@@ -197,9 +196,7 @@ def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
             if not tracks:
                 continue
             curves = [curve for track in tracks for curve in track.curves()]
-            times = np.unique(
-                np.concatenate([_REST_TICKS, *(curve.times for curve in curves)])
-            )
+            times = np.unique(np.concatenate([_REST_TICKS, *(c.times for c in curves)]))
             # Between equal keys, curves may differ by tangents; outside, by
             # extrapolation.
             ticks = np.unique(np.concatenate([times, (times[1:] + times[:-1]) // 2]))
@@ -225,19 +222,15 @@ def find_uniform_scales(
     )
     for take in scene.takes:
         animation = AnimatedComponents(scene.models, take)
-        take_transforms = NodeTransforms(
-            scene, take, np.array([take.start_ticks], np.int64)
-        )
+        start = np.array([take.start_ticks], np.int64)
+        take_transforms = NodeTransforms(scene, take, start)
         for j, row in enumerate(rows):
             if not is_uniform[j] or not _has_scale_tracks(scene.models, row, take):
                 continue
-            difference = np.abs(
-                take_transforms.joint_transforms(row)[2][0] - scales[j]
-            ).max()
-            is_uniform[j] = (
-                not animation.animated_components(row)[2]
-                and difference <= SCALE_TOLERANCE * max_scales[j]
-            )
+            start_scale = take_transforms.joint_transforms(row)[2][0]
+            difference = np.abs(start_scale - scales[j]).max()
+            is_static = not animation.animated_components(row)[2]
+            is_uniform[j] = is_static and difference <= SCALE_TOLERANCE * max_scales[j]
     return scales, np.asarray(is_uniform)
 
 

@@ -69,9 +69,7 @@ def read_fbx(
     )
     names = scene_take_names(scene)
     candidates = [
-        i
-        for i, candidate in enumerate(scene.takes)
-        if animates_rig(fbx_rig, candidate, scene)
+        i for i, c in enumerate(scene.takes) if animates_rig(fbx_rig, c, scene)
     ]
     default_take = scene.default_take
     index, take_notes = choose_take(

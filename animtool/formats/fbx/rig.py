@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -79,9 +79,7 @@ def build_rig(
         meters: Size of the file's unit [m]; None is the stated unit.
     """
     unit = scene.settings.meters if meters is None else meters
-    joint_nodes = [
-        node for node in character.nodes if not _is_skinned_mesh_only(scene, node)
-    ]
+    joint_nodes = [n for n in character.nodes if not _is_skinned_mesh_only(scene, n)]
     joint_nodes = joint_nodes or list(character.nodes)
     rows = build_joint_rows(scene, joint_nodes)
     scales, is_folded = find_uniform_scales(scene, rows)
@@ -96,9 +94,8 @@ def build_rig(
         parents.append(j - 1 if is_inner else -1 if parent < 0 else int(joints[parent]))
         if row.kind is not RowKind.OUTER:
             joints[row.model] = j
-            folded_scales[row.model] = scale_above * (
-                float(scales[j].mean()) if is_folded[j] else 1.0
-            )
+            scale = float(scales[j].mean()) if is_folded[j] else 1.0
+            folded_scales[row.model] = scale_above * scale
     names, notices = _joint_names(scene, rows)
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
     rig_joints = []
@@ -106,19 +103,13 @@ def build_rig(
         translations, rotations, _ = rest.joint_transforms(row)
         x, y, z = (translations[0] * factors[j]).tolist()
         a, b, c, w = rotations[0].tolist()
+        joint = Joint(
+            names[j], parents[j], translation=(x, y, z), rotation=(a, b, c, w)
+        )
         original = scene.models[row.model].name
-        source_name = (
-            "" if original == names[j] or row.kind is RowKind.OUTER else original
-        )
-        rig_joints.append(
-            Joint(
-                names[j],
-                parents[j],
-                translation=(x, y, z),
-                rotation=(a, b, c, w),
-                source_name=source_name,
-            )
-        )
+        if original != names[j] and row.kind is not RowKind.OUTER:
+            joint = replace(joint, source_name=original)
+        rig_joints.append(joint)
     scales = np.where(is_folded[:, None], 1.0, scales)
     rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
     fbx_rig = FbxRig(
@@ -147,11 +138,8 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
         )
         bind = scene.mesh_bind_worlds[index]
         magnitude = float(np.abs(bind[:3]).max())
-        if (
-            is_animated
-            or np.abs(rest.world_matrices(node)[0] - bind).max()
-            > BIND_TOLERANCE * magnitude
-        ):
+        difference = np.abs(rest.world_matrices(node)[0] - bind).max()
+        if is_animated or difference > BIND_TOLERANCE * magnitude:
             names.append(repr(scene.models[node].name))
     if not names:
         return []
@@ -174,22 +162,17 @@ def _joint_names(
     scene: FbxScene, rows: Sequence[JointRow]
 ) -> tuple[list[str], list[Fault]]:
     inner_nodes = [row.model for row in rows if row.kind is not RowKind.OUTER]
-    inner_names, renamed_joints = joint_names(
-        [scene.nodes[node] for node in inner_nodes], inner_nodes
-    )
+    nodes = [scene.nodes[node] for node in inner_nodes]
+    inner_names, renamed_joints = joint_names(nodes, inner_nodes)
     names_by_model = dict(zip(inner_nodes, inner_names, strict=True))
     outer_names = [
-        f"{names_by_model[row.model]}_unscaled"
-        for row in rows
-        if row.kind is RowKind.OUTER
+        f"{names_by_model[r.model]}_unscaled" for r in rows if r.kind is RowKind.OUTER
     ]
     added_names = numbered_names([*inner_names, *outer_names])[len(inner_names) :]
     remaining_names = iter(added_names)
     names = [
-        next(remaining_names)
-        if row.kind is RowKind.OUTER
-        else names_by_model[row.model]
-        for row in rows
+        next(remaining_names) if r.kind is RowKind.OUTER else names_by_model[r.model]
+        for r in rows
     ]
     path = str(scene.path)
     notices = renamed_joints_notice("FBX113", renamed_joints, path)
@@ -208,33 +191,22 @@ def _add_shapes_and_meshes(
 ) -> None:
     mesh_nodes = [node for node in character.nodes if node in scene.meshes]
     mesh_nodes = [node for node in mesh_nodes if len(scene.meshes[node].faces)]
-    printable_names = [
-        replace_unprintable(scene.nodes[node].name or "") for node in mesh_nodes
-    ]
     mesh_names = numbered_names(
-        name or f"mesh_{node}"
-        for node, name in zip(mesh_nodes, printable_names, strict=True)
+        replace_unprintable(scene.nodes[node].name or "") or f"mesh_{node}"
+        for node in mesh_nodes
     )
     fbx_rig.mesh_names = dict(zip(mesh_nodes, mesh_names, strict=True))
-    channels = [
-        (node, channel) for node in mesh_nodes for channel in scene.meshes[node].shapes
-    ]
+    channels = [(n, c) for n in mesh_nodes for c in scene.meshes[n].shapes]
     names = shape_names(
         (channel.name, f"{fbx_rig.mesh_names[node]}_shape", fbx_rig.mesh_names[node])
         for node, channel in channels
     )
-    fbx_rig.shape_channels += [
-        (channel, _full_percent(channel)) for _, channel in channels
-    ]
-    shapes = tuple(
-        _build_shape(
-            name,
-            fbx_rig.mesh_names[node],
-            channel,
-            scene.models[node].geometric_transform,
-        )
-        for name, (node, channel) in zip(names, channels, strict=True)
-    )
+    fbx_rig.shape_channels += [(c, _full_percent(c)) for _, c in channels]
+    shapes = []
+    for name, (node, channel) in zip(names, channels, strict=True):
+        geometric = scene.models[node].geometric_transform
+        mesh_name = fbx_rig.mesh_names[node]
+        shapes.append(_build_shape(name, mesh_name, channel, geometric))
     binder = SkinBinder(
         scene,
         fbx_rig.rig,
@@ -242,16 +214,13 @@ def _add_shapes_and_meshes(
         fbx_rig.folded_scales,
         scene.bind_worlds(),
     )
-    meshes = tuple(
-        _build_mesh(scene, node, fbx_rig.mesh_names[node], binder)
-        for node in mesh_nodes
-    )
-    fbx_rig.rig = binder.build_rig(meshes, shapes)
+    named_meshes = fbx_rig.mesh_names.items()
+    meshes = tuple(_build_mesh(scene, n, name, binder) for n, name in named_meshes)
+    fbx_rig.rig = binder.build_rig(meshes, tuple(shapes))
     fbx_rig.notices += binder.notices
-    helper_count = len(fbx_rig.rig.joints) - len(fbx_rig.remaining_scales)
-    fbx_rig.remaining_scales = np.concatenate(
-        [fbx_rig.remaining_scales, np.ones((helper_count, 3))]
-    )
+    scales = np.ones((len(fbx_rig.rig.joints), 3))
+    scales[: len(fbx_rig.remaining_scales)] = fbx_rig.remaining_scales
+    fbx_rig.remaining_scales = scales
 
 
 def _full_percent(channel: ShapeChannel) -> float:
@@ -300,9 +269,8 @@ def _build_skin(
     else:
         geometry, joint = binder.bind_node(node)
         joints = [joint]
-        point_count = len(mesh.points)
-        indices = np.zeros((point_count, 1), np.int64)
-        weights = np.ones((point_count, 1))
+        shape = len(mesh.points), 1
+        indices, weights = np.zeros(shape, np.int64), np.ones(shape)
     names = binder.joint_names()
     skin = Skin(
         mesh.method if index >= 0 else "linear",

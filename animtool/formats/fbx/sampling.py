@@ -79,9 +79,7 @@ class FbxSampler:
     @property
     def values_per_frame(self) -> int:
         """Number of animated values per frame."""
-        translations, rotations, scales = (
-            len(joints) for joints in self.animated_joints
-        )
+        translations, rotations, scales = (len(j) for j in self.animated_joints)
         return 3 * translations + 4 * rotations + 3 * scales + len(self.animated_shapes)
 
     def weight_track(self, row: int) -> PropertyTrack | None:
@@ -114,9 +112,7 @@ class FbxSampler:
             translations[j] = local[0][0] * fbx_rig.translation_factors[j]
             rotations[j] = local[1][0]
             scales[j] = 1.0 if fbx_rig.is_folded[j] else local[2][0]
-        weights = [
-            self.weight(row, ticks)[0] for row in range(len(fbx_rig.shape_channels))
-        ]
+        weights = [self.weight(r, ticks)[0] for r in range(len(fbx_rig.shape_channels))]
         return [translations, rotations, scales, np.array(weights).reshape(-1, 1)]
 
     def sample(self, ticks: IntArray) -> Motion:
@@ -124,10 +120,8 @@ class FbxSampler:
         fbx_rig = self.fbx_rig
         transforms = NodeTransforms(self.scene, self.take, ticks)
         values = [
-            np.zeros((len(ticks), len(joints), component_width))
-            for joints, component_width in zip(
-                self.animated_joints, (3, 4, 3), strict=True
-            )
+            np.zeros((len(ticks), len(j), c))
+            for j, c in zip(self.animated_joints, (3, 4, 3), strict=True)
         ]
         for component, joints in enumerate(self.animated_joints):
             for k, j in enumerate(joints.tolist()):
@@ -187,10 +181,8 @@ def find_frame_range(
     )
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
-    if (
-        count > MAX_FRAMES
-        or count * max(values_per_frame, MIN_VALUES_PER_FRAME) > MAX_TAKE_VALUES
-    ):
+    values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
+    if count > MAX_FRAMES or values > MAX_TAKE_VALUES:
         message = (
             f"take {take.name!r}: {(end - begin) / TICKS_PER_SECOND:.6g} s at "
             f"{rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
@@ -245,11 +237,8 @@ def keys_outside_notice(
     scene: FbxScene, take: AnimTake | None, frames: FbxFrames
 ) -> list[Fault]:
     """Return a notice about keys outside the range of a take; a warning if all are."""
-    animated_curves = (
-        []
-        if take is None
-        else [curve for curve in take.curves() if not curve.is_static()]
-    )
+    curves = [] if take is None else take.curves()
+    animated_curves = [curve for curve in curves if not curve.is_static()]
     if take is None or not animated_curves:
         return []
     keys = np.unique(np.concatenate([curve.times for curve in animated_curves]))

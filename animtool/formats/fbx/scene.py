@@ -64,11 +64,7 @@ def open_fbx(path: Path | str, up: UpAxis | None = None) -> FbxScene:
     models = read_models(file)
     node_indices = {model.object.id: i for i, model in enumerate(models)}
     geometry = read_geometry(file)
-    meshes = {
-        node_indices[object_id]: mesh
-        for object_id, mesh in geometry.items()
-        if object_id in node_indices
-    }
+    meshes = {node_indices[i]: m for i, m in geometry.items() if i in node_indices}
     takes = read_takes(file)
     skins, mesh_bind_worlds = _skin_entries(meshes, node_indices)
     nodes = _build_nodes(models, meshes)

@@ -77,10 +77,8 @@ def has_new_ticks(file: FbxFile) -> bool:
         return False
     tick_definition = element.values[0]
     if tick_definition not in {_NEW_DEFINITION, _OLD_DEFINITION}:
-        message = (
-            f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
-            f"{_OLD_DEFINITION}"
-        )
+        message = f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
+        message += f"{_OLD_DEFINITION}"
         file.notes.warn("FBX106", element.where, message)
     return bool(tick_definition == _NEW_DEFINITION)
 

@@ -87,9 +87,8 @@ class AnimTake:
     def key_times(self) -> IntArray:
         """Return all distinct key times of the take [ticks]."""
         distinct_times = {curve.times.tobytes(): curve.times for curve in self.curves()}
-        return np.unique(
-            np.concatenate([np.zeros(0, np.int64), *distinct_times.values()])
-        )
+        no_times = np.zeros(0, np.int64)
+        return np.unique(np.concatenate([no_times, *distinct_times.values()]))
 
 
 def find_track(
@@ -147,19 +146,12 @@ class _StackReader:
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
             file.notes.fail("FBX013", stack.element.where, message)
-        solo_layers = [
-            layer_object
-            for layer_object in layers
-            if read_scalar(layer_object, "Solo", 0, file.notes)
-        ]
+        active = [a for a in layers if read_scalar(a, "Solo", 0, file.notes)]
+        if not active:
+            active = [a for a in layers if not read_scalar(a, "Mute", 0, file.notes)]
         for i, layer in enumerate(layers):
             take.layers.append(layer.name)
-            is_active = (
-                layer in solo_layers
-                if solo_layers
-                else not read_scalar(layer, "Mute", 0, file.notes)
-            )
-            if is_active:
+            if layer in active:
                 self._add_layer(take, layer, is_first=i == 0)
         return take
 
@@ -179,21 +171,15 @@ class _StackReader:
                     self._check_not_animated(node, property_name, take)
                 if property_name not in COMPONENTS or target not in file.objects:
                     continue
-                key = (target, property_name)
-                track = take.tracks.setdefault(
-                    key, PropertyTrack(target, property_name)
-                )
+                key = target, property_name
+                track = take.tracks.setdefault(key, PropertyTrack(*key))
                 if track.layers and track.layers[-1].layer is layer:
                     continue  # a layer affects a property once
-                track.layers.append(
-                    self._layer_values(node, property_name, layer, is_first)
-                )
+                values = self._layer_values(node, property_name, layer, is_first)
+                track.layers.append(values)
 
     def _check_not_animated(self, node: Object, name: str, take: AnimTake) -> None:
-        if all(
-            curve is None or curve.is_static()
-            for curve in self._node_curves(node).values()
-        ):
+        if all(c is None or c.is_static() for c in self._node_curves(node).values()):
             return
         message = f"take {take.name!r}: {name} over time is not read"
         hint = "bake the animation before exporting"
@@ -202,35 +188,23 @@ class _StackReader:
     def _layer_values(
         self, node: Object, name: str, layer: Layer, is_first: bool
     ) -> LayerValues:
-        components = COMPONENTS[name]
-        curves = self._node_curves(node)
-        default = _CHANNEL_DEFAULTS[name]
-        defaults = [
-            read_scalar(node, component, default, self.file.notes)
-            for component in components
-        ]
-        return LayerValues(
-            layer,
-            is_first,
-            defaults,
-            [curves.get(component) for component in components],
-        )
+        components, default = COMPONENTS[name], _CHANNEL_DEFAULTS[name]
+        defaults = [read_scalar(node, c, default, self.file.notes) for c in components]
+        curves = [self._node_curves(node).get(component) for component in components]
+        return LayerValues(layer, is_first, defaults, curves)
 
     def _node_curves(self, node: Object) -> dict[str, FbxCurve | None]:
         curves: dict[str, FbxCurve | None] = {}
         for source, component in self.file.incoming.get(node.id, ()):
             curve_object = self.file.objects.get(source)
-            if (
-                curve_object is None
-                or curve_object.kind != "AnimationCurve"
-                or component in curves
-            ):
+            if curve_object is None or component in curves:
+                continue
+            if curve_object.kind != "AnimationCurve":
                 continue
             if source not in self._curves:
+                element, has_new_ticks = curve_object.element, self._has_new_ticks
                 curve = read_curve(
-                    curve_object.element,
-                    self.file.notes,
-                    has_new_ticks=self._has_new_ticks,
+                    element, self.file.notes, has_new_ticks=has_new_ticks
                 )
                 if curve is not None:
                     # Most curves of a take have the same keys; equal times are stored
@@ -250,11 +224,9 @@ class _StackReader:
         if not values or not isinstance(values[0], int):
             return 0
         ticks = _clamp_ticks(values[0])
-        return (
-            int(convert_new_ticks(np.array([ticks]))[0])
-            if self._has_new_ticks
-            else ticks
-        )
+        if self._has_new_ticks:
+            return int(convert_new_ticks(np.array([ticks]))[0])
+        return ticks
 
     def _read_layer(self, layer_object: Object) -> Layer:
         notes = self.file.notes
@@ -307,25 +279,18 @@ def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
     for channel in model.find_all("Channel"):
         channel_name = channel.text(0)
         if channel_name == "Visibility":
-            take.has_animated_visibility = (
-                take.has_animated_visibility or channel.find("Key") is not None
-            )
+            take.has_animated_visibility |= channel.find("Key") is not None
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not supported"
             file.notes.fail("FBX004", channel.where, excerpt(message))
         if file.version < FIRST_OBJECT_VERSION:
             channel_name = channel_name.removesuffix(SHAPE_SUFFIX)
         if channel_name in shapes:
-            _read_old_track(
-                file,
-                take,
-                old_shape_id(object_id, channel_name),
-                DEFORM_PERCENT,
-                [channel],
-            )
-        channels = (
-            channel.find_all("Channel") if channel_name == "Transform" else (channel,)
-        )
+            shape_id = old_shape_id(object_id, channel_name)
+            _read_old_track(file, take, shape_id, DEFORM_PERCENT, [channel])
+        channels = [channel]
+        if channel_name == "Transform":
+            channels = list(channel.find_all("Channel"))
         for property_channel in channels:
             property_name = _CHANNEL_PROPERTIES.get(property_channel.text(0))
             if property_name is not None:
@@ -360,19 +325,16 @@ def _read_old_track(
     name: str,
     axis_channels: list[Element | None],
 ) -> None:
-    defaults, curves = [_CHANNEL_DEFAULTS[name]] * len(axis_channels), []
-    layout = (
-        WEIGHTED_LAYOUT if file.version >= FIRST_OBJECT_VERSION else DEFAULT_5000_LAYOUT
-    )
+    defaults = [_CHANNEL_DEFAULTS[name]] * len(axis_channels)
+    curves: list[FbxCurve | None] = [None] * len(axis_channels)
+    is_weighted = file.version >= FIRST_OBJECT_VERSION
+    layout = WEIGHTED_LAYOUT if is_weighted else DEFAULT_5000_LAYOUT
     for k, axis_channel in enumerate(axis_channels):
-        default = None if axis_channel is None else axis_channel.find("Default")
+        if axis_channel is None:
+            continue
+        default = axis_channel.find("Default")
         if default is not None:
             defaults[k] = read_number(default, 0, file.notes)
-        curve = (
-            None
-            if axis_channel is None
-            else read_channel_curve(axis_channel, file.notes, layout)
-        )
-        curves.append(curve)
+        curves[k] = read_channel_curve(axis_channel, file.notes, layout)
     values = LayerValues(Layer("BaseLayer"), True, defaults, curves)
     take.tracks.setdefault((object_id, name), PropertyTrack(object_id, name, [values]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import numpy.typing as npt
@@ -118,9 +118,8 @@ class Accessors:
         for i, item in enumerate(root.children("bufferViews")):
             self.views.append(self._read_view(item, i in self.unused.views))
         for i, item in enumerate(root.children("accessors")):
-            self.entries.append(
-                None if i in self.unused.accessors else self._read_accessor(item)
-            )
+            is_unused = i in self.unused.accessors
+            self.entries.append(None if is_unused else self._read_accessor(item))
 
     def get(self, index: int) -> Accessor:
         """Return the accessor at an index, which must not be an ignored one."""
@@ -189,12 +188,7 @@ class Accessors:
         if accessor.view < 0:
             return np.zeros(shape, dtype)
         view = self._require_view(accessor.view, accessor.where)
-        start = view.offset + accessor.offset
-        content = self.buffers.buffer_bytes(view.buffer)
-        stride = view.stride or accessor.width * dtype.itemsize
-        return _strided_elements(
-            content, start, accessor.count, accessor.width, stride, dtype
-        )
+        return self._elements(view, accessor.offset, shape, dtype, view.stride)
 
     def _replace_sparse(
         self, accessor: Accessor, sparse: SparseValues, base: AnyArray
@@ -203,27 +197,34 @@ class Accessors:
         index_view = self._require_view(sparse.index_view, f"{where}/indices")
         value_view = self._require_view(sparse.value_view, f"{where}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
-        indices = _strided_elements(
-            self.buffers.buffer_bytes(index_view.buffer),
-            index_view.offset + sparse.index_offset,
-            sparse.count,
-            1,
-            sparse.index_type.itemsize,
-            sparse.index_type,
-        )[:, 0].astype(np.int64)
+        count, offset = sparse.count, sparse.index_offset
+        rows = self._elements(index_view, offset, (count, 1), sparse.index_type)
+        indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
             self.notes.fail("GLT006", f"{where}/indices", message)
         values = base.copy()
-        values[indices] = _strided_elements(
-            self.buffers.buffer_bytes(value_view.buffer),
-            value_view.offset + sparse.value_offset,
-            sparse.count,
-            accessor.width,
-            accessor.width * dtype.itemsize,
-            dtype,
-        )
+        shape = count, accessor.width
+        values[indices] = self._elements(value_view, sparse.value_offset, shape, dtype)
         return values
+
+    def _elements(
+        self,
+        view: BufferView,
+        offset: int,
+        shape: tuple[int, int],
+        dtype: np.dtype[Any],
+        stride: int = 0,
+    ) -> AnyArray:
+        """Return elements ``shape`` of a view, at a stride in bytes or packed."""
+        content, start = self.buffers.buffer_bytes(view.buffer), view.offset + offset
+        count, width = shape
+        element_bytes = width * dtype.itemsize
+        if stride in {0, element_bytes}:
+            return np.frombuffer(content, dtype, count * width, start).reshape(shape)
+        row_shape, strides = (count, element_bytes), (stride, 1)
+        rows = np.ndarray(row_shape, np.uint8, content, start, strides)
+        return np.ascontiguousarray(rows).view(dtype)
 
     def _require_view(self, index: int, where: str) -> BufferView:
         view = self.views[index]
@@ -234,9 +235,7 @@ class Accessors:
     def _read_view(self, item: JsonItem, is_ignored: bool) -> BufferView | None:
         if is_ignored:
             return None
-        buffer = item.index("buffer", len(self.buffers), "buffer")
-        if buffer < 0:
-            item.fail_missing("buffer")
+        buffer = item.required_index("buffer", len(self.buffers), "buffer")
         length = item.size("byteLength", minimum=1)
         offset = item.size("byteOffset", 0)
         stride = item.size("byteStride", 0)
@@ -268,9 +267,8 @@ class Accessors:
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
-            self.notes.warn(
-                "GLT106", item.pointer_to("byteOffset"), "the bufferView is missing"
-            )
+            message = "the bufferView is missing"
+            self.notes.warn("GLT106", item.pointer_to("byteOffset"), message)
         accessor = Accessor(
             item,
             component_type,
@@ -292,9 +290,8 @@ class Accessors:
             return
         view = self.views[accessor.view]
         if view is not None and view.stride:
-            message = (
-                f"bufferView {accessor.view} has a byteStride, and holds no vertices"
-            )
+            message = f"bufferView {accessor.view} has a byteStride, and holds no "
+            message += "vertices"
             self.notes.warn("GLT105", where, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
@@ -305,14 +302,12 @@ class Accessors:
             element_bytes = _element_bytes(accessor.element_type, dtype)
             stride = view.stride or element_bytes
             if stride < element_bytes:
-                message = (
-                    f"elements have {element_bytes} bytes, but byteStride is {stride}"
-                )
+                message = f"elements have {element_bytes} bytes, but byteStride is "
+                message += f"{stride}"
                 self.notes.fail("GLT008", accessor.where, message)
             end = accessor.offset + stride * (accessor.count - 1) + element_bytes
             if end > view.length:
-                message = f"reads up to byte {end} of a bufferView of {view.length}"
-                self.notes.fail("GLT008", accessor.where, message)
+                self._fail_beyond_view(accessor.where, end, view)
             if (view.offset + accessor.offset) % dtype.itemsize:
                 message = f"its bytes do not start at a multiple of {dtype.itemsize}"
                 self.notes.warn("GLT105", accessor.where, message)
@@ -328,10 +323,12 @@ class Accessors:
             sparse_view = self.views[view_index]
             end = offset + sparse.count * element_bytes
             if sparse_view is not None and end > sparse_view.length:
-                message = (
-                    f"reads up to byte {end} of a bufferView of {sparse_view.length}"
-                )
-                self.notes.fail("GLT008", f"{accessor.where}/sparse/{key}", message)
+                where = f"{accessor.where}/sparse/{key}"
+                self._fail_beyond_view(where, end, sparse_view)
+
+    def _fail_beyond_view(self, where: str, end: int, view: BufferView) -> NoReturn:
+        message = f"reads up to byte {end} of a bufferView of {view.length}"
+        self.notes.fail("GLT008", where, message)
 
     def _read_sparse(self, item: JsonItem, count: int) -> SparseValues | None:
         sparse = item.child("sparse")
@@ -344,19 +341,13 @@ class Accessors:
         component = indices.number("componentType")
         if component not in {5121, 5123, 5125}:
             indices.fail("componentType", "sparse indices must be unsigned integers")
-        index_view, value_view = (
-            entry.index("bufferView", len(self.views), "bufferView")
-            for entry in (indices, values)
-        )
-        for entry, view in ((indices, index_view), (values, value_view)):
-            if view < 0:
-                entry.fail_missing("bufferView")
+        views = len(self.views)
         return SparseValues(
             sparse_count,
-            index_view,
+            indices.required_index("bufferView", views, "bufferView"),
             indices.size("byteOffset", 0),
             COMPONENT_TYPES[component],
-            value_view,
+            values.required_index("bufferView", views, "bufferView"),
             values.size("byteOffset", 0),
         )
 
@@ -368,10 +359,8 @@ def _warn_about_invalid_bounds(accessor: Accessor) -> None:
         if key not in item.values:
             continue
         bound_values = item.values[key]
-        is_valid = (
-            isinstance(bound_values, list) and len(bound_values) == accessor.width
-        )
-        if not is_valid or not {*map(type, bound_values)} <= {int, float}:
+        is_list = isinstance(bound_values, list) and len(bound_values) == accessor.width
+        if not is_list or not {*map(type, bound_values)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
             item.notes.warn("GLT102", item.pointer_to(key), message)
 
@@ -383,23 +372,6 @@ def _element_bytes(element_type: str, dtype: np.dtype[Any]) -> int:
     row_count = int(element_type[3])
     column_bytes = -(-row_count * dtype.itemsize // 4) * 4
     return column_bytes * (row_count - 1) + row_count * dtype.itemsize
-
-
-def _strided_elements(
-    content: memoryview,
-    start: int,
-    count: int,
-    width: int,
-    stride: int,
-    dtype: np.dtype[Any],
-) -> AnyArray:
-    """Return elements ``(count, width)`` at a stride in bytes."""
-    element_bytes = width * dtype.itemsize
-    if stride == element_bytes:
-        numbers = np.frombuffer(content, dtype, count * width, start)
-        return numbers.reshape(count, width)
-    rows = np.ndarray((count, element_bytes), np.uint8, content, start, (stride, 1))
-    return np.ascontiguousarray(rows).view(dtype)
 
 
 def check_finite(values: AnyArray, accessor: Accessor) -> None:

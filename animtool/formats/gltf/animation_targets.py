@@ -81,9 +81,8 @@ def _build_node_target(
         mesh = nodes[node].mesh
         target_count = meshes[mesh].targets if mesh >= 0 else 0
         if weight_index >= target_count or not target_count:
-            message = (
-                f"node {node} has {target_count} morph targets: the channel is ignored"
-            )
+            message = f"node {node} has {target_count} morph targets: the channel is "
+            message += "ignored"
             target.notes.warn("GLT106", target.pointer, message)
             return None
         return ChannelTarget(

@@ -62,12 +62,10 @@ class GltfTrack:
         """
         values = self.values
         if len(self.times) == 1:
-            return np.repeat(
-                _normalize_rotations(values, self.path), len(times), axis=0
-            )
-        segment = np.clip(
-            np.searchsorted(self.times, times, "right") - 1, 0, len(self.times) - 2
-        )
+            values = _normalize_rotations(values, self.path)
+            return np.repeat(values, len(times), axis=0)
+        segment = np.searchsorted(self.times, times, "right") - 1
+        segment = np.clip(segment, 0, len(self.times) - 2)
         return interpolate_tracks([self], segment, times)[:, 0]
 
 
@@ -86,14 +84,11 @@ def interpolate_tracks(
     start_values = np.stack([track.values[segment] for track in tracks], axis=1)
     end_values = np.stack([track.values[segment + 1] for track in tracks], axis=1)
     if first.interpolation is SamplerInterpolation.STEP:
-        return _normalize_rotations(
-            np.where(fraction < 1.0, start_values, end_values), path
-        )
+        values = np.where(fraction < 1.0, start_values, end_values)
+        return _normalize_rotations(values, path)
     if first.interpolation is SamplerInterpolation.CUBIC:
         track_outs = [track.outs[segment] for track in tracks if track.outs is not None]
-        track_ins = [
-            track.ins[segment + 1] for track in tracks if track.ins is not None
-        ]
+        track_ins = [t.ins[segment + 1] for t in tracks if t.ins is not None]
         out_slopes = np.stack(track_outs, axis=1)
         in_slopes = np.stack(track_ins, axis=1)
         return _normalize_rotations(
@@ -108,9 +103,8 @@ def interpolate_tracks(
             _normalize_rotations(end_values, path),
             fraction[:, :, 0],
         )
-    return np.asarray(
-        start_values + (end_values.astype(np.float64) - start_values) * fraction
-    )
+    differences = end_values.astype(np.float64) - start_values
+    return np.asarray(start_values + differences * fraction)
 
 
 def _hermite(
@@ -169,18 +163,13 @@ class _SamplerReader:
     def __init__(self, item: JsonItem, accessors: Accessors) -> None:
         self.items = item.children("samplers")
         self.accessors = accessors
-        self.accessor_pairs = [
-            self._read_accessor_pair(sampler) for sampler in self.items
-        ]
+        self.accessor_pairs = [self._read_accessor_pair(s) for s in self.items]
         self.checked_inputs: set[int] = set()
 
     def _read_accessor_pair(self, item: JsonItem) -> tuple[int, int]:
-        count = len(self.accessors.entries)
         ends = []
         for key in ("input", "output"):
-            index = item.index(key, count, "accessor")
-            if index < 0:
-                item.fail_missing(key)
+            index = item.required_index(key, len(self.accessors.entries), "accessor")
             self.accessors.warn_about_stride(index, item.pointer_to(key))
             ends.append(index)
         return ends[0], ends[1]
@@ -205,9 +194,8 @@ class _SamplerReader:
             self.checked_inputs.add(accessor)
             stated_bounds = {"min", "max"} & entry.item.values.keys()
             if self.accessors.has_data(accessor) or not stated_bounds:
-                check_bounds(
-                    entry.item, times[:, None], required_by=item.pointer_to("input")
-                )
+                where = item.pointer_to("input")
+                check_bounds(entry.item, times[:, None], required_by=where)
         return times
 
 
@@ -240,17 +228,14 @@ def _read_animation(
     ignored_targets: dict[str, None] = {}
     for channel in item.children("channels"):
         target = read_channel_target(channel, nodes, meshes, ignored_targets)
-        index = channel.index("sampler", len(samplers.items), "sampler")
-        if index < 0:
-            channel.fail_missing("sampler")
+        index = channel.required_index("sampler", len(samplers.items), "sampler")
         if target is None:
             continue
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
         if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
-            channel.notes.fail(
-                "GLT012", f"{pointers_by_target[target_key]}/target", message
-            )
+            where = f"{pointers_by_target[target_key]}/target"
+            channel.notes.fail("GLT012", where, message)
         pointers_by_target[target_key] = channel.pointer
         tracks.append(_read_track(channel, target, samplers, index, times_by_accessor))
     if ignored_targets:
@@ -283,10 +268,8 @@ def _read_track(
     input_accessor = samplers.accessor_pairs[index][0]
     if input_accessor not in times_by_accessor:
         key_times = samplers.times(index)
-        times_by_accessor[input_accessor] = (
-            key_times,
-            bool((np.diff(key_times) > 0).all()),
-        )
+        ascends = bool((np.diff(key_times) > 0).all())
+        times_by_accessor[input_accessor] = key_times, ascends
     times, is_ascending = times_by_accessor[input_accessor]
     values = _read_values(channel, target, samplers, index)
     is_cubic = interpolation is SamplerInterpolation.CUBIC
@@ -329,18 +312,11 @@ def _read_values(
     item, accessor = samplers.items[index], samplers.accessor_pairs[index][1]
     accessors = samplers.accessors
     entry = accessors.entries[accessor]
-    element_types, component_types = {"SCALAR"}, {FLOAT_COMPONENT}
+    element_type = "VEC4" if target.path is TargetPath.ROTATION else "SCALAR"
+    component_types: tuple[int, ...] = (FLOAT_COMPONENT, *SMALL_INTEGERS)
     if target.path in {TargetPath.TRANSLATION, TargetPath.SCALE}:
-        element_types = {"VEC3"}
-    elif target.path is TargetPath.ROTATION:
-        element_types, component_types = {"VEC4"}, {FLOAT_COMPONENT, *SMALL_INTEGERS}
-    else:
-        component_types = {FLOAT_COMPONENT, *SMALL_INTEGERS}
-    if (
-        entry is None
-        or entry.element_type not in element_types
-        or entry.component_type not in component_types
-    ):
+        element_type, component_types = "VEC3", (FLOAT_COMPONENT,)
+    if entry is None or not entry.has_type(element_type, *component_types):
         kind = "an unknown type" if entry is None else entry.element_type
         message = f"{target.path} cannot have values of {kind} in these components"
         item.notes.fail("GLT011", channel.pointer_to("sampler"), message)
@@ -393,9 +369,8 @@ def _check_unit_length(
     accessor = samplers.accessor_pairs[index][1]
     entry = samplers.accessors.get(accessor)
     tolerance = UNIT_TOLERANCES.get(entry.component_type, UNIT_TOLERANCE)
-    shortest, longest = _kernels.squared_lengths(
-        np.require(keys, np.float32, ["C", "A"])
-    )
+    float32_keys = np.require(keys, np.float32, ["C", "A"])
+    shortest, longest = _kernels.squared_lengths(float32_keys)
     if math.isnan(longest):
         check_finite(keys, entry)
         # Their squares exceed the range of float32.
@@ -405,9 +380,6 @@ def _check_unit_length(
         message = "a rotation key has length 0"
         samplers.items[index].notes.fail("GLT010", entry.where, message)
     if max(1.0 - shortest, longest - 1.0) > 2 * tolerance:
-        message = (
-            f"rotation keys have lengths from {shortest**0.5:.6g} to {longest**0.5:.6g}"
-        )
-        channel.notes.warn(
-            "GLT103", channel.pointer_to("sampler"), f"{message}: they are normalised"
-        )
+        message = f"rotation keys have lengths from {shortest**0.5:.6g} to "
+        message += f"{longest**0.5:.6g}: they are normalised"
+        channel.notes.warn("GLT103", channel.pointer_to("sampler"), message)

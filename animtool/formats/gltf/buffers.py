@@ -122,9 +122,8 @@ class Buffers:
                     message = f"byteLength is {length}, but the chunk has {len(binary)}"
                     self.notes.fail("GLT007", buffer.pointer, message)
                 if len(binary) > length + 3:
-                    message = (
-                        f"{len(binary) - length} bytes after the buffer are unused"
-                    )
+                    message = f"{len(binary) - length} bytes after the buffer are "
+                    message += "unused"
                     self.notes.warn("GLT101", buffer.pointer, message)
         elif uri.startswith("data:"):
             self.buffer_bytes(index)

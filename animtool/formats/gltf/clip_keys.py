@@ -83,11 +83,7 @@ def convert_clip_keys(
         keys = _convert_channel(channel, clip, start)
         if keys is not None:
             all_keys[target_key] = keys
-    return {
-        target_key: keys
-        for target_key, keys in all_keys.items()
-        if target_key not in additive_keys
-    }
+    return {t: k for t, k in all_keys.items() if t not in additive_keys}
 
 
 _NAMES_BY_PATH = {
@@ -163,10 +159,8 @@ def _convert_cubic_keys(
     durations = np.diff(channel.times)
     outs, ins = channel.outs[:-1], channel.ins[1:]
     is_free = all(
-        tangents_before[1] is Tangent.FREE and tangents_after[0] is Tangent.FREE
-        for tangents_before, tangents_after in zip(
-            channel.tangents[:-1], channel.tangents[1:], strict=True
-        )
+        t[1] is Tangent.FREE and a[0] is Tangent.FREE
+        for t, a in zip(channel.tangents[:-1], channel.tangents[1:], strict=True)
     )
     deviation = max(
         float(np.abs(outs[:, 0] - durations / 3).max(initial=0.0)),

@@ -263,9 +263,7 @@ def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
     for i, node in enumerate(gltf.nodes):
         if node.skin < 0:
             continue
-        if any(
-            roots[i] in scene and not skin_roots[node.skin] & scene for scene in scenes
-        ):
+        if any(roots[i] in s and not skin_roots[node.skin] & s for s in scenes):
             message = "a scene shows the mesh without the joints of its skin"
             gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 

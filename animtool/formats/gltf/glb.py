@@ -97,10 +97,8 @@ class GlbBuilder:
             12 + 8 + len(text) + (8 + self._binary_bytes if self._binary_bytes else 0)
         )
         if length > MAX_BYTES:
-            message = (
-                "a GLB can have 4.29 GB, but this one needs "
-                f"{length / 1000000000.0:.2f}"
-            )
+            message = "a GLB can have 4.29 GB, but this one needs "
+            message += f"{length / 1000000000.0:.2f}"
             raise OutputError(Fault("OUT002", message))
         return self._yield_binary(text, length)
 

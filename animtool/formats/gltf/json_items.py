@@ -91,6 +91,11 @@ class JsonItem:
             self.fail(key, message, "GLT006")
         return value
 
+    def required_index(self, key: str, count: int, noun: str) -> int:
+        """Return an index into a list of the file; raise if missing."""
+        index = self.index(key, count, noun)
+        return index if index >= 0 else self.fail_missing(key)
+
     def indices(self, key: str, count: int, noun: str) -> list[int]:
         """Return a list of indices; empty if missing."""
         entries = self.read_list(key)
@@ -174,6 +179,5 @@ class JsonItem:
         extension = extensions.get(name) if isinstance(extensions, dict) else None
         if not isinstance(extension, dict):
             return None
-        return JsonItem(
-            extension, f"{self.pointer}/extensions/{escape_pointer(name)}", self.notes
-        )
+        pointer = f"{self.pointer}/extensions/{escape_pointer(name)}"
+        return JsonItem(extension, pointer, self.notes)

@@ -85,10 +85,8 @@ def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[MeshEntry, ...]:
 def _read_mesh(item: JsonItem, accessors: Accessors) -> MeshEntry:
     if "primitives" not in item.values:
         item.fail_missing("primitives")
-    primitives = tuple(
-        _read_primitive(primitive, accessors)
-        for primitive in item.children("primitives")
-    )
+    children = item.children("primitives")
+    primitives = tuple(_read_primitive(child, accessors) for child in children)
     counts = [len(primitive.targets) for primitive in primitives]
     for i, count in enumerate(counts):
         if count != counts[0]:
@@ -121,10 +119,8 @@ def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     accessor_indices = _read_attributes(attributes, len(accessors.entries))
     vertex_count = _check_vertices(attributes, accessor_indices, accessors)
     set_indices = _skin_set_indices(attributes, accessor_indices)
-    targets = [
-        _read_morph_target(target, vertex_count, accessors)
-        for target in item.children("targets")
-    ]
+    children = item.children("targets")
+    targets = [_read_morph_target(t, vertex_count, accessors) for t in children]
     mode = item.number("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
@@ -161,12 +157,8 @@ def _skin_set_indices(
 ) -> list[int]:
     """Return the set indices of the JOINTS_n and WEIGHTS_n attributes."""
     joints, weights = (
-        sorted(
-            int(name.removeprefix(prefix))
-            for name in accessor_indices
-            if name.startswith(prefix)
-        )
-        for prefix in ("JOINTS_", "WEIGHTS_")
+        sorted(int(n.removeprefix(p)) for n in accessor_indices if n.startswith(p))
+        for p in ("JOINTS_", "WEIGHTS_")
     )
     if joints != weights:
         message = f"JOINTS {joints} and WEIGHTS {weights} do not match"
@@ -185,17 +177,15 @@ def _read_morph_target(
         if name in target.values
     }
     for name, index in accessor_indices.items():
-        accessor = _require_accessor(
-            target, name, index, accessors, "VEC3", QUANTIZED_TYPES
-        )
+        types = "VEC3", QUANTIZED_TYPES
+        accessor = _require_accessor(target, name, index, accessors, *types)
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
             target.notes.fail("GLT011", target.pointer_to(name), message)
         if accessors.has_data(index):
             check_bounds(accessor.item, accessors.numbers(index))
-    return MorphTarget(
-        accessor_indices.get("POSITION", -1), accessor_indices.get("NORMAL", -1)
-    )
+    get = accessor_indices.get
+    return MorphTarget(get("POSITION", -1), get("NORMAL", -1))
 
 
 def _check_morph_attributes(target: JsonItem) -> None:
@@ -222,15 +212,11 @@ def _require_accessor(
     if accessor is None or not accessor.has_type(element_type, *component_types):
         type_text = "of an unknown type"
         if accessor is not None:
-            type_text = (
-                f"{accessor.element_type} of "
-                f"{COMPONENT_TYPES[accessor.component_type].name}"
-            )
+            type_text = f"{accessor.element_type} of "
+            type_text += f"{COMPONENT_TYPES[accessor.component_type].name}"
         item.notes.fail("GLT011", item.pointer_to(key), f"{key} cannot be {type_text}")
-    is_quantized = (
-        component_types is QUANTIZED_TYPES
-        and accessor.component_type != FLOAT_COMPONENT
-    )
+    is_integer = accessor.component_type != FLOAT_COMPONENT
+    is_quantized = component_types is QUANTIZED_TYPES and is_integer
     if is_quantized and not accessors.declares_extension(QUANTIZATION):
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
         item.notes.warn("GLT106", item.pointer_to(key), message)
@@ -245,22 +231,18 @@ def _check_vertices(
     """Check types and counts of vertex attributes; return the vertex count."""
     vertex_count = -1
     for name, index in indices.items():
-        element_type = "VEC4"
-        component_types: tuple[int, ...] = (U8, U16)
+        types: tuple[str, tuple[int, ...]] = "VEC4", (U8, U16)
         if name in {"POSITION", "NORMAL"}:
-            element_type, component_types = "VEC3", QUANTIZED_TYPES
+            types = "VEC3", QUANTIZED_TYPES
         elif name.startswith("WEIGHTS_"):
-            component_types = (FLOAT_COMPONENT, U8, U16)
-        accessor = _require_accessor(
-            attributes, name, index, accessors, element_type, component_types
-        )
+            types = "VEC4", (FLOAT_COMPONENT, U8, U16)
+        accessor = _require_accessor(attributes, name, index, accessors, *types)
         _check_weight_normalization(attributes, name, accessor)
         if vertex_count < 0:
             vertex_count = accessor.count
         elif accessor.count != vertex_count:
-            message = (
-                f"{name} has {accessor.count} rows, but others have {vertex_count}"
-            )
+            message = f"{name} has {accessor.count} rows, but others have "
+            message += f"{vertex_count}"
             attributes.notes.fail("GLT011", attributes.pointer_to(name), message)
         if not accessors.has_data(index):
             continue
@@ -308,25 +290,20 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
             message = "min and max are missing: computed from the data"
             item.notes.warn("GLT102", required_by, message)
         return
-    actual_bounds = (values.min(axis=0), values.max(axis=0))
-    for key, stated_bound, bound in zip(
-        ("min", "max"), stated_bounds, actual_bounds, strict=True
-    ):
-        tolerance = BOUNDS_TOLERANCE * max(
-            1.0, float(np.abs(bound.astype(np.float64)).max())
-        )
+    actual_bounds = values.min(axis=0), values.max(axis=0)
+    bounds = zip(("min", "max"), stated_bounds, actual_bounds, strict=True)
+    for key, stated_bound, bound in bounds:
+        largest = float(np.abs(bound.astype(np.float64)).max())
+        tolerance = BOUNDS_TOLERANCE * max(1.0, largest)
         if stated_bound is None and key not in item.values:
             item.notes.warn("GLT102", item.pointer_to(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
-        for i, (stated_value, number) in enumerate(
-            zip(stated_bound, bound.tolist(), strict=True)
-        ):
+        numbers = zip(stated_bound, bound.tolist(), strict=True)
+        for i, (stated_value, number) in enumerate(numbers):
             if is_number(stated_value) and not abs(stated_value - number) <= tolerance:
-                message = (
-                    f"{key} is {stated_value!r}, but the data has {number:.9g}: using "
-                )
-                message += "the data"
+                message = f"{key} is {stated_value!r}, but the data has {number:.9g}: "
+                message += "using the data"
                 item.notes.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
                 break
 
@@ -335,9 +312,7 @@ def read_skins(
     root: JsonItem, accessors: Accessors, node_count: int
 ) -> tuple[SkinEntry, ...]:
     """Return the skins of a file."""
-    return tuple(
-        _read_skin(item, accessors, node_count) for item in root.children("skins")
-    )
+    return tuple(_read_skin(i, accessors, node_count) for i in root.children("skins"))
 
 
 def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEntry:
@@ -349,19 +324,12 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
     if len(set(joints)) < len(joints):
         item.notes.warn("GLT106", item.pointer_to("joints"), "a joint is listed twice")
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
-    accessor_index = item.index(
-        "inverseBindMatrices", len(accessors.entries), "accessor"
-    )
-    where = item.pointer_to("inverseBindMatrices")
+    key = "inverseBindMatrices"
+    accessor_index = item.index(key, len(accessors.entries), "accessor")
+    where = item.pointer_to(key)
     if accessor_index >= 0:
-        accessor = _require_accessor(
-            item,
-            "inverseBindMatrices",
-            accessor_index,
-            accessors,
-            "MAT4",
-            (FLOAT_COMPONENT,),
-        )
+        types = "MAT4", (FLOAT_COMPONENT,)
+        accessor = _require_accessor(item, key, accessor_index, accessors, *types)
         accessors.warn_about_stride(accessor_index, where)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
@@ -381,13 +349,9 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> SkinEnt
         message = f"node {skeleton} does not exist: the hint is ignored"
         item.notes.warn("GLT106", item.pointer_to("skeleton"), message)
         skeleton = None
-    return SkinEntry(
-        item.text("name"),
-        tuple(joints),
-        -1 if skeleton is None else skeleton,
-        matrices,
-        item.pointer,
-    )
+    skeleton = -1 if skeleton is None else skeleton
+    name = item.text("name")
+    return SkinEntry(name, tuple(joints), skeleton, matrices, item.pointer)
 
 
 def read_skin_weights(
@@ -397,36 +361,29 @@ def read_skin_weights(
 
     ``joint_count`` is the number of joints of the skin.
     """
-    indices = np.concatenate(
-        [accessors.numbers(accessor).astype(np.int64) for accessor in primitive.joints],
-        axis=1,
-    )
-    weights = np.concatenate(
-        [accessors.floats(accessor) for accessor in primitive.weights], axis=1
-    )
+    index_sets = [accessors.numbers(a).astype(np.int64) for a in primitive.joints]
+    indices = np.concatenate(index_sets, axis=1)
+    weights = np.concatenate([accessors.floats(a) for a in primitive.weights], axis=1)
     _check_duplicate_joints(primitive, indices, weights, notes)
     out_of_range = indices >= joint_count
     if out_of_range.any():
         has_weight = out_of_range & (weights > 0)
         index = np.argwhere(has_weight if has_weight.any() else out_of_range)[0, 1] // 4
         where = f"{primitive.where}/attributes/JOINTS_{int(index)}"
-        message = (
-            f"joint {int(indices[out_of_range].max())} of a skin with {joint_count}"
-        )
+        message = f"joint {int(indices[out_of_range].max())} of a skin with "
+        message += f"{joint_count}"
         if has_weight.any():
             notes.fail("GLT006", where, message)
         notes.warn("GLT106", where, f"{message}, without weight: ignored")
         indices[out_of_range] = 0
     weight_sums = weights.sum(axis=1)
-    worst_sum = (
-        float(weight_sums[np.abs(weight_sums - 1.0).argmax()])
-        if len(weight_sums)
-        else 1.0
-    )
+    sum_errors = np.abs(weight_sums - 1.0)
     where = f"{primitive.where}/attributes/WEIGHTS_0"
     has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
-    if has_data and abs(worst_sum - 1.0) > WEIGHT_SUM_TOLERANCE:
-        message = f"weights of a vertex have the sum {worst_sum:.6g}"
+    if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
+        message = (
+            f"weights of a vertex have the sum {weight_sums[sum_errors.argmax()]:.6g}"
+        )
         notes.warn("GLT104", where, f"{message}: they are normalised")
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
@@ -468,9 +425,8 @@ def build_triangles(
     if primitive.mode == FAN:
         fan_center = np.full(len(vertex_indices) - 2, vertex_indices[0])
         return np.stack([vertex_indices[1:-1], vertex_indices[2:], fan_center], axis=1)
-    faces = np.stack(
-        [vertex_indices[:-2], vertex_indices[1:-1], vertex_indices[2:]], axis=1
-    )
+    columns = vertex_indices[:-2], vertex_indices[1:-1], vertex_indices[2:]
+    faces = np.stack(columns, axis=1)
     faces[1::2] = faces[1::2][:, [1, 0, 2]]
     is_degenerate = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2])
     return np.asarray(faces[~(is_degenerate | (faces[:, 0] == faces[:, 2]))])

@@ -66,9 +66,7 @@ def read_gltf(
     gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
     names = unique_clip_names(gltf.animations)
     animated_indices = (
-        i
-        for i, animation_ in enumerate(gltf.animations)
-        if animates_rig(gltf_rig, animation_)
+        i for i, a in enumerate(gltf.animations) if animates_rig(gltf_rig, a)
     )
     candidates = range(len(names))
     index, take_notices = choose_take(

@@ -64,17 +64,13 @@ def build_rig(
     joint_of_node[joint_nodes] = np.arange(len(joint_nodes))
     is_folded = find_folded_nodes(gltf)
     folded_scales = _folded_scales(gltf, character, is_folded)
-    names, renamed = joint_names(
-        [gltf.nodes[node] for node in joint_nodes], joint_nodes
-    )
+    names, renamed = joint_names([gltf.nodes[n] for n in joint_nodes], joint_nodes)
     rig_joints = []
     humanoid_names = {node: bone for bone, node in reversed(humanoid_bones(gltf))}
     for node, joint_name in zip(joint_nodes, names, strict=True):
         entry = gltf.nodes[node]
         parent_scale = 1.0 if entry.parent < 0 else float(folded_scales[entry.parent])
-        x, y, z = (
-            value * parent_scale * meters_per_unit for value in entry.translation
-        )
+        x, y, z = (v * parent_scale * meters_per_unit for v in entry.translation)
         original_name = entry.name or ""
         rig_joints.append(
             Joint(
@@ -86,9 +82,7 @@ def build_rig(
                 humanoid=humanoid_names.get(node, ""),
             )
         )
-    remaining_scales = np.array(
-        [gltf.nodes[node].scale for node in joint_nodes], np.float64
-    )
+    remaining_scales = np.array([gltf.nodes[n].scale for n in joint_nodes], np.float64)
     remaining_scales = np.where(is_folded[joint_nodes][:, None], 1.0, remaining_scales)
     rig_without_meshes = Rig(name, tuple(rig_joints), meters_per_unit, up)
     binder = SkinBinder(gltf, rig_without_meshes, joint_of_node, folded_scales)
@@ -126,11 +120,7 @@ def _is_inserted_root(gltf: Gltf, node: int) -> bool:
         return False
     if any(node in skin.joints for skin in gltf.skins):
         return False
-    if any(
-        track.node == node
-        for animation in gltf.animations
-        for track in animation.tracks
-    ):
+    if any(t.node == node for a in gltf.animations for t in a.tracks):
         return False
     identity = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
     return (gltf_node.translation, gltf_node.rotation, gltf_node.scale) == identity
@@ -148,12 +138,8 @@ def find_folded_nodes(gltf: Gltf) -> BoolArray:
             if track.path is TargetPath.SCALE and is_uniform[track.node]:
                 scale = scales[track.node]
                 difference = np.abs(track.values - scale).max()
-                slopes = [
-                    slope for slope in (track.ins, track.outs) if slope is not None
-                ]
-                has_slope = any(
-                    np.abs(slope).max() > SCALE_TOLERANCE for slope in slopes
-                )
+                slopes = [s for s in (track.ins, track.outs) if s is not None]
+                has_slope = any(np.abs(s).max() > SCALE_TOLERANCE for s in slopes)
                 is_uniform[track.node] = (
                     not has_slope and difference <= SCALE_TOLERANCE * scale.max()
                 )

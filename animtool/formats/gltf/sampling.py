@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool import _kernels
-from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.record import dataclass
 from animtool.formats.characters.stream import sampled_stream
@@ -54,9 +54,7 @@ class GltfSampler:
     def values_per_frame(self) -> int:
         """Number of animated values per frame."""
         counts = {TargetPath.ROTATION: 4, TargetPath.WEIGHTS: 1}
-        return sum(
-            counts.get(path, 3) * len(tracks) for path, tracks in self.tracks.items()
-        )
+        return sum(counts.get(p, 3) * len(t) for p, t in self.tracks.items())
 
     def sample(self, times: FloatArray) -> Motion:
         """Return the motion at times ``(F,)`` [s]."""
@@ -74,17 +72,11 @@ class GltfSampler:
         rest, row_tracks = self.rest_values[path], self.tracks[path]
         rows = np.array([row_track.row for row_track in row_tracks], np.int64)
         if path is TargetPath.ROTATION and row_tracks:
-            keys_by_row = [
-                self._consecutive_keys(row_track.track, times)
-                for row_track in row_tracks
-            ]
-            channel_keys = [
-                row_keys for row_keys in keys_by_row if row_keys is not None
-            ]
+            keys_by_row = [self._consecutive_keys(r.track, times) for r in row_tracks]
+            channel_keys = [r for r in keys_by_row if r is not None]
             if len(channel_keys) == len(keys_by_row):
-                return Channel(
-                    rest, rows, _kernels.unpack_rotations(channel_keys, None)
-                )
+                values = _kernels.unpack_rotations(channel_keys, None)
+                return Channel(rest, rows, values)
         values = np.empty((len(times), len(row_tracks), rest.shape[1]))
         groups = _group_tracks(row_tracks)
         factors = np.array([row_track.factor for row_track in row_tracks])[:, None]
@@ -139,9 +131,7 @@ class GltfSampler:
             at = slice(key_indices.start + chunk.start, key_indices.start + chunk.stop)
             return np.stack([track.values[at] for track in tracks], axis=1)
         if fractions is _ON_KEYS:
-            return np.stack(
-                [track.values[key_indices[chunk]] for track in tracks], axis=1
-            )
+            return np.stack([t.values[key_indices[chunk]] for t in tracks], axis=1)
         return interpolate_tracks(tracks, key_indices[chunk], fractions[chunk])
 
 
@@ -185,9 +175,8 @@ def find_segments(
     is_on_key |= (times <= keys[0]) | (times >= keys[-1])
     if is_on_key.all():
         if len(key_indices) == 1 or (np.diff(key_indices) == 1).all():
-            return slice(
-                int(key_indices[0]), int(key_indices[0]) + len(key_indices)
-            ), _ON_KEYS
+            first = int(key_indices[0])
+            return slice(first, first + len(key_indices)), _ON_KEYS
         return np.asarray(key_indices), _ON_KEYS
     snapped_times = np.where(is_on_key, keys[key_indices], times)
     return np.minimum(key_indices, last_key - 1), snapped_times
@@ -207,11 +196,9 @@ def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
     """
     dots = np.einsum("fjc,fjc->fj", rotations[1:], rotations[:-1])
     scalar_parts = rotations[0, :, 3]
-    signs = (
-        scalar_parts
-        if previous is None
-        else np.einsum("jc,jc->j", rotations[0], previous)
-    )
+    signs = scalar_parts
+    if previous is not None:
+        signs = np.einsum("jc,jc->j", rotations[0], previous)
     if signs.min(initial=0.0) < 0 or dots.min(initial=0.0) < 0:
         rotations[:] = so3.align_signs(rotations, previous)
 
@@ -228,32 +215,26 @@ def build_sampler(
         TargetPath.WEIGHTS: rest_weights(gltf, gltf_rig),
     }
     tracks: dict[TargetPath, list[AnimatedRow]] = {path: [] for path in rest}
-    is_folded = find_folded_nodes(gltf)
-    for path, row_track in _animated_rows(
-        gltf, gltf_rig, animation.tracks if animation else (), is_folded
-    ):
-        if _is_constant(row_track.track):
-            value = (
-                row_track.track.sample(row_track.track.times[:1])[0] * row_track.factor
-            )
+    gltf_tracks = animation.tracks if animation else ()
+    for path, row_track in _animated_rows(gltf, gltf_rig, gltf_tracks):
+        track = row_track.track
+        if _is_constant(track):
+            value = track.sample(track.times[:1])[0] * row_track.factor
             rest[path][row_track.row] = value
         else:
             tracks[path].append(row_track)
     for channel_tracks in tracks.values():
         channel_tracks.sort(key=lambda row_track: row_track.row)
-    has_scale = bool(tracks[TargetPath.SCALE]) or bool(
-        (rest[TargetPath.SCALE] != 1.0).any()
-    )
+    has_scale = bool(tracks[TargetPath.SCALE] or (rest[TargetPath.SCALE] != 1.0).any())
     return GltfSampler(rest, tracks, has_scale)
 
 
 def _is_constant(track: GltfTrack) -> bool:
     """Return whether a track always has the same value."""
-    slopes = [slope for slope in (track.ins, track.outs) if slope is not None]
     if len(track.times) == 1:
         return True
     values = track.values
-    if any(slope.any() for slope in slopes):
+    if any(slope is not None and slope.any() for slope in (track.ins, track.outs)):
         return False
     return bool((values[-1] == values[0]).all() and (values == values[:1]).all())
 
@@ -263,17 +244,17 @@ def rest_weights(gltf: Gltf, gltf_rig: GltfRig) -> FloatArray:
     weights = np.zeros((len(gltf_rig.shape_sources), 1))
     for row, (node, target) in enumerate(gltf_rig.shape_sources):
         node_weights = gltf.nodes[node].weights
-        mesh_weights = gltf.meshes[gltf.nodes[node].mesh].weights
-        weights[row] = (
-            mesh_weights[target] if node_weights is None else node_weights[target]
-        )
+        if node_weights is None:
+            node_weights = gltf.meshes[gltf.nodes[node].mesh].weights
+        weights[row] = node_weights[target]
     return weights
 
 
 def _animated_rows(
-    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack], is_folded: BoolArray
+    gltf: Gltf, gltf_rig: GltfRig, tracks: Sequence[GltfTrack]
 ) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return the channel rows that tracks animate."""
+    is_folded = find_folded_nodes(gltf)
     animated_rows: list[tuple[TargetPath, AnimatedRow]] = []
     mesh_tracks: list[GltfTrack] = []
     for track in tracks:
@@ -300,21 +281,15 @@ def _weight_rows(
 ) -> list[tuple[TargetPath, AnimatedRow]]:
     """Return animated shapes; tracks of nodes override those of meshes."""
     track_by_row: dict[int, GltfTrack] = {}
-    for track in sorted(
-        tracks,
-        key=lambda each_track: (each_track.node < 0, each_track.weight_index < 0),
-    ):
+    for track in sorted(tracks, key=lambda t: (t.node < 0, t.weight_index < 0)):
         for row, (node, target) in enumerate(gltf_rig.shape_sources):
             entry = gltf.nodes[node]
-            targets_mesh = track.mesh == entry.mesh and entry.weights is None
-            if (track.node == node or (track.node < 0 and targets_mesh)) and (
-                track.weight_index in {-1, target}
-            ):
+            moves_node = track.node == node
+            if track.node < 0:
+                moves_node = track.mesh == entry.mesh and entry.weights is None
+            if moves_node and track.weight_index in {-1, target}:
                 track_by_row.setdefault(row, _weight_track(track, target))
-    return [
-        (TargetPath.WEIGHTS, AnimatedRow(row, track))
-        for row, track in track_by_row.items()
-    ]
+    return [(TargetPath.WEIGHTS, AnimatedRow(r, t)) for r, t in track_by_row.items()]
 
 
 def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
@@ -351,8 +326,6 @@ def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:
     """Return whether an animation moves the rig."""
     shape_nodes = {node for node, _ in gltf_rig.shape_sources}
     return any(
-        track.mesh >= 0
-        or gltf_rig.joint_of_node[track.node] >= 0
-        or track.node in shape_nodes
-        for track in animation.tracks
+        t.mesh >= 0 or gltf_rig.joint_of_node[t.node] >= 0 or t.node in shape_nodes
+        for t in animation.tracks
     )

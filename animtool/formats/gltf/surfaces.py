@@ -36,9 +36,7 @@ def build_meshes(
     nodes = [node for node in character.nodes if gltf.nodes[node].mesh >= 0]
     names = mesh_names(gltf, nodes)
     shape_keys = [
-        (node, target)
-        for node in nodes
-        for target in range(gltf.meshes[gltf.nodes[node].mesh].targets)
+        (n, t) for n in nodes for t in range(gltf.meshes[gltf.nodes[n].mesh].targets)
     ]
     remaining_names = iter(_shape_names(gltf, shape_keys, names))
     meshes: list[Mesh] = []
@@ -56,10 +54,8 @@ def build_meshes(
             shapes.append(Shape(next(remaining_names), mesh.name, deltas, normals))
     notices = []
     if empty_meshes:
-        message = (
-            f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
-            f"lines, or with no geometry, skipped: {listed(empty_meshes)}"
-        )
+        message = f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
+        message += f"lines, or with no geometry, skipped: {listed(empty_meshes)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
@@ -115,9 +111,7 @@ def vertex_offset(gltf: Gltf, node: int, primitive: int) -> int:
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
     """Return the mesh of a node; None without faces."""
     vertex_sets = _shared_vertices(gltf, node)
-    starts = {
-        vertices.primitive.vertex_key: vertices.first_vertex for vertices in vertex_sets
-    }
+    starts = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
         if primitive.position >= 0:
@@ -126,9 +120,7 @@ def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | 
             faces.append(triangles + starts[primitive.vertex_key])
     if not sum(map(len, faces)):
         return None
-    points = [
-        gltf.accessors.floats(vertices.primitive.position) for vertices in vertex_sets
-    ]
+    points = [gltf.accessors.floats(v.primitive.position) for v in vertex_sets]
     skin, geometry = _build_skin(gltf, node, vertex_sets, binder)
     bind = tuple(geometry.ravel().tolist())
     normals = _vertex_normals(gltf, vertex_sets)
@@ -161,10 +153,8 @@ def _build_skin(
     if index >= 0 and all(vertices.primitive.joints for vertices in vertex_sets):
         geometry, joints = binder.bind_skin(index)
         skin_rows = [
-            read_skin_weights(
-                vertices.primitive, len(joints), gltf.accessors, gltf.notes
-            )
-            for vertices in vertex_sets
+            read_skin_weights(v.primitive, len(joints), gltf.accessors, gltf.notes)
+            for v in vertex_sets
         ]
         width = max(indices.shape[1] for indices, _ in skin_rows)
         indices = np.concatenate([_pad_columns(row, width) for row, _ in skin_rows])
@@ -201,10 +191,8 @@ def _morph_offsets(
         deltas, normals = (
             np.concatenate(
                 [
-                    np.zeros((vertices.count, 3))
-                    if index < 0
-                    else gltf.accessors.floats(index)
-                    for index, vertices in zip(indices, vertex_sets, strict=True)
+                    np.zeros((v.count, 3)) if i < 0 else gltf.accessors.floats(i)
+                    for i, v in zip(indices, vertex_sets, strict=True)
                 ]
             )
             for indices in (

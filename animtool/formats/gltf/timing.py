@@ -68,20 +68,15 @@ def find_frame_range(
         fps
         or stated_rate
         or next(
-            (
-                candidate
-                for candidate in RATES_BY_PREFERENCE
-                if _fits_rate(times, candidate)
-            ),
+            (c for c in RATES_BY_PREFERENCE if _fits_rate(times, c)),
             DEFAULT_RATE,
         )
     )
     first_time, last_time = animation.span
-    first_frame = (
-        math.floor(first_time * float(rate) + _frame_tolerance(first_time, rate))
-        if first_time < 0
-        else 0
-    )
+    first_frame = 0
+    if first_time < 0:
+        tolerance = _frame_tolerance(first_time, rate)
+        first_frame = math.floor(first_time * float(rate) + tolerance)
     last_frame = max(
         first_frame,
         math.ceil(last_time * float(rate) - _frame_tolerance(last_time, rate)),
@@ -95,11 +90,9 @@ def find_frame_range(
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.where)
         )
-    notices = (
-        ()
-        if _fits_rate(times, rate)
-        else (_off_frame_fault(times, rate, path, animation),)
-    )
+    notices: tuple[Fault, ...] = ()
+    if not _fits_rate(times, rate):
+        notices = (_off_frame_fault(times, rate, path, animation),)
     return GltfFrames(rate, start, start + first_frame, count, notices)
 
 
@@ -131,10 +124,8 @@ def _off_frame_fault(
     times: FloatArray, rate: Fraction, path: str, animation: Animation
 ) -> Fault:
     is_off_frame = _frame_distances(times, rate) > FRAME_TOLERANCE
-    message = (
-        f"{int(is_off_frame.sum())} of {len(times)} key times fall between the frames "
-        f"at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
-    )
+    message = f"{int(is_off_frame.sum())} of {len(times)} key times fall between the "
+    message += f"frames at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
     return Fault(
         "GLT110", message, path, (), hint, Severity.NOTE, where=animation.where

@@ -46,17 +46,9 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
     images = set(_image_views(root))
     entries = list(enumerate(_dicts(root.get("accessors"))))
     used_views = {
-        view
-        for i, entry in entries
-        if i not in accessors
-        for view in _accessor_views(entry)
+        v for i, e in entries if i not in accessors for v in _accessor_views(e)
     }
-    unused_views = {
-        view
-        for i, entry in entries
-        if i in accessors
-        for view in _accessor_views(entry)
-    }
+    unused_views = {v for i, e in entries if i in accessors for v in _accessor_views(e)}
     views = frozenset((images | unused_views) - used_views)
     buffer_views = list(enumerate(_dicts(root.get("bufferViews"))))
     used_buffers = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -42,8 +43,8 @@ def build_gltf_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
             builder, written_take, name, written_rig, scales, options.tolerance
         )
     is_gltf = path.suffix.lower() == ".gltf"
-    contents = {path: builder.gltf_chunks() if is_gltf else builder.glb_chunks()}
-    return TakeFiles(contents, take.clock.span, len(rig.joints), notices)
+    chunks: Any = builder.gltf_chunks() if is_gltf else builder.glb_chunks()
+    return TakeFiles({path: chunks}, take.clock.span, len(rig.joints), notices)
 
 
 def _rotate_to_y_up(take: Take) -> Take:

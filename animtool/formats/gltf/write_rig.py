@@ -49,26 +49,23 @@ def write_rig(
         node: dict[str, Any] = {"name": joint.source_name or joint.name}
         if joint.source_name:
             node["extras"] = {"animtool": {"name": joint.name}}
-        node |= _transform_properties(
-            np.array(joint.translation), np.array(joint.rotation), scales[j]
-        )
+        translation, rotation = np.array(joint.translation), np.array(joint.rotation)
+        node |= _transform_properties(translation, rotation, scales[j])
         builder.add("nodes", node)
     for j, joint in enumerate(rig.joints):
         if joint.parent >= 0:
             builder.json["nodes"][joint.parent].setdefault("children", []).append(j)
     roots = list(rig.roots)
-    lost_contents: dict[str, list[str]] = defaultdict(list)
     bind = bind_matrices(rig) if rig.joints else np.zeros((0, 4, 4))
+    writer = _SurfaceWriter(builder, rig, bind, weights, rig_indices)
     for surface in surfaces_of(rig):
-        mesh_node = _write_surface(
-            builder, rig, surface, bind, weights, rig_indices, lost_contents
-        )
+        mesh_node = writer.write(surface)
         if mesh_node >= len(rig.joints):
             roots.append(mesh_node)
     roots = _ensure_common_root(builder, rig, roots)
     builder.json["scene"] = 0
     builder.json["scenes"] = [{"name": rig.name, "nodes": roots}]
-    rig_indices.notices += _lost_contents_notice(rig, lost_contents, rig_indices)
+    rig_indices.notices += _lost_contents_notice(rig, writer.lost, rig_indices)
     return rig_indices
 
 
@@ -77,9 +74,8 @@ def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list
 
     If there are several, a node outside the rig is inserted above them.
     """
-    root_joints = np.array(
-        [rig.upwards(j)[-1] for j in range(len(rig.joints))], np.int64
-    )
+    roots_of_joints = [rig.upwards(j)[-1] for j in range(len(rig.joints))]
+    root_joints = np.array(roots_of_joints, np.int64)
     skins = [skin["joints"] for skin in builder.json.get("skins", ())]
     if all(len(np.unique(root_joints[joints])) == 1 for joints in skins):
         return roots
@@ -106,43 +102,143 @@ def _transform_properties(
     return properties
 
 
-def _write_surface(
-    builder: GlbBuilder,
-    rig: Rig,
-    surface: Surface,
-    bind: FloatArray,
-    weights: dict[str, float],
-    rig_indices: RigIndices,
-    lost_contents: dict[str, list[str]],
-) -> int:
-    """Write a mesh, and return the index of its node."""
-    carrier, local = _carrier_joint(builder, rig, surface, bind)
-    if surface.skin is None or carrier >= 0:
-        surface = _to_node_frame(surface, local)
-    points, normals = surface.points, surface.normals
-    primitive: dict[str, Any] = {
-        "attributes": _write_attributes(builder, points, normals)
-    }
-    if surface.skin is not None and carrier < 0:
-        _write_influences(builder, surface.skin, primitive["attributes"])
-        if surface.skin.method != "linear":
-            lost_contents["dual quaternion skinning (written as linear)"].append(
-                surface.name
-            )
-    faces = triangulate(surface.counts, surface.indices)
-    fits_16_bits = len(points) < 65535
-    indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
-    primitive["indices"] = builder.add_accessor(indices, target=ELEMENT_ARRAY_BUFFER)
-    if len(surface.counts) and surface.counts.max() > 3:
-        lost_contents["faces of more than three points (written as triangles)"].append(
-            surface.name
-        )
-    mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
-    _write_targets(builder, surface, primitive, mesh, weights, lost_contents)
-    if carrier >= 0 and builder.json["nodes"][carrier]["name"] != surface.name:
-        mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
-    index = builder.add("meshes", mesh)
-    return _attach_mesh(builder, rig, surface, index, carrier, bind, rig_indices)
+@dataclass(slots=True)
+class _SurfaceWriter:
+    """Writes the meshes of a rig."""
+
+    builder: GlbBuilder
+    rig: Rig
+    bind: FloatArray  # matrices of the joints ``(J, 4, 4)``
+    weights: dict[str, float]  # shape weights at rest
+    rig_indices: RigIndices
+    # Names by what glTF cannot store of them.
+    lost: dict[str, list[str]] = field(default_factory=lambda: defaultdict(list))
+
+    def write(self, surface: Surface) -> int:
+        """Write a mesh, and return the index of its node."""
+        carrier, local = self._carrier_joint(surface)
+        skin = surface.skin if carrier < 0 else None
+        if skin is None:
+            surface = _to_node_frame(surface, local)
+        attributes = self._write_attributes(surface.points, surface.normals)
+        primitive: dict[str, Any] = {"attributes": attributes}
+        if skin is not None:
+            self._write_influences(skin, attributes)
+            if skin.method != "linear":
+                content = "dual quaternion skinning (written as linear)"
+                self.lost[content].append(surface.name)
+        faces = triangulate(surface.counts, surface.indices)
+        fits_16_bits = len(surface.points) < 65535
+        indices = faces.reshape(-1, 1).astype(np.uint16 if fits_16_bits else np.uint32)
+        primitive["indices"] = self._add(indices, target=ELEMENT_ARRAY_BUFFER)
+        if len(surface.counts) and surface.counts.max() > 3:
+            content = "faces of more than three points (written as triangles)"
+            self.lost[content].append(surface.name)
+        mesh: dict[str, Any] = {"name": surface.name, "primitives": [primitive]}
+        if surface.shapes:
+            self._write_targets(surface, primitive, mesh)
+        nodes = self.builder.json["nodes"]
+        if carrier >= 0 and nodes[carrier]["name"] != surface.name:
+            mesh.setdefault("extras", {})["animtool"] = {"name": surface.name}
+        index = self.builder.add("meshes", mesh)
+        if carrier >= 0:
+            nodes[carrier]["mesh"] = index
+        else:
+            node: dict[str, Any] = {"name": surface.name, "mesh": index}
+            if skin is not None:
+                node["skin"] = self._write_skin(surface, skin)
+            carrier = self.builder.add("nodes", node)
+        names = [shape.name for shape in surface.shapes]
+        self.rig_indices.shapes |= {name: (carrier, k) for k, name in enumerate(names)}
+        if names:
+            self.rig_indices.targets[carrier] = names
+        return carrier
+
+    def _add(
+        self, values: Any, *, target: int = ARRAY_BUFFER, bounds: bool = False
+    ) -> int:
+        """Return the index of a new accessor."""
+        return self.builder.add_accessor(values, target=target, with_bounds=bounds)
+
+    def _carrier_joint(self, surface: Surface) -> tuple[int, FloatArray]:
+        """Return the joint that moves a mesh rigidly (-1: none), and the mesh's bind.
+
+        The bind is the transform from the points to the joint, or to the world without
+        a joint. A node has one mesh: a second mesh at the same joint is skinned.
+        """
+        skin = surface.skin
+        if skin is None or not len(skin.indices):
+            return -1, surface.geom_bind
+        used_joints = np.unique(skin.indices[skin.weights > 0])
+        is_fully_weighted = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
+        if len(used_joints) != 1 or not is_fully_weighted or len(skin.joints) > 1:
+            return -1, np.eye(4)
+        joint = self.rig.index(skin.joints[int(used_joints[0])])
+        if "mesh" in self.builder.json["nodes"][joint]:
+            return -1, np.eye(4)
+        return joint, np.linalg.inv(self.bind[joint]) @ surface.geom_bind
+
+    def _write_attributes(
+        self, points: FloatArray, normals: FloatArray | None
+    ) -> dict[str, int]:
+        attributes = {"POSITION": self._add(points.astype(np.float32), bounds=True)}
+        if normals is not None:
+            lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+            if (lengths > 0).all():
+                unit = (normals / lengths).astype(np.float32)
+                attributes["NORMAL"] = self._add(unit)
+        return attributes
+
+    def _write_influences(self, skin: SurfaceSkin, attributes: dict[str, int]) -> None:
+        indices, weights = pad_influences(skin)
+        index_dtype = np.uint8 if indices.max(initial=0) < 256 else np.uint16
+        for k in range(indices.shape[1] // 4):
+            columns = slice(4 * k, 4 * k + 4)
+            joints = indices[:, columns].astype(index_dtype)
+            attributes[f"JOINTS_{k}"] = self._add(joints)
+            set_weights = weights[:, columns].astype(np.float32)
+            attributes[f"WEIGHTS_{k}"] = self._add(set_weights)
+
+    def _write_skin(self, surface: Surface, skin: SurfaceSkin) -> int:
+        """Write the skin of a mesh and return its index; equal skins are shared."""
+        joints = [self.rig.index(name) for name in skin.joints]
+        matrices = np.linalg.inv(self.bind[joints]) @ surface.geom_bind
+        matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
+        columns = matrices.swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
+        entry: dict[str, Any] = {
+            "name": self.rig.name,
+            "inverseBindMatrices": self.builder.add_accessor(columns),
+            "joints": joints,
+        }
+        skins = self.builder.json.get("skins", [])
+        if entry in skins:
+            return int(skins.index(entry))
+        return self.builder.add("skins", entry)
+
+    def _write_targets(
+        self, surface: Surface, primitive: dict[str, Any], mesh: dict[str, Any]
+    ) -> None:
+        """Write shapes as morph targets."""
+        targets = []
+        for shape in surface.shapes:
+            rows = shape.vertices
+            if rows is None:
+                rows = np.arange(len(surface.points))
+            offsets = np.zeros((len(surface.points), 3))
+            np.add.at(offsets, rows, shape.deltas)
+            target = {"POSITION": self._add(offsets.astype(np.float32), bounds=True)}
+            if "NORMAL" in primitive["attributes"]:
+                normal_offsets = np.zeros_like(offsets)
+                if shape.normals is not None:
+                    np.add.at(normal_offsets, rows, shape.normals)
+                target["NORMAL"] = self._add(normal_offsets.astype(np.float32))
+            targets.append(target)
+            if shape.inbetweens:
+                self.lost["in-between shapes"].append(shape.name)
+        primitive["targets"] = targets
+        names = [shape.name for shape in surface.shapes]
+        mesh["weights"] = [self.weights.get(name, 0.0) for name in names]
+        mesh["extras"] = {"targetNames": names}
 
 
 def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
@@ -153,144 +249,8 @@ def _to_node_frame(surface: Surface, local: FloatArray) -> Surface:
         surface,
         points=surface.points @ linear.T + local[:3, 3],
         normals=None if normals is None else normals @ np.linalg.inv(linear),
-        shapes=tuple(
-            replace(shape, deltas=shape.deltas @ linear.T) for shape in surface.shapes
-        ),
+        shapes=tuple(replace(s, deltas=s.deltas @ linear.T) for s in surface.shapes),
     )
-
-
-def _write_influences(
-    builder: GlbBuilder, skin: SurfaceSkin, attributes: dict[str, int]
-) -> None:
-    indices, weights = pad_influences(skin)
-    index_dtype = np.uint8 if indices.max(initial=0) < 256 else np.uint16
-    for k in range(indices.shape[1] // 4):
-        columns = slice(4 * k, 4 * k + 4)
-        joints = indices[:, columns].astype(index_dtype)
-        attributes[f"JOINTS_{k}"] = builder.add_accessor(joints, target=ARRAY_BUFFER)
-        set_weights = weights[:, columns].astype(np.float32)
-        attributes[f"WEIGHTS_{k}"] = builder.add_accessor(
-            set_weights, target=ARRAY_BUFFER
-        )
-
-
-def _attach_mesh(
-    builder: GlbBuilder,
-    rig: Rig,
-    surface: Surface,
-    mesh: int,
-    carrier: int,
-    bind: FloatArray,
-    rig_indices: RigIndices,
-) -> int:
-    """Attach a mesh to its carrier joint or to a new node; return the node index."""
-    if carrier >= 0:
-        node_index = carrier
-        builder.json["nodes"][node_index]["mesh"] = mesh
-    else:
-        node: dict[str, Any] = {"name": surface.name, "mesh": mesh}
-        if surface.skin is not None:
-            node["skin"] = _write_skin(builder, rig, surface, surface.skin, bind)
-        node_index = builder.add("nodes", node)
-    names = [shape.name for shape in surface.shapes]
-    for k, name in enumerate(names):
-        rig_indices.shapes[name] = (node_index, k)
-    if names:
-        rig_indices.targets[node_index] = names
-    return node_index
-
-
-def _carrier_joint(
-    builder: GlbBuilder, rig: Rig, surface: Surface, bind: FloatArray
-) -> tuple[int, FloatArray]:
-    """Return the joint that moves a mesh rigidly (-1: none), and the mesh's bind.
-
-    The bind is the transform from the points to the joint, or to the world without a
-    joint. A node has one mesh: a second mesh at the same joint is skinned.
-    """
-    skin = surface.skin
-    if skin is None or not len(skin.indices):
-        return -1, surface.geom_bind
-    used_joints = np.unique(skin.indices[skin.weights > 0])
-    is_fully_weighted = (np.abs(skin.weights.sum(axis=1) - 1.0) < 1e-6).all()
-    if len(used_joints) != 1 or not is_fully_weighted or len(skin.joints) > 1:
-        return -1, np.eye(4)
-    joint = rig.index(skin.joints[int(used_joints[0])])
-    if "mesh" in builder.json["nodes"][joint]:
-        return -1, np.eye(4)
-    return joint, np.linalg.inv(bind[joint]) @ surface.geom_bind
-
-
-def _write_skin(
-    builder: GlbBuilder, rig: Rig, surface: Surface, skin: SurfaceSkin, bind: FloatArray
-) -> int:
-    """Write the skin of a mesh and return its index; equal skins are shared."""
-    joints = [rig.index(name) for name in skin.joints]
-    matrices = np.linalg.inv(bind[joints]) @ surface.geom_bind
-    matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
-    columns = matrices.swapaxes(1, 2).reshape(-1, 16).astype(np.float32)
-    entry: dict[str, Any] = {
-        "name": rig.name,
-        "inverseBindMatrices": builder.add_accessor(columns),
-        "joints": joints,
-    }
-    skins = builder.json.get("skins", [])
-    if entry in skins:
-        return int(skins.index(entry))
-    return builder.add("skins", entry)
-
-
-def _write_attributes(
-    builder: GlbBuilder, points: FloatArray, normals: FloatArray | None
-) -> dict[str, int]:
-    positions = points.astype(np.float32)
-    position = builder.add_accessor(positions, target=ARRAY_BUFFER, with_bounds=True)
-    attributes = {"POSITION": position}
-    if normals is not None:
-        lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-        if (lengths > 0).all():
-            unit = (normals / lengths).astype(np.float32)
-            attributes["NORMAL"] = builder.add_accessor(unit, target=ARRAY_BUFFER)
-    return attributes
-
-
-def _write_targets(
-    builder: GlbBuilder,
-    surface: Surface,
-    primitive: dict[str, Any],
-    mesh: dict[str, Any],
-    weights: dict[str, float],
-    lost_contents: dict[str, list[str]],
-) -> None:
-    """Write shapes as morph targets."""
-    if not surface.shapes:
-        return
-    targets = []
-    for shape in surface.shapes:
-        rows = shape.vertices
-        if rows is None:
-            rows = np.arange(len(surface.points))
-        offsets_by_vertex = np.zeros((len(surface.points), 3))
-        np.add.at(offsets_by_vertex, rows, shape.deltas)
-        offsets = offsets_by_vertex.astype(np.float32)
-        target = {
-            "POSITION": builder.add_accessor(
-                offsets, target=ARRAY_BUFFER, with_bounds=True
-            )
-        }
-        if "NORMAL" in primitive["attributes"]:
-            normal_offsets = np.zeros_like(offsets_by_vertex)
-            if shape.normals is not None:
-                np.add.at(normal_offsets, rows, shape.normals)
-            normals = normal_offsets.astype(np.float32)
-            target["NORMAL"] = builder.add_accessor(normals, target=ARRAY_BUFFER)
-        targets.append(target)
-        if shape.inbetweens:
-            lost_contents["in-between shapes"].append(shape.name)
-    primitive["targets"] = targets
-    names = [shape.name for shape in surface.shapes]
-    mesh["weights"] = [weights.get(name, 0.0) for name in names]
-    mesh["extras"] = {"targetNames": names}
 
 
 def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
@@ -320,12 +280,9 @@ def pad_influences(skin: SurfaceSkin) -> tuple[IntArray, FloatArray]:
     padded[:, :kept_width] = indices[:, :kept_width]
     padded_weights[:, :kept_width] = weights[:, :kept_width]
     weight_sums = padded_weights.sum(axis=1, keepdims=True)
-    padded_weights = np.where(
-        weight_sums > 0,
-        padded_weights / np.where(weight_sums > 0, weight_sums, 1.0),
-        0.0,
-    )
-    padded_weights[weight_sums[:, 0] <= 0, 0] = 1.0
+    has_weight = weight_sums > 0
+    padded_weights /= np.where(has_weight, weight_sums, 1.0)
+    padded_weights[~has_weight[:, 0]] = [1.0] + [0.0] * (width - 1)
     rounded_weights = padded_weights.astype(np.float32).astype(np.float64)
     rounded_weights[:, 0] += 1.0 - rounded_weights.sum(axis=1)
     padded[rounded_weights == 0.0] = 0
@@ -337,18 +294,13 @@ def _lost_contents_notice(
 ) -> list[Fault]:
     """Return a notice about rig contents that glTF cannot store, if any."""
     corrective_names = [shape.name for shape in rig.shapes if len(shape.combine) > 1]
-    if corrective_names:
-        lost_contents["products of shapes (each gets its own weight)"] += (
-            corrective_names
-        )
-    unwritten = [
-        shape.name for shape in rig.shapes if shape.name not in rig_indices.shapes
-    ]
-    if unwritten:
-        lost_contents["shapes without a mesh (skipped)"] += unwritten
+    unwritten = [s.name for s in rig.shapes if s.name not in rig_indices.shapes]
+    lost_contents["products of shapes (each gets its own weight)"] += corrective_names
+    lost_contents["shapes without a mesh (skipped)"] += unwritten
     texts = [
         f"{label}: {listed(names, MAX_LISTED_CONTENTS)}"
         for label, names in lost_contents.items()
+        if names
     ]
     if not texts:
         return []

@@ -242,9 +242,8 @@ class _RecordingTable:
             return []
         row = int(np.flatnonzero(is_mismatched)[0])
         values_text = counted(max(valid_counts), "value")
-        message = (
-            f"{COUNT_COLUMN} is {stated_counts[row]:g}, but the row has {values_text}"
-        )
+        message = f"{COUNT_COLUMN} is {stated_counts[row]:g}, but the row has "
+        message += f"{values_text}"
         return [self._warning("LLF106", message, int(lines[row]))]
 
     def _warning(self, code: str, message: str, line: int) -> Fault:

@@ -80,16 +80,13 @@ def read_livelink(
     frames = row_frames(recording.labels, recording.lines, str(path), label_rate)
     target_rig = face_rig(recording) if rig is None else Rig.load(Path(rig))
     table = None if remap is None else load_remap(remap)
-    links = link_shapes(
-        recording.shapes, [shape.name for shape in target_rig.shapes], table
-    )
+    links = link_shapes(recording.shapes, [s.name for s in target_rig.shapes], table)
     joints = head_joints(target_rig)
     notices = [*recording.notices, *frames.notices]
     rotations = _part_angles(recording)
     if not links.links and not (set(rotations) & set(joints)):
-        message = (
-            f"{target_rig.name!r} has no shape of this recording, and no head joint"
-        )
+        message = f"{target_rig.name!r} has no shape of this recording, and no head "
+        message += "joint"
         hint = f"map the shapes of other conventions with {argument('source.remap')}"
         if not target_rig.shapes:
             hint = "the rig has no shapes"
@@ -226,10 +223,8 @@ def _recording_notices(
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
-        message = (
-            f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
-            f"first, frames {listed((gaps).tolist(), MAX_LISTED_SHAPES)}"
-        )
+        message = f"{len(gaps)} of {frames.count} frames have no row: {fill}; from the "
+        message += f"first, frames {listed((gaps).tolist(), MAX_LISTED_SHAPES)}"
         hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
         notices.append(Fault("LLF101", message, path, (), hint, Severity.WARNING))
     for values, names in (
@@ -242,9 +237,8 @@ def _recording_notices(
             treatment = "interpolated from its neighbours"
             if is_missing[:, c].all():
                 treatment = "set to 0"
-            message = (
-                f"{names[c]} has no value in {counted(len(lines), 'row')}: {treatment}"
-            )
+            message = f"{names[c]} has no value in {counted(len(lines), 'row')}: "
+            message += f"{treatment}"
             rows, warning = tuple(lines[:MAX_LISTED_SHAPES]), Severity.WARNING
             notices.append(Fault("LLF102", message, path, rows, severity=warning))
     # Values are kept: some rigs exceed 1, and percentages are detected.

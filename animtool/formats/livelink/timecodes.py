@@ -94,10 +94,8 @@ def row_frames(
     time_steps = np.diff(times)
     if len(time_steps) and (longest_gap := time_steps.max()) > MAX_GAP_SECONDS * rate:
         gap_index = int(time_steps.argmax())
-        message = (
-            f"{longest_gap / float(rate):.6g} s without a row before "
-            f"{labels[order[gap_index + 1]]}"
-        )
+        message = f"{longest_gap / float(rate):.6g} s without a row before "
+        message += f"{labels[order[gap_index + 1]]}"
         hint = "split the recording there, or repair the time code"
         line = (int(lines[order[gap_index + 1]]),)
         raise FormatError(Fault("LLF006", message, path, line, hint))
@@ -137,10 +135,8 @@ def _check_stated_rate(
     is_beyond = fields[:, 3] >= limit
     if is_beyond.sum() < max(2, MIN_BEYOND_FRACTION * len(fields)):
         return
-    message = (
-        f"its time codes count frames up to {fields[:, 3].max()}; the largest is "
-        f"{limit - 1} at {rate_label(clock)}"
-    )
+    message = f"its time codes count frames up to {fields[:, 3].max()}; the largest is "
+    message += f"{limit - 1} at {rate_label(clock)}"
     fitting_rate = _fit_timecode_rate(fields, is_drop_frame, path, [])
     hint = f"set {argument('source.fps', fitting_rate)}, or leave it out: the time "
     hint += "codes show it"
@@ -160,15 +156,11 @@ def _fit_timecode_rate(
         return Fraction(candidates[0] * 1000, 1001)
     seconds_ends = np.flatnonzero(np.diff(seconds) == 1)
     if len(candidates) > 1 and not len(seconds_ends):
-        rate = (
-            DEFAULT_TIMECODE_RATE
-            if DEFAULT_TIMECODE_RATE in candidates
-            else candidates[0]
-        )
-        message = (
-            f"the time code never reaches another second, so {rate} frames per "
-            "second are assumed, the default of the app"
-        )
+        rate = candidates[0]
+        if DEFAULT_TIMECODE_RATE in candidates:
+            rate = DEFAULT_TIMECODE_RATE
+        message = f"the time code never reaches another second, so {rate} frames per "
+        message += "second are assumed, the default of the app"
         hint = f"set the rate of its time code with {argument('source.fps')}"
         notices.append(Fault("LLF107", message, path, (), hint, Severity.NOTE))
         return Fraction(rate)
@@ -250,9 +242,7 @@ def _repeated_notice(
     repeats = sorted(lines[order[~is_first]].tolist())
     if not repeats:
         return []
-    message = (
-        f"{counted(len(repeats), 'row')} for a frame that already has one: skipped, "
-        f"lines {listed(repeats, MAX_LISTED_LINES)}"
-    )
+    message = f"{counted(len(repeats), 'row')} for a frame that already has one: "
+    message += f"skipped, lines {listed(repeats, MAX_LISTED_LINES)}"
     rows = tuple(repeats[:MAX_LISTED_LINES])
     return [Fault("LLF105", message, path, rows, None, Severity.WARNING)]

@@ -40,9 +40,8 @@ def build_livelink_text(take: Take) -> TakeText:
     columns = {arkit_name(s.name): i for i, s in enumerate(take.rig.shapes)}
     columns.pop(None, None)
     if not columns:
-        message = (
-            f"{take.rig.name!r} has no ARKit shape, which is all that this CSV holds"
-        )
+        message = f"{take.rig.name!r} has no ARKit shape, which is all that this CSV "
+        message += "holds"
         hint = "write USD, or keys in a .clip.yaml"
         raise OptionError(Fault("LLF008", message, hint=hint))
     rate = take.clock.rate

@@ -107,17 +107,13 @@ def build_robot(model: Any, reduced: ReducedModel, notes: XmlNotes) -> Robot:
     _check_sizes(model, notes)
     equalities = JointEqualities.of(model, notes)
     notes.check()
-    links = [
-        _build_link(model, body, equalities, reduced) for body in range(1, model.nbody)
-    ]
+    links = [_build_link(model, b, equalities, reduced) for b in range(1, model.nbody)]
     for site in range(model.nsite):
         body, name = int(model.site_bodyid[site]), model.site(site).name
         if name and body > 0:
-            pose = (
-                float_vector(model.site_pos[site]),
-                convert_quaternion(model.site_quat[site]),
-            )
-            links[body - 1].sites.append((name, *pose))
+            position = float_vector(model.site_pos[site])
+            rotation = convert_quaternion(model.site_quat[site])
+            links[body - 1].sites.append((name, position, rotation))
     _record_differences(model, reduced, equalities, notes)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
@@ -127,12 +123,9 @@ def _check_sizes(model: Any, notes: XmlNotes) -> None:
     for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
                  "geom_pos", "site_pos"):  # fmt: skip
         values = np.asarray(getattr(model, name), np.float64)
-        if not (
-            np.isfinite(values).all() and np.abs(values).max(initial=0) <= MAX_VALUE
-        ):
-            message = (
-                f"the compiled model has {name} beyond {MAX_VALUE:g}, or not finite"
-            )
+        if not (np.abs(values) <= MAX_VALUE).all():
+            message = f"the compiled model has {name} beyond {MAX_VALUE:g}, or not "
+            message += "finite"
             hint = "lengths are in metres: look at positions, sizes and scales"
             notes.add("MJC007", None, message, hint)
             return
@@ -159,28 +152,21 @@ def _build_link(
         if model.jnt_type[joint] in {_FREE, _SLIDE}:
             joint_pivot = pivot  # its position has no effect
         translation = position + so3.rotate(rotation, joint_pivot - pivot)
-        link.joints.append(
-            _build_joint(model, joint, translation, rotation, equalities)
-        )
+        built_joint = _build_joint(model, joint, translation, rotation, equalities)
+        link.joints.append(built_joint)
         position = np.zeros(3)
         rotation = np.array(IDENTITY_ROTATION)
         pivot = joint_pivot
     if link.joints:
         link.offset = float_vector(-pivot)
     else:
-        fixed_joint = RobotJoint(
-            "", JointType.FIXED, float_vector(position), float_quaternion(rotation)
-        )
-        link.joints.append(fixed_joint)
+        pose = float_vector(position), float_quaternion(rotation)
+        link.joints.append(RobotJoint("", JointType.FIXED, *pose))
     link.solids, link.surfaces = _simple_geoms(model, body)
     mass = float(model.body_mass[body])
     inertial_values = [mass, *model.body_inertia[body], *model.body_ipos[body]]
     has_mass = mass > 2 * MIN_MASS and name not in reduced.with_unknown_mass
-    if (
-        has_mass
-        and np.isfinite(inertial_values).all()
-        and np.abs(inertial_values).max() < MAX_MASS
-    ):
+    if has_mass and (np.abs(inertial_values) < MAX_MASS).all():
         link.weight = _body_weight(model, body, mass)
     return link
 
@@ -241,9 +227,8 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
             "box": [2 * half_size for half_size in half_sizes],
         }[kind]
         position: Vector = float_vector(model.geom_pos[geom])
-        solid = SimpleShape(
-            kind, tuple(size), position, convert_quaternion(model.geom_quat[geom])
-        )
+        rotation = convert_quaternion(model.geom_quat[geom])
+        solid = SimpleShape(kind, tuple(size), position, rotation)
         if model.geom_contype[geom] or model.geom_conaffinity[geom]:
             colliding_geoms.append(solid)
         if model.geom_group[geom] < HIDDEN_GROUP and model.geom_rgba[geom][3] > 0:
@@ -254,11 +239,8 @@ def _simple_geoms(model: Any, body: int) -> tuple[list[SimpleShape], list[Triang
 def _body_weight(model: Any, body: int, mass: float) -> LinkMass:
     rotation = so3.to_matrix(np.array(convert_quaternion(model.body_iquat[body])))
     inertia = np.array(model.body_inertia[body])
-    return LinkMass(
-        mass,
-        float_vector(model.body_ipos[body]),
-        rotation @ np.diag(inertia) @ rotation.T,
-    )
+    tensor = rotation @ np.diag(inertia) @ rotation.T
+    return LinkMass(mass, float_vector(model.body_ipos[body]), tensor)
 
 
 def _record_differences(
@@ -277,12 +259,8 @@ def _record_differences(
     scalar = [j for j in range(model.njnt) if model.jnt_type[j] in {_SLIDE, _HINGE}]
     joints_with_ref = [j for j in scalar if model.qpos0[model.jnt_qposadr[j]] != 0]
     hint = "coordinates are MuJoCo's qpos, and the rest pose has them at 0"
-    add(
-        "MJC109",
-        joints_with_ref,
-        "the file draws {} at another value (ref) than 0",
-        hint,
-    )
+    message = "the file draws {} at another value (ref) than 0"
+    add("MJC109", joints_with_ref, message, hint)
     excluding_zero = [
         j
         for j in scalar
@@ -292,22 +270,16 @@ def _record_differences(
     ]
     hint = "the rest pose is still at 0; a take uses the nearest limit"
     add("MJC109", excluding_zero, "0 is outside the limits of {}", hint)
-    balls = [
-        j
-        for j in range(model.njnt)
-        if model.jnt_type[j] == _BALL and model.jnt_limited[j]
-    ]
+    limited = np.flatnonzero(model.jnt_limited).tolist()
+    balls = [j for j in limited if model.jnt_type[j] == _BALL]
     widest = max((math.degrees(model.jnt_range[j, 1]) for j in balls), default=0.0)
     message = "the limits of {} are ignored, " + f"up to {widest:.4g}° each way"
     hint = "a rig limits swing and twist; a rig file over this one may state them"
     add("MJC104", balls, message, hint)
     if reduced.idle:
         constrained_joints = {*equalities.mimics, *equalities.drivers}
-        idle = [
-            j
-            for j in scalar
-            if names[j] not in reduced.actuated and j not in constrained_joints
-        ]
+        free = [j for j in scalar if j not in constrained_joints]
+        idle = [j for j in free if names[j] not in reduced.actuated]
         add("MJC105", idle, "no actuator drives {}", "in a rig they move as others do")
     if reduced.with_unknown_mass:
         bodies = sorted(reduced.with_unknown_mass)

@@ -77,9 +77,8 @@ def reduce_model(
     _name_bodies(root)
     reduction = _Reduction(_MeshDefaults(root), notes)
     model = root.attributes.get("model")
-    reduction.add(
-        root, "<mujoco>" if model is None else f"<mujoco model={quoteattr(model)}>"
-    )
+    attribute = "" if model is None else f" model={quoteattr(model)}"
+    reduction.add(root, f"<mujoco{attribute}>")
     # Written before the file's defaults, which may override these.
     reduction.add(
         XmlElement("compiler", {}, root.path, root.line, root.column),
@@ -133,9 +132,7 @@ class _Reduction:
         """Add an element with its supported children, or record that it is left out."""
         tag = element.tag
         kept_children = [
-            child
-            for child in element.children
-            if _is_kept(element, child, section, self.notes)
+            c for c in element.children if _is_kept(element, c, section, self.notes)
         ]
         is_body_geom = tag == "geom" and section == "worldbody"
         if is_body_geom and self.meshes.is_mesh(element, classes):
@@ -234,12 +231,7 @@ def element_name_label(element: XmlElement) -> str | None:
 
 def _name_bodies(root: XmlElement) -> None:
     """Give unique names to bodies without a name."""
-    bodies = [
-        element
-        for section in root.all("worldbody")
-        for element in section.walk()
-        if element.tag == "body"
-    ]
+    bodies = [e for s in root.all("worldbody") for e in s.walk() if e.tag == "body"]
     used_names = {body.attributes.get("name") for body in bodies}
     number = 0
     for body in bodies:
@@ -305,9 +297,8 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
-            notes.add(
-                "MJC016", element, message, hint, where=element_name_label(element)
-            )
+            where = element_name_label(element)
+            notes.add("MJC016", element, message, hint, where=where)
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"

@@ -77,10 +77,8 @@ def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
     """Return names that `coordinates_by_name` has, short ones if unambiguous."""
     accepted = coordinates_by_name(rig)
     return [
-        short
-        if accepted[short := _short_name(rig, coordinate)] == coordinate
-        else _dotted_name(rig, coordinate)
-        for coordinate in coordinates
+        short if accepted[short := _short_name(rig, c)] == c else _dotted_name(rig, c)
+        for c in coordinates
     ]
 
 

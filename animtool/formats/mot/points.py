@@ -131,10 +131,8 @@ def _row_frames(
         message = f"times are uneven: resampled at {float(exact_rate):g} fps, linearly "
         file.warn("MOF105", f"{message}between rows, but not over gaps")
     elif (missing_count := int(frames[-1]) + 1 - count) > 0:
-        message = (
-            f"{counted(missing_count, 'frame')} without a row; markers have no "
-            "positions there"
-        )
+        message = f"{counted(missing_count, 'frame')} without a row; markers have no "
+        message += "positions there"
         file.warn("MOF105", message)
     return _rows_from_times(times, exact_rate, frames, rounding)
 

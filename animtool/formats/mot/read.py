@@ -93,9 +93,7 @@ def read_mot(
     if not table.degrees:
         is_angle = [coordinate.is_angle for coordinate in columns]
         names = [
-            table.names[c]
-            for c, angle in zip(table_columns, is_angle, strict=True)
-            if angle
+            table.names[c] for c, a in zip(table_columns, is_angle, strict=True) if a
         ]
         notices += _degrees_notice(str(path), names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
@@ -216,10 +214,8 @@ def _resample_rows(
     resampled_values = np.stack(
         [np.interp(frame_times, times, column) for column in values.T], axis=-1
     )
-    message = (
-        f"times are uneven, up to {steps.error:.3g} s off: resampled at "
-        f"{float(rate):g} fps, linearly between rows"
-    )
+    message = f"times are uneven, up to {steps.error:.3g} s off: resampled at "
+    message += f"{float(rate):g} fps, linearly between rows"
     hint = f"{argument('source.fps')} reads each row as a frame"
     return (
         rate,
@@ -239,9 +235,7 @@ def _table_rate(path: str, step: float, rounding: float, frames: int) -> Fractio
 
 def _build_motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
     coordinates = convert_columns_to_coordinates(rig, columns, values)
-    animated_joints = {
-        rig.joints[coordinate.joint_index].name for coordinate in columns
-    }
+    animated_joints = {rig.joints[c.joint_index].name for c in columns}
     local = local_from_coordinates(rig, with_mimics(rig, coordinates, animated_joints))
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)

@@ -34,10 +34,8 @@ _UNSUPPORTED_TYPES = {
     "spatialvec": "rotations and translations",
     "spatial": "rotations and translations",
 }
-_IMU_HINT = (
-    "OpenSim's IMU inverse kinematics turns orientations of sensors into "
-    "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
-)
+_IMU_HINT = "OpenSim's IMU inverse kinematics turns orientations of sensors into "
+_IMU_HINT += "coordinates: opensim-cmd run-tool imu_ik.xml; its MOT is read"
 _POINTS_HINT = "animtool convert writes them as markers: .trc, .c3d or .npz"
 _TYPE_HINTS = {"quaternion": _IMU_HINT, "vec3": _POINTS_HINT}
 _BOOLEAN_WORDS = {
@@ -176,10 +174,8 @@ def _parse_header(
         if not value:
             # SIMM writes: datarows 250.
             key, _, value = (part.strip() for part in text.partition(" "))
-            # SIMM files are in degrees.
-            stated_degrees = (
-                True if key in {"datarows", "datacolumns"} else stated_degrees
-            )
+            if key in {"datarows", "datacolumns"}:
+                stated_degrees = True  # SIMM files are in degrees
         count_name = {
             "nrows": "rows",
             "datarows": "rows",
@@ -197,9 +193,8 @@ def _parse_header(
             if value not in _BOOLEAN_WORDS:
                 texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
-            stated_degrees = {"degrees": True, "radians": False}.get(
-                text[14:].rstrip(". "), stated_degrees
-            )
+            units = {"degrees": True, "radians": False}
+            stated_degrees = units.get(text[14:].rstrip(". "), stated_degrees)
     return counts, stated_degrees if degrees is None else degrees, texts
 
 
@@ -212,11 +207,9 @@ def _column_names(
         message = f"the first column is {excerpt(cells[0])}, not time"
         raise _table_error("MOF002", path, message, number)
     if len(cells) < 2 or not all(cells):
-        problem = (
-            "has no column besides the time"
-            if len(cells) < 2
-            else "has an unnamed column"
-        )
+        problem = "has an unnamed column"
+        if len(cells) < 2:
+            problem = "has no column besides the time"
         raise _table_error("MOF002", path, problem, number)
     if len(cells) - 1 > MAX_COLUMNS:
         message = f"has {len(cells) - 1} columns; the limit is {MAX_COLUMNS}"
@@ -234,12 +227,9 @@ def check_duplicates(
     for key, name in zip(keys, names, strict=True):
         if key in first_names:
             both_names = f"{excerpt(first_names[key])} and {excerpt(name)}"
-            duplicate_message = f"duplicate column {excerpt(name)}"
-            message = (
-                duplicate_message
-                if first_names[key] == name
-                else f"{both_names} are the same coordinate"
-            )
+            message = f"{both_names} are the same coordinate"
+            if first_names[key] == name:
+                message = f"duplicate column {excerpt(name)}"
             raise _table_error("MOF004", path, message, line)
         first_names[key] = name
 
@@ -248,28 +238,23 @@ def _check_data_type(path: Path, header: MotHeader, lines: list[bytes]) -> None:
     """Raise for cells with more than one number, such as quaternions (MOF009)."""
     data_type, names, begin = header.kind, header.names, header.begin
     separator = header.separator
-    row = next(
-        (i for i in range(begin, len(lines)) if lines[i].strip(BLANK_CHARACTERS)),
-        begin - 1,
-    )
+    rows = (i for i in range(begin, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
+    row = next(rows, begin - 1)
     cells = split_cells(lines[row], separator)[1:] if row >= begin else []
     numbers_per_cell = max((cell.count(",") + 1 for cell in cells), default=1)
     has_decimal_commas = numbers_per_cell == 2 and b"." not in lines[row]
-    if data_type.lower() in _NUMBER_TYPES and (
-        numbers_per_cell == 1 or separator == b"," or has_decimal_commas
-    ):
+    has_numbers = numbers_per_cell == 1 or separator == b"," or has_decimal_commas
+    if has_numbers and data_type.lower() in _NUMBER_TYPES:
         return
     stated_type = f"DataType {excerpt(data_type)}" if data_type else "no DataType"
     columns = counted(len(names), "column")
     message = f"has {stated_type}: {columns} of {numbers_per_cell} numbers in a cell"
-    type_label = _UNSUPPORTED_TYPES.get(
-        data_type.lower().partition("<")[0].rstrip("0123456789_")
-    )
+    base_type = data_type.lower().partition("<")[0].rstrip("0123456789_")
+    type_label = _UNSUPPORTED_TYPES.get(base_type)
     message += f" ({type_label})" if type_label else ""
     message += f", {listed(list(names[:3]))}"
-    hint = _TYPE_HINTS.get(
-        data_type.lower(), "MOT and STO are read with one number in a cell"
-    )
+    default_hint = "MOT and STO are read with one number in a cell"
+    hint = _TYPE_HINTS.get(data_type.lower(), default_hint)
     raise FormatError(Fault("MOF009", message, str(path), (row + 1,), hint))
 
 
@@ -291,12 +276,11 @@ def read_rows(
     rows = gather_rows(lines, header.begin, header.separator)
     warning = Severity.WARNING
     while len(rows.texts):
-        bad_rows = np.flatnonzero(
-            (rows.value_counts > column_count) | (rows.cell_counts < column_count)
-        )
-        if not len(bad_rows):
+        is_bad = rows.value_counts > column_count
+        is_bad |= rows.cell_counts < column_count
+        if not is_bad.any():
             break
-        row = int(bad_rows[0])
+        row = int(is_bad.argmax())
         line = int(rows.line_numbers[row])
         is_short = rows.cell_counts[row] < column_count
         count = int(rows.cell_counts[row] if is_short else rows.value_counts[row])
@@ -339,9 +323,7 @@ def _missing_values_warning(
     if not columns:
         return []
     count = counted(int(is_missing.sum()), "value")
-    message = (
-        f"{count} missing in {listed([names[c] for c in columns])}: interpolated, or "
-        "0 where a column has no values"
-    )
+    message = f"{count} missing in {listed([names[c] for c in columns])}: "
+    message += "interpolated, or 0 where a column has no values"
     row = int(lines[np.flatnonzero(is_missing.any(axis=1))[0]])
     return [Fault("MOF104", message, str(path), (row,), None, Severity.WARNING)]

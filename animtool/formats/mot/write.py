@@ -75,9 +75,7 @@ def build_mot_text(take: Take) -> TakeText:
 
 
 def _header_lines(rig: Rig, columns: list[Coordinate], frames: int) -> list[str]:
-    names = [
-        "_".join(name.replace(",", " ").split()) for name in column_names(rig, columns)
-    ]
+    names = ["_".join(n.replace(",", " ").split()) for n in column_names(rig, columns)]
     return [
         "Coordinates",
         "version=1",

@@ -253,9 +253,7 @@ def _record_approximate(
     robot: Robot, notes: XmlNotes, codes: RobotCodes, largest_error: float
 ) -> None:
     count = sum(
-        solid.kind in {"box", "cylinder"}
-        for link in robot.links
-        for solid in link.solids
+        s.kind in {"box", "cylinder"} for link in robot.links for s in link.solids
     )
     message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
     message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"

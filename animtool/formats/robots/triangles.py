@@ -16,9 +16,7 @@ CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
     """Merge triangle surfaces into one."""
     counts = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
-    faces = [
-        surface.faces + start for surface, start in zip(surfaces, counts, strict=False)
-    ]
+    faces = [s.faces + start for s, start in zip(surfaces, counts, strict=False)]
     return Triangles(
         np.concatenate([surface.points for surface in surfaces]), np.concatenate(faces)
     )

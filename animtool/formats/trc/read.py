@@ -55,17 +55,12 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
     if words[0].strip(b'"').lower() != b"pathfiletype":
         raise file.error("TRC001", "the first line does not start with PathFileType")
     name_matches = [_NAMES_LINE.match(line) for line in lines[:MAX_HEADER_LINES]]
-    names_index = next(
-        (i for i, name_match in enumerate(name_matches) if name_match), 0
-    )
+    names_index = next((i for i, n in enumerate(name_matches) if n), 0)
     lines_above = [i for i in range(1, names_index) if lines[i].strip(BLANK_CHARACTERS)]
     if len(lines_above) < 2:
-        missing_line = (
-            "line that starts with Frame#" if not names_index else "DataRate line"
-        )
-        raise file.error(
-            "TRC001", f"no {missing_line} in the first {MAX_HEADER_LINES} lines"
-        )
+        missing = "DataRate line" if names_index else "line that starts with Frame#"
+        message = f"no {missing} in the first {MAX_HEADER_LINES} lines"
+        raise file.error("TRC001", message)
     values = _header_values(lines[lines_above[-2]], lines[lines_above[-1]])
     name_match = name_matches[names_index]
     assert name_match is not None
@@ -92,11 +87,7 @@ def read_header(file: MarkerFile, lines: list[bytes]) -> TrcHeader:
 def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     """Return the values below the header's keys."""
     separator = find_separator(keys_line)
-    keys = [
-        key
-        for cell in split_cells(keys_line, separator)
-        for key in cell.split() or [""]
-    ]
+    keys = [k for c in split_cells(keys_line, separator) for k in c.split() or [""]]
     values = split_cells(values_line, find_row_separator(values_line, separator))
     if len(values) < len(keys):
         cells = [text for value in values for text in value.split() or [""]]
@@ -210,9 +201,8 @@ def read_trc(
     header = read_header(file, lines)
     rows = gather_rows(lines, header.begin, header.separator)
     names = _marker_names(file, header, rows)
-    rows = _drop_truncated_row(
-        file, rows, len(lines) if lines[-1] else 0, 2 + 3 * len(names)
-    )
+    width = 2 + 3 * len(names)
+    rows = _drop_truncated_row(file, rows, len(lines) if lines[-1] else 0, width)
 
     def build_error(message: str, line: int) -> FormatError:
         return FormatError(Fault("TRC002", message, file.path, (line,)))
@@ -220,7 +210,7 @@ def read_trc(
     if len(rows.texts) * len(names) > MAX_POSITIONS:
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
-    values = rows.values(2 + 3 * len(names), build_error)
+    values = rows.values(width, build_error)
     if rows.has_decimal_commas:
         hint = "export it with decimal points, which other programs need"
         file.note("TRC108", "commas are read as decimal points", hint)
@@ -255,19 +245,15 @@ def _marker_names(file: MarkerFile, header: TrcHeader, rows: TextRows) -> list[s
     is_too_wide = rows.value_counts > 2 + 3 * len(header.names)
     # The last cell may be followed by a separator.
     is_ragged = ((rows.value_counts - 2) % 3 != 0) & ((rows.cell_counts - 2) % 3 != 0)
-    is_ragged &= (rows.cell_counts == rows.value_counts) | (
-        (rows.cell_counts - 3) % 3 != 0
-    )
+    is_ragged &= (rows.cell_counts == rows.value_counts) | (rows.cell_counts % 3 != 0)
     bad_rows = np.flatnonzero(is_too_wide & is_ragged)
     if len(bad_rows) or len(names) > MAX_MARKERS:
         row = int(bad_rows[0]) if len(bad_rows) else int(rows.value_counts.argmax())
         message = f"the row has {int(rows.value_counts[row])} values, not "
         message += str(2 + 3 * len(names))
         if len(bad_rows):
-            message = (
-                f"the row has {int(rows.value_counts[row])} values, but frame, time "
-                f"and {counted(len(header.names), 'named marker')} take "
-            )
+            message = f"the row has {int(rows.value_counts[row])} values, but frame, "
+            message += f"time and {counted(len(header.names), 'named marker')} take "
             message += str(2 + 3 * len(header.names))
         hint = None
         if header.separator == b"," and not any(b"." in text for text in rows.texts):
@@ -297,20 +283,14 @@ def _drop_truncated_row(
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """
     is_short = (rows.cell_counts < width) & (rows.value_counts > 1)
-    incomplete_markers = np.flatnonzero(
-        is_short & (rows.cell_counts == rows.value_counts) & (rows.cell_counts % 3 != 2)
-    )
+    is_cut_in_marker = is_short & (rows.cell_counts == rows.value_counts)
+    is_cut_in_marker &= rows.cell_counts % 3 != 2
+    incomplete_markers = np.flatnonzero(is_cut_in_marker)
     last_row = len(rows.texts) - 1
     # A row that ends after a complete marker is not truncated if others are short too.
-    is_cut_in_marker = (
-        len(incomplete_markers) > 0 and int(incomplete_markers[-1]) == last_row
-    )
-    is_only_short = bool(is_short[last_row]) and int(is_short.sum()) == 1
-    is_truncated = (
-        last_row > 0
-        and rows.line_numbers[last_row] == unterminated_line
-        and (is_cut_in_marker or is_only_short)
-    )
+    is_cut = is_cut_in_marker[last_row] or (is_short[last_row] and is_short.sum() == 1)
+    is_unterminated = rows.line_numbers[last_row] == unterminated_line
+    is_truncated = last_row > 0 and is_unterminated and is_cut
     if not len(incomplete_markers) and not is_truncated:
         return rows
     row = last_row if is_truncated else int(incomplete_markers[0])
@@ -319,8 +299,7 @@ def _drop_truncated_row(
     if not is_truncated:
         message = f"the row ends within a marker ({count_text}), which is missing there"
         if len(incomplete_markers) > 1:
-            message += (
-                f", and so do {counted(len(incomplete_markers) - 1, 'other row')}"
-            )
+            message += ", and so do "
+            message += f"{counted(len(incomplete_markers) - 1, 'other row')}"
     file.warn("TRC109", message, "copy or export it again", int(rows.line_numbers[row]))
     return rows.without_last() if is_truncated else rows

@@ -119,10 +119,8 @@ def _check_times(
         message = f"{row_frame}, at {times[row]:g} s, {relation} {previous_frame}, at "
         message += f"{times[row - 1]:g} s"
     message += f"; {counted(other_count, 'other row')} too" if other_count else ""
-    hint = (
-        f"repair the rows, or set the rate with {argument('source.fps')} to place "
-        "them by Frame#"
-    )
+    hint = f"repair the rows, or set the rate with {argument('source.fps')} to place "
+    hint += "them by Frame#"
     at = (int(lines[row]),)
     raise FormatError(Fault("TRC003", message, file.path, at, hint))
 
@@ -140,18 +138,14 @@ def _rate_of_times(
         hint = f"set the rate with {argument('source.fps')} to place rows by Frame#"
         raise file.error("TRC003", message, hint)
     if stated_rate is None or stated_rate <= 0:
-        no_rate = (
-            "the header has no DataRate"
-            if stated_rate is None
-            else f"DataRate is {stated_rate:g}"
-        )
+        no_rate = "the header has no DataRate"
+        if stated_rate is not None:
+            no_rate = f"DataRate is {stated_rate:g}"
         message = f"{no_rate}; using {float(rate):g} fps, from Time"
         file.note("TRC104", message)
         return rate
-    message = (
-        f"Time has a step of {steps.step:.6g} s, {float(rate):g} fps, but DataRate is "
-        f"{stated_rate:g}; using Time"
-    )
+    message = f"Time has a step of {steps.step:.6g} s, {float(rate):g} fps, but "
+    message += f"DataRate is {stated_rate:g}; using Time"
     rate_text = f"{float(rate_from_float(stated_rate)):g}"
     hint = f"{argument('source.fps', rate_text)} uses DataRate"
     file.warn("TRC104", message, hint)
@@ -169,10 +163,8 @@ def _check_gaps(
         return
     frame_count = float(row_frames[-1]) + 1
     row = int(np.diff(row_frames).argmax()) + 1
-    message = (
-        f"{len(row_frames)} rows span {frame_count:.6g} frames; the largest gap is "
-        "before this row"
-    )
+    message = f"{len(row_frames)} rows span {frame_count:.6g} frames; the largest gap "
+    message += "is before this row"
     hint = "repair Frame# and Time of the row, or end the file there"
     raise FormatError(Fault("TRC003", message, file.path, (int(lines[row]),), hint))
 
@@ -187,19 +179,14 @@ def _warn_gaps(
     rows = np.flatnonzero(np.diff(frames) > 1)
     row = int(rows[0])
     first_gap = int(frames[row + 1] - frames[row]) - 1
-    message = (
-        f"{counted(first_gap, 'missing frame')} ({first_gap / rate:.4g} s) before line "
-        f"{lines[row + 1]}"
-    )
+    message = f"{counted(first_gap, 'missing frame')} ({first_gap / rate:.4g} s) "
+    message += f"before line {lines[row + 1]}"
     if len(rows) > 1:
-        message += (
-            f", and {missing_count - first_gap} in "
-            f"{counted(len(rows) - 1, 'other gap')}"
-        )
+        message += f", and {missing_count - first_gap} in "
+        message += f"{counted(len(rows) - 1, 'other gap')}"
+    message += "; markers are missing there"
     hint = "mocap fill computes positions in gaps"
-    file.warn(
-        "TRC105", f"{message}; markers are missing there", hint, int(lines[row + 1])
-    )
+    file.warn("TRC105", message, hint, int(lines[row + 1]))
 
 
 def _warn_irregular(
@@ -232,11 +219,10 @@ def _warn_numbers(
     if not len(rows):
         return
     row = int(rows[0])
-    message = (
-        f"Frame# is {numbers[row]:g}" if is_number[row] else "Frame# is not a number"
-    )
-    if row and is_number[row]:
-        message += f" after {numbers[row - 1]:g}"
+    message = "Frame# is not a number"
+    if is_number[row]:
+        message = f"Frame# is {numbers[row]:g}"
+        message += f" after {numbers[row - 1]:g}" if row else ""
     if len(rows) > 1:
         message += f", and {counted(len(rows) - 1, 'other row')} too"
     file.warn("TRC107", f"{message}; {result}", None, int(lines[row]))

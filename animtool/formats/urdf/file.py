@@ -15,9 +15,8 @@ from animtool.formats.urdf.joints import add_joint
 from animtool.formats.urdf.links import add_link
 
 _XACRO_MARKERS = "${", "$("
-EXPAND_HINT = (
-    "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of ROS)"
-)
+EXPAND_HINT = "expand it: xacro robot.urdf.xacro -o robot.urdf (from the package of "
+EXPAND_HINT += "ROS)"
 
 
 @expects_format("URD001", "a URDF file")
@@ -50,17 +49,12 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
         is_macro = element.tag.startswith("xacro:")
         if is_macro or any(start in text for text in texts for start in _XACRO_MARKERS):
             macro_text = next(
-                (
-                    text
-                    for text in texts
-                    if any(start in text for start in _XACRO_MARKERS)
-                ),
+                (t for t in texts if any(start in t for start in _XACRO_MARKERS)),
                 "",
             )
             macro_label = f"<{element.tag}>" if is_macro else excerpt(macro_text)
-            message = (
-                f"is a xacro file: it holds {macro_label}, which a URDF is made from"
-            )
+            message = f"is a xacro file: it holds {macro_label}, which a URDF is made "
+            message += "from"
             notes.add("URD005", element, message, EXPAND_HINT)
             return
     if root.tag == "robot":
@@ -103,10 +97,8 @@ def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     if not in_degrees:
         return
     element, name, value = in_degrees[0]
-    message = (
-        f"{counted(len(in_degrees), 'angle')} beyond two revolutions in radians, such "
-    )
-    message += f"as {name} {value:g} of <{element.tag}>"
+    message = f"{counted(len(in_degrees), 'angle')} beyond two revolutions in radians, "
+    message += f"such as {name} {value:g} of <{element.tag}>"
     hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
     notes.add("URD111", element, message, hint, severity=Severity.WARNING)
 

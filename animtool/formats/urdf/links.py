@@ -54,9 +54,7 @@ def add_link(element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes) -
 def _read_visual(element: XmlElement, where: str, notes: XmlNotes) -> Iterator[Visual]:
     """Yield a link's visual; skip an invalid one with a notice."""
     visual_notes = XmlNotes(notes.path, notes.number_code)
-    meshes = [
-        mesh for geometry in element.all("geometry") for mesh in geometry.all("mesh")
-    ]
+    meshes = [m for g in element.all("geometry") for m in g.all("mesh")]
     visual: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
         position, rotation = read_pose(element, where, visual_notes)

@@ -53,9 +53,7 @@ def find_mesh_paths(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
             files[name] = file_path
     if missing_files:
         message = f"{counted(len(missing_files), 'mesh', 'meshes')} not found: "
-        message += listed(
-            [excerpt(name, 80) for name in missing_files], MAX_LISTED_FILES
-        )
+        message += listed([excerpt(n, 80) for n in missing_files], MAX_LISTED_FILES)
         hint = "motion needs none of them; package:// means a folder of that name in "
         hint += "the project, or the package that the file is in"
         notes.add("URD103", None, message, hint, severity=Severity.NOTE)

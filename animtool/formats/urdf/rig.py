@@ -85,10 +85,7 @@ def _links_depth_first(
             )
         )
         index = len(links) - 1
-        stack += [
-            (next_joint.child, index, next_joint)
-            for next_joint in reversed(child_joints[name])
-        ]
+        stack += [(n.child, index, n) for n in reversed(child_joints[name])]
     return links
 
 
@@ -125,11 +122,9 @@ def _record_unactuated(file: UrdfFile, notes: XmlNotes) -> None:
     if not file.has_actuators:
         return
     unactuated = [
-        joint.name
-        for joint in file.joints.values()
-        if joint.kind in SCALAR_KINDS
-        and joint.mimic is None
-        and joint.name not in file.driven
+        j.name
+        for j in file.joints.values()
+        if j.kind in SCALAR_KINDS and j.mimic is None and j.name not in file.driven
     ]
     if unactuated:
         message = f"no transmission drives {counted(len(unactuated), 'joint')}: "
@@ -148,9 +143,8 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
         and not joint.limits.low <= 0.0 <= joint.limits.high
     ]
     if excluding_zero:
-        message = (
-            f"0 is outside the limits of {counted(len(excluding_zero), 'joint')}: "
-        )
+        message = "0 is outside the limits of "
+        message += f"{counted(len(excluding_zero), 'joint')}: "
         message += listed([excerpt(name) for name in excluding_zero], MAX_LISTED_JOINTS)
         hint = "the rest pose is still at 0; a take uses the nearest limit"
         notes.add("URD109", None, message, hint, severity=Severity.NOTE)
@@ -170,9 +164,8 @@ def _record_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) ->
                 f"{min(follower_range):.4g} to {max(follower_range):.4g}, beyond its "
                 f"limits {follower.limits.low:.4g} to {follower.limits.high:.4g}"
             )
-            hint = (
-                "make its limits wider, or those of the joint that it mimics narrower"
-            )
+            hint = "make its limits wider, or those of the joint that it mimics "
+            hint += "narrower"
             notes.add(
                 "URD108",
                 follower.element,

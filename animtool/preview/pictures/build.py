@@ -279,8 +279,10 @@ class PictureRenderer:
                 sample = int(np.argmin(np.abs(codes - frame)))
                 if abs(codes[sample] - frame) > 0.5:
                     ends = frame_label(codes[0]), frame_label(codes[-1])
-                    message = f"{argument('frames')}: frame {frame} is not in the "
-                    message += f"file, which has frames {ends[0]}-{ends[1]}"
+                    message = (
+                        f"{argument('frames')}: frame {frame} is not in the "
+                        f"file, which has frames {ends[0]}-{ends[1]}"
+                    )
                     raise OptionError(Fault("CLI005", message))
                 samples.append(sample)
             return samples

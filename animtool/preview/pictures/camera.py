@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any
 
 import numpy as np
@@ -32,6 +32,7 @@ VIEW_ANGLES = {
 }
 # Direction to the key light, in view space.
 KEY_LIGHT = np.array([-0.35, 0.65, 0.68])
+KEY_LIGHT /= np.linalg.norm(KEY_LIGHT)
 
 
 class Bounds:
@@ -102,15 +103,7 @@ class EyeMatrices:
         """Return the camera with its depth mapped to a range within 0 to 1."""
         matrix = self.view_projection.copy()
         matrix[2] = (far - near) * matrix[2] + (far + near - 1) * matrix[3]
-        return EyeMatrices(
-            self.view,
-            matrix,
-            self.width,
-            self.height,
-            self.per_metre,
-            self.light,
-            opacity,
-        )
+        return replace(self, view_projection=matrix, opacity=opacity)
 
 
 @dataclass(slots=True)
@@ -143,16 +136,7 @@ class CameraView:
     floor: float = 0.0
     is_following: bool = False
     followed_position: FloatArray | None = None
-    light: FloatArray = field(
-        default_factory=lambda: KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
-    )
-
-    def _offset_to_camera(self, distance: float) -> FloatArray:
-        """Return the offset from the target to the camera at a distance [m]."""
-        horizontal_distance = math.cos(self.pitch) * distance
-        x = math.sin(self.yaw) * horizontal_distance
-        z = math.cos(self.yaw) * horizontal_distance
-        return np.array([x, math.sin(self.pitch) * distance, z])
+    light: FloatArray = field(default_factory=KEY_LIGHT.copy)
 
     @property
     def _covered_fraction(self) -> float:
@@ -172,7 +156,7 @@ class CameraView:
         self.distance = self.radius * 0.2
         if box.is_empty:
             return
-        world = _look_at_matrix(self._offset_to_camera(1.0), np.zeros(3))
+        world = _look_at_matrix(spherical_offset(self.yaw, self.pitch), np.zeros(3))
         half_width, half_height = self._half_size()
         for corner in np.ndindex(2, 2, 2):
             point = np.where(corner, box.low, box.high) - self.target
@@ -182,28 +166,20 @@ class CameraView:
                     self.distance, (abs(size) / half_size + z) * FRAMING_MARGIN
                 )
 
-    def follow_position(self, position: FloatArray | None) -> None:
+    def follow_position(self, position: FloatArray) -> None:
         """Move the camera horizontally with a joint."""
-        if (
-            self.is_following
-            and position is not None
-            and self.followed_position is not None
-        ):
-            self.target = self.target + (position - self.followed_position) * [
-                1.0,
-                0.0,
-                1.0,
-            ]
+        if self.is_following and self.followed_position is not None:
+            shift = position - self.followed_position
+            self.target = self.target + shift * [1.0, 0.0, 1.0]
         self.followed_position = position
 
     def eye_matrices(self) -> EyeMatrices:
         """Return the camera matrices."""
         half_wide, half_high = self._half_size()
         half_high /= 1 - self._covered_fraction
-        world = _look_at_matrix(
-            self.target + self._offset_to_camera(self.distance), self.target
-        )
         distance = self.distance
+        offset = spherical_offset(self.yaw, self.pitch, distance)
+        world = _look_at_matrix(self.target + offset, self.target)
         projection = _perspective_matrix(
             half_wide, half_high, distance * 0.01, distance + self.radius * 100
         )
@@ -214,14 +190,9 @@ class CameraView:
         self, camera: Mapping[str, Any], streams: StreamReader, sample: int
     ) -> EyeMatrices | None:
         """Return the view through a shot camera; None if its transform is missing."""
-        translation, rotation = (
-            streams.sample_values(camera[part], sample) for part in "tr"
-        )
-        if not (len(translation) and len(rotation)):
+        world = shot_camera_matrix(camera, streams, sample)
+        if world is None:
             return None
-        world = compose_matrices(
-            translation.astype(np.float64), rotation.astype(np.float64), None
-        )
         aperture_width, aperture_height = camera["aperture_mm"]
         focal = camera.get("focal")
         length = (
@@ -249,6 +220,32 @@ class CameraView:
         size = self.width, self.height
         per_metre = self.height / (2 * half_high)
         return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
+
+
+def spherical_offset(yaw: float, pitch: float, distance: float = 1.0) -> FloatArray:
+    """Return an offset in the direction of angles [rad], with a length.
+
+    >>> spherical_offset(0.0, 0.0, 2.0).tolist()
+    [0.0, 0.0, 2.0]
+    """
+    horizontal_distance = math.cos(pitch) * distance
+    x = math.sin(yaw) * horizontal_distance
+    z = math.cos(yaw) * horizontal_distance
+    return np.array([x, math.sin(pitch) * distance, z])
+
+
+def shot_camera_matrix(
+    camera: Mapping[str, Any], streams: StreamReader, sample: int
+) -> FloatArray | None:
+    """Return the world_from_camera matrix of a shot camera; None if it is missing."""
+    translation, rotation = (
+        streams.sample_values(camera[part], sample) for part in "tr"
+    )
+    if not (len(translation) and len(rotation)):
+        return None
+    return compose_matrices(
+        translation.astype(np.float64), rotation.astype(np.float64), None
+    )
 
 
 def _look_at_matrix(eye: FloatArray, target: FloatArray) -> FloatArray:

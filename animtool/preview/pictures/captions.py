@@ -27,18 +27,18 @@ class Caption:
 
     Attributes:
         lines: Lines of text.
-        font_size_: Text height [px].
+        text_height: Text height [px].
     """
 
     lines: tuple[str, ...]
-    font_size_: int
+    text_height: int
 
     @property
     def height(self) -> int:
         """Height of the caption area [px]."""
         if not self.lines:
             return 0
-        return round(self.font_size_ * (2 * MARGIN + LINE_SPACING * len(self.lines)))
+        return round(self.text_height * (2 * MARGIN + LINE_SPACING * len(self.lines)))
 
 
 def font_size(height: int) -> int:
@@ -100,7 +100,7 @@ def with_caption(
     draw_module = import_package("PIL.ImageDraw")
     image = image_module.fromarray(np.ascontiguousarray(pixels))
     pen = draw_module.Draw(image)
-    text_height = caption.font_size_
+    text_height = caption.text_height
     for i, line in enumerate(caption.lines):
         line_position = MARGIN * text_height, text_height * (MARGIN + LINE_SPACING * i)
         _draw_text(pen, line_position, line, _load_font(text_height), ink, background)

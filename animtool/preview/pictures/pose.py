@@ -89,8 +89,6 @@ class PosedTake:
 
     def _trail_joints(self) -> list[int]:
         """Return the joints with trails: the root and the feet."""
-        if self.record.get("trails") is not None:
-            return list(self.record["trails"])
         if not self.count:
             return []
         feet = [contact["joint"] for contact in self.record.get("contacts") or []]
@@ -133,6 +131,12 @@ class PosedTake:
     def positions(self) -> FloatArray:
         """Joint positions ``(J, 3)``."""
         return self.world[:, :3, 3]
+
+    @property
+    def root_position(self) -> FloatArray:
+        """Position of the root joint ``(3,)``."""
+        position: FloatArray = self.positions[self.root].copy()
+        return position
 
     def tip_ends(self) -> tuple[list[int], FloatArray]:
         """Return the joints that have a tip, and the tip positions ``(N, 3)``."""

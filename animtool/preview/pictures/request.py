@@ -18,6 +18,7 @@ from animtool.preview.pictures.camera import (
     MAX_PITCH,
     VIEW_ANGLES,
     CameraView,
+    spherical_offset,
 )
 from animtool.preview.pictures.kinds import PictureKind
 from animtool.preview.pictures.scene import DEFAULT_LAYERS, LAYERS
@@ -114,21 +115,12 @@ def drawn_layers(options: PictureOptions) -> frozenset[str]:
 def light_direction(options: PictureOptions) -> FloatArray:
     """Return the direction of the key light in view space."""
     if options.light is None:
-        light: FloatArray = KEY_LIGHT / np.linalg.norm(KEY_LIGHT)
-        return light
+        return KEY_LIGHT.copy()
     numbers = _parse_numbers(options.light)
     if len(numbers) != 2:
         message = f"{options.light!r} is not two angles in degrees"
         raise option_error("light", message, "write -27,40, for example")
-    yaw, pitch = map(math.radians, numbers)
-    horizontal_length = math.cos(pitch)
-    return np.array(
-        [
-            math.sin(yaw) * horizontal_length,
-            math.sin(pitch),
-            math.cos(yaw) * horizontal_length,
-        ]
-    )
+    return spherical_offset(*map(math.radians, numbers))
 
 
 def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:

@@ -9,7 +9,12 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.preview.pictures.bones import BoneRenderer, Color
-from animtool.preview.pictures.camera import Bounds, CameraView, EyeMatrices
+from animtool.preview.pictures.camera import (
+    Bounds,
+    CameraView,
+    EyeMatrices,
+    shot_camera_matrix,
+)
 from animtool.preview.pictures.data import StreamReader
 from animtool.preview.pictures.device import Array, Device, Framebuffer
 from animtool.preview.pictures.ground import (
@@ -18,7 +23,7 @@ from animtool.preview.pictures.ground import (
     TrailRenderer,
 )
 from animtool.preview.pictures.lines import LineRenderer
-from animtool.preview.pictures.pose import PosedTake, compose_matrices
+from animtool.preview.pictures.pose import PosedTake
 from animtool.preview.pictures.shapes import (
     InstanceRenderer,
     MeshRenderer,
@@ -67,6 +72,9 @@ class SceneRenderer:
         self._poses = [
             PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
+        # The take that the camera follows; None without joints.
+        has_joints = bool(self._poses) and self._poses[0].count > 0
+        self._main_pose = self._poses[0] if has_joints else None
         geometries: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
             MeshRenderer(device, streams, mesh, self._pose_of_entry(mesh), geometries)
@@ -118,15 +126,11 @@ class SceneRenderer:
         roots = [self._root_position(i) for i in samples]
         offsets = np.array(roots) - roots[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
-        main_pose = self._poses[0] if self._poses else None
+        min_travel = MIN_PATH_RATIO * float(np.ptp(offsets[:, 1]))
         is_following = (
-            main_pose is not None
-            and main_pose.count > 0
+            self._main_pose is not None
             and not self._crowd
-            and travel
-            > max(
-                main_pose.bounds_radius, MIN_PATH_RATIO * float(np.ptp(offsets[:, 1]))
-            )
+            and travel > max(self._main_pose.bounds_radius, min_travel)
         )
         framed_bounds, all_bounds, character_bounds = Bounds(), Bounds(), Bounds()
         for i, root in zip(samples, roots, strict=True):
@@ -139,13 +143,11 @@ class SceneRenderer:
 
     def _root_position(self, sample: int) -> FloatArray:
         """Return the root position of the first take at a sample [m]."""
-        if not (self._poses and self._poses[0].count):
+        if self._main_pose is None:
             return np.zeros(3)
-        pose = self._poses[0]
-        pose.update(sample)
+        self._main_pose.update(sample)
         self._sample = -1
-        position: FloatArray = pose.positions[pose.root].copy()
-        return position
+        return self._main_pose.root_position
 
     def _grow_bounds(
         self, framed_bounds: Bounds, character_bounds: Bounds, shift: FloatArray | float
@@ -164,12 +166,12 @@ class SceneRenderer:
             item.grow_bounds(bounds)
         character_bounds.join(characters, shift)
         framed_bounds.join(bounds, shift)
-        return (
-            character_bounds
-            if not character_bounds.is_empty
+        if (
+            not character_bounds.is_empty
             and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius
-            else framed_bounds
-        )
+        ):
+            return character_bounds
+        return framed_bounds
 
     def _update(self, sample: int) -> None:
         """Update all objects to a sample."""
@@ -204,13 +206,8 @@ class SceneRenderer:
         """
         self._update(sample)
         visible = [pose for pose in self._poses if pose.is_visible]
-        main_pose = self._poses[0] if self._poses else None
-        root_position = (
-            main_pose.positions[main_pose.root].copy()
-            if main_pose and main_pose.count
-            else None
-        )
-        view.follow_position(root_position)
+        if self._main_pose is not None:
+            view.follow_position(self._main_pose.root_position)
         accent = self._colors["accent"]
         has_several_takes = len(self._poses) > 1
         self._trails.update(
@@ -305,12 +302,9 @@ class SceneRenderer:
 
     def _take_color(self, take: int) -> Color:
         """Return the color of a take."""
-        has_several_takes = len(self._poses) > 1
-        return (
-            TAKE_COLORS[take % len(TAKE_COLORS)]
-            if has_several_takes
-            else self._colors["bone"]
-        )
+        if len(self._poses) > 1:
+            return TAKE_COLORS[take % len(TAKE_COLORS)]
+        return self._colors["bone"]
 
     def _draw_frusta(
         self, eye: EyeMatrices, view: CameraView, shot: int | None
@@ -320,17 +314,11 @@ class SceneRenderer:
         for i, camera in enumerate(self.cameras):
             if i == shot:
                 continue
-            translation, rotation = (
-                self._streams.sample_values(camera[component], self._sample)
-                for component in "tr"
-            )
-            if not (len(translation) and len(rotation)):
+            world = shot_camera_matrix(camera, self._streams, self._sample)
+            if world is None:
                 continue
             aperture_width, aperture_height = camera["aperture_mm"]
             size = view.radius * 0.16
-            world = compose_matrices(
-                translation.astype(np.float64), rotation.astype(np.float64), None
-            )
             film_gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
             film_gate = film_gate * size * 0.5 * [1, aperture_height / aperture_width]
             corners = np.concatenate([film_gate, np.full((5, 1), -size)], axis=1)

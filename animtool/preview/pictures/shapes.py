@@ -53,14 +53,10 @@ class GeometryBuffers:
         self.faces = (
             streams.static_values(record["faces"]).astype(np.uint32).reshape(-1, 3)
         )
-        normals = record.get("normals")
-        self.smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS or normals is not None
+        self.smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS
         self.radius = float(np.abs(self.rest_points).max(initial=0.0))
         self.points, self.normals = VertexBuffer(device), VertexBuffer(device)
-        self.set_points(
-            self.rest_points,
-            None if normals is None else streams.static_values(normals),
-        )
+        self.set_points(self.rest_points)
         self.index = device.gl.buffer(self.faces.tobytes())
         self.buffers: list[tuple[Any, str, str]] = [
             (self.points.buffer, "3f", "point"),
@@ -85,10 +81,9 @@ class GeometryBuffers:
             ]
             self.joints = self.joints.reshape(-1, 4)
 
-    def set_points(self, points: Array, normals: Array | None = None) -> None:
-        """Replace the points."""
-        if normals is None:
-            normals = vertex_normals(points, self.faces) if self.smooth else points
+    def set_points(self, points: Array) -> None:
+        """Replace the points, and compute their normals."""
+        normals = vertex_normals(points, self.faces) if self.smooth else points
         self.points.write(np.asarray(points, "<f4"))
         self.normals.write(np.asarray(normals, "<f4"))
 
@@ -141,7 +136,7 @@ class MeshRenderer:
         record, skin = self.record, self.record.get("skin") or {}
         if record.get("cache") is not None or record.get("shapes"):
             return GeometryBuffers(self._device, self._streams, record)
-        names = ("points", "faces", "normals", "colors")
+        names = ("points", "faces", "colors")
         key = tuple(
             [record.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
@@ -271,7 +266,7 @@ class InstanceRenderer:
         self._streams, self._record, self._mesh = streams, record, mesh
         self._matrices_table, self._colors = VertexBuffer(device), VertexBuffer(device)
         self._count = streams.width(record["t"]) // 3
-        color = record.get("color") or mesh.record.get("color") or DEFAULT_COLOR
+        color = mesh.record.get("color") or DEFAULT_COLOR
         self._colors.write(repeat_color(self._count, srgb_bytes(color)))
         self._array: Any = None
         self.pose = None
@@ -279,34 +274,19 @@ class InstanceRenderer:
 
     def update(self, sample: int) -> None:
         """Set the transforms of the instances at a sample."""
-
-        def sample_stream(name: str) -> Array | None:
-            """Return a stream's values at the sample; None without the stream."""
-            number = self._record.get(name)
-            return (
-                None if number is None else self._streams.sample_values(number, sample)
-            )
-
-        translations, rotations_, scales, visible = (
-            sample_stream(name) for name in ("t", "r", "s", "visible")
+        streams, record = self._streams, self._record
+        positions, rotations = (
+            streams.sample_values(record[component], sample).astype(np.float64)
+            for component in "tr"
         )
-        assert translations is not None
-        positions = translations.reshape(-1, 3).astype(np.float64)
+        positions, rotations = positions.reshape(-1, 3), rotations.reshape(-1, 4)
         is_visible = np.isfinite(positions[:, 0])
-        if visible is not None:
-            is_visible &= visible[: len(is_visible)] != 0
-        count = len(positions)
-        rotations = np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))
-        if rotations_ is not None:
-            rotations = rotations_.reshape(-1, 4)[:count].astype(np.float64)
+        if record["visible"] is not None:
+            is_visible &= streams.sample_values(record["visible"], sample) != 0
         sizes = None
-        if scales is not None:
-            instance_values = (
-                scales.reshape(-1, 3)
-                if len(scales) >= 3 * count
-                else np.repeat(scales[:, None], 3, 1)
-            )
-            sizes = instance_values[:count].astype(np.float64)[is_visible]
+        if record["s"] is not None:
+            scales = streams.sample_values(record["s"], sample).reshape(-1, 3)
+            sizes = scales[is_visible].astype(np.float64)
         self.matrices = compose_matrices(
             positions[is_visible], rotations[is_visible], sizes
         )

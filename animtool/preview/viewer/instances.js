@@ -10,8 +10,6 @@ import { display, repeated } from './points.js';
 /** @typedef {import('./meshes.js').Mesh} Mesh */
 /** @typedef {import('./types.js').InstancesRecord} InstancesRecord */
 
-const AT_REST = [0, 0, 0, 1];
-
 export class Instances {
   /** @param {WebGL2RenderingContext} gl @param {Streams} streams @param {InstancesRecord} record @param {Mesh} mesh */
   constructor(gl, streams, record, mesh) {
@@ -33,15 +31,12 @@ export class Instances {
     const at = (/** @type {number|null|undefined} */ id) => (id == null ? null : streams.at(id, sample));
     const t = at(record.t), r = at(record.r), s = at(record.s);
     const visible = at(record.visible);
-    if (!t) return;
-    const tints = repeated(this.count, display(record.color ?? this.mesh.record.color ?? COLOR));
-    const each = s && s.length >= this.count * 3;
+    if (!t || !r) return;
+    const tints = repeated(this.count, display(this.mesh.record.color ?? COLOR));
     this.shown = 0;
     for (let i = 0; i < this.count; i++) {
       if (visible && !visible[i] || !Number.isFinite(t[i * 3])) continue;
-      const scale = !s ? null : each ? [s[i * 3], s[i * 3 + 1], s[i * 3 + 2]] : [s[i], s[i], s[i]];
-      const q = r ? [r[i * 4], r[i * 4 + 1], r[i * 4 + 2], r[i * 4 + 3]] : AT_REST;
-      compose(matrices, this.shown * 16, [t[i * 3], t[i * 3 + 1], t[i * 3 + 2]], 0, q, 0, scale, 0);
+      compose(matrices, this.shown * 16, t, i * 3, r, i * 4, s, i * 3);
       this.shown++;
     }
     gl.bindBuffer(gl.ARRAY_BUFFER, this.places);

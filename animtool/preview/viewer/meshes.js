@@ -110,15 +110,14 @@ export class Geometry {
   }
 
   /** Decode it and give it to the graphics processor. @param {Streams} streams @param {MeshRecord} record */
-  async load(streams, { points, faces, normals, skin, colors }) {
+  async load(streams, { points, faces, skin, colors }) {
     const { gl, array } = this;
     this.rest = await streams.whole(points);
     this.faces = new Uint32Array(await streams.whole(faces));
-    const given = normals == null ? null : await streams.whole(normals);
     for (const x of this.rest) this.reach = Math.max(this.reach, Math.abs(x));
     for (let i = 0; i < this.rest.length; i += 3) this.box.add(this.rest, i);
-    this.smooth = this.rest.length >= SMOOTH_FROM * 3 || given != null;
-    this.place(this.rest, given);
+    this.smooth = this.rest.length >= SMOOTH_FROM * 3;
+    this.place(this.rest);
     gl.bindVertexArray(array);
     attribute(gl, 0, this.points, 3);
     attribute(gl, 1, this.normals, 3);
@@ -141,12 +140,12 @@ export class Geometry {
     return this;
   }
 
-  /** @param {Values} points @param {Values|null} [normals] */
-  place(points, normals = null) {
+  /** @param {Values} points */
+  place(points) {
     const { gl } = this;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.points);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(points), gl.DYNAMIC_DRAW);
-    const own = normals ?? (this.smooth ? normalsOf(points, this.faces) : points);
+    const own = this.smooth ? normalsOf(points, this.faces) : points;
     gl.bindBuffer(gl.ARRAY_BUFFER, this.normals);
     gl.bufferData(gl.ARRAY_BUFFER, new Float32Array(own), gl.DYNAMIC_DRAW);
   }
@@ -179,9 +178,9 @@ export class Mesh {
 
   /** Decode what does not move. */
   async load() {
-    const { gl, record, streams, known } = this, { points, faces, normals, skin, shapes, colors } = record;
+    const { gl, record, streams, known } = this, { points, faces, skin, shapes, colors } = record;
     const own = record.cache != null || shapes?.length;
-    const key = own ? '' : [points, faces, normals, colors, skin?.joints, skin?.weights, skin?.bind].join();
+    const key = own ? '' : [points, faces, colors, skin?.joints, skin?.weights, skin?.bind].join();
     const wait = known.get(key) ?? this.geometry.load(streams, record);
     if (key) known.set(key, wait);
     this.geometry = await wait;

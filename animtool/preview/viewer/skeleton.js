@@ -69,7 +69,6 @@ export class Pose {
 
   /** @returns {number[]} */
   #trailed() {
-    if (this.record.trails) return this.record.trails;
     if (!this.count) return [];
     const held = (this.record.contacts ?? []).map((each) => each.joint);
     const feet = held.length ? held : this.order.filter((j) => FOOT.test(this.names[j])

@@ -14,20 +14,19 @@
  * @typedef {{name: string, skeleton: {names: string[], parents: number[], rest: Locals,
  *   tips?: number[][]}, moving: {t?: number[], r?: number[], s?: number[]}, still?: Locals|null,
  *   span?: number[], t?: number|null, r?: number|null, s?: number|null, shapes?: ShapeTrack|null,
- *   contacts?: Contact[], trails?: number[], offset?: Vec, visible?: number|null}} TakeRecord
+ *   contacts?: Contact[], offset?: Vec, visible?: number|null}} TakeRecord
  * @typedef {{palette: number[], joints: number, weights: number, bind: number}} Skin
  * @typedef {{name: string, column: number, vertices: number, offsets: number}} Shape
  * @typedef {{name: string, take?: number|null, points: number, faces: number,
- *   normals?: number|null, skin?: Skin|null, shapes?: Shape[]|null, color?: Vec|null,
+ *   skin?: Skin|null, shapes?: Shape[]|null, color?: Vec|null,
  *   colors?: number|null,
- *   doubleSided?: boolean, cache?: number|null,
- *   prototype?: boolean, visible?: number|null}} MeshRecord
+ *   cache?: number|null, prototype?: boolean, visible?: number|null}} MeshRecord
  * @typedef {{name: string, counts: number, points: number, width?: number, take?: number|null,
  *   joint?: number|null, bind?: number[]|null, color?: Vec|null}} StrandsRecord
  * @typedef {{name: string, positions: number, radius?: number, radii?: number|null,
  *   color?: Vec|null, colors?: number|null, names?: string[]|null}} PointsRecord
- * @typedef {{name: string, mesh: number, t: number, r?: number|null, s?: number|null,
- *   visible?: number|null, color?: Vec|null}} InstancesRecord
+ * @typedef {{name: string, mesh: number, t: number, r: number, s?: number|null,
+ *   visible?: number|null}} InstancesRecord
  * @typedef {{name: string, t: number, r: number, focal_mm: number,
  *   focal?: number|null, aperture_mm: Vec}} CameraRecord
  * @typedef {{name: string, unit: string, values: number, column?: number, keys?: number[][]|null,

@@ -275,8 +275,8 @@ def collide(
     >>> result.points.tolist(), result.velocities.tolist()
     ([[0.0, 0.5, 0.0]], [[0.0, 1.0, 0.0]])
     """
-    is_prepared = isinstance(colliders, Colliders)
-    collider_set = colliders if is_prepared else Colliders(colliders)
+    if not isinstance(colliders, Colliders):
+        colliders = Colliders(colliders)
     positions = as_floats(points, ("N", 3), "points")
     count = len(positions)
     end_velocities = as_floats(velocities, (count, 3), "velocities")
@@ -285,10 +285,10 @@ def collide(
     radius_array = np.ascontiguousarray(np.broadcast_to(radii, count), np.float64)
     spawn_times = np.zeros(count) if begins is None else np.subtract(begins, t0)
     sheet_contacts = _stop_at_sheets(
-        collider_set, start_state, end_state, (t0, t1), radius_array, spawn_times
+        colliders, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
     state, touches, normals = _kernels.collide_particles(
-        collider_set.arrays(t0, t1),
+        colliders.arrays(t0, t1),
         start_state,
         end_state,
         radius_array,

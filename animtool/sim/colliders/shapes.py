@@ -160,9 +160,8 @@ class Mesh:
 
     def weld(self) -> tuple[FloatArray, npt.NDArray[np.int32]]:
         """Return merged points, and triangles without degenerate ones."""
-        points, inverse = np.unique(
-            np.asarray(self.points, np.float64), axis=0, return_inverse=True
-        )
+        points = np.asarray(self.points, np.float64)
+        points, inverse = np.unique(points, axis=0, return_inverse=True)
         triangles = inverse.reshape(-1)[np.asarray(self.triangles, np.int64)]
         faces = triangles[_has_area(points, triangles)]
         return points, np.ascontiguousarray(faces, np.int32)

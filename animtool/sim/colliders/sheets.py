@@ -7,10 +7,10 @@ from typing import Annotated, ClassVar, Protocol
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.options import Checked, Range, above, inherits_docs
+from animtool.core.options import Checked, above, inherits_docs
 from animtool.core.record import dataclass
 from animtool.sim.colliders.collider import Collider
-from animtool.sim.colliders.shapes import Mesh
+from animtool.sim.colliders.shapes import Mesh, Radius
 from animtool.sim.contact import Material
 
 
@@ -48,9 +48,7 @@ class Sheet(Material, Checked):
     code: ClassVar[str] = "SIM020"
 
     motion: SheetMotion
-    radius: Annotated[
-        float, Range("above 0", "SIM020", 0, includes_minimum=False, finite=True)
-    ]
+    radius: Radius
     closed: bool = False
     name: str = ""
     depenetration: Annotated[float, above(0, "SIM020")] = 1.0

@@ -143,9 +143,8 @@ def _weld(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
     degenerate_triangles = triangles[_is_degenerate(representatives[triangles])]
     representatives[degenerate_triangles] = degenerate_triangles
     corners = representatives[triangles]
-    used_points, corner_indices = np.unique(
-        corners[~_is_degenerate(corners)], return_inverse=True
-    )
+    corners = corners[~_is_degenerate(corners)]
+    used_points, corner_indices = np.unique(corners, return_inverse=True)
     return used_points, corner_indices.reshape(-1, 3)
 
 

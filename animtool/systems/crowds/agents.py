@@ -179,9 +179,8 @@ def _sample_population(
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     agent_indices = np.arange(count)
-    randoms, body_randoms = np.split(
-        uniforms(population.seed, agent_indices, 10), [6], axis=1
-    )
+    randoms = uniforms(population.seed, agent_indices, 10)
+    randoms, body_randoms = np.split(randoms, [6], axis=1)
     group_size = population.group
     if points is None:
         emitter = Emitter(
@@ -199,9 +198,8 @@ def _sample_population(
         groups, index_in_group = np.divmod(agent_indices, group_size)
         leaders = groups * group_size
         sizes = np.bincount(groups)[groups]
-        lateral_offsets = (
-            (index_in_group - (sizes - 1) / 2) * 2 * GROUP_SPACING * population.radius
-        )
+        lateral_offsets = (index_in_group - (sizes - 1) / 2) * 2 * GROUP_SPACING
+        lateral_offsets *= population.radius
         if data.get("points") is None:
             # The others stand around the first, at a random angle.
             directions = _unit_vectors(2 * np.pi * randoms[leaders, 0])
@@ -211,9 +209,8 @@ def _sample_population(
         groups += first_group
     speed = population.speed
     # Box-Muller transform.
-    deviates = np.sqrt(-2 * np.log1p(-randoms[:, 1])) * np.cos(
-        2 * np.pi * randoms[:, 2]
-    )
+    magnitudes = np.sqrt(-2 * np.log1p(-randoms[:, 1]))
+    deviates = magnitudes * np.cos(2 * np.pi * randoms[:, 2])
     deviations = np.clip(deviates, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
     max_speed = MAX_SPEED_RATIO * speed.mean if speed.most is None else speed.most

@@ -59,11 +59,9 @@ class AgentBodies(Footing):
         """Joints that gaits, leg IK or the trunk rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
-        rotation_tables = [
-            gait.rotations for gait in (*gaits.moving, gaits.idle, *gaits.reactions)
-        ]
         is_moved = [
-            (np.abs(gait - rest) > 1e-9).any(axis=(0, 2)) for gait in rotation_tables
+            (np.abs(gait.rotations - rest) > 1e-9).any(axis=(0, 2))
+            for gait in (*gaits.moving, gaits.idle, *gaits.reactions)
         ]
         joints = [joint for leg in gaits.walker.legs for joint in leg[:3]]
         joints += self.trunk.joints.tolist()
@@ -109,28 +107,26 @@ class AgentBodies(Footing):
         speeds = paces[:, 0] / self.scales
         yaw_rates = paces[:, 1]
         left_speeds = paces[:, 2] / self.scales
-        weights = _gait_weights(
-            np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1),
-            np.array([[gait.speed, leg * gait.turning] for gait in moving]),
-        )
+        samples = np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1)
+        gait_points = np.array([[gait.speed, leg * gait.turning] for gait in moving])
+        weights = _gait_weights(samples, gait_points)
         # BLAS sums in an order that depends on the number of agents; einsum does not.
         gait_paces = np.array([[gait.speed, gait.period] for gait in moving])
         speed, period = np.einsum("ng,gk->kn", weights, gait_paces)
         cadence = (np.hypot(speeds, left_speeds) / speed) ** CADENCE_POWER
         rates = np.clip(cadence, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
-        steps = np.einsum(
-            "ng,gfk->nfk", weights, np.stack([gait.steps for gait in moving])
-        )
-        stance_fractions = np.einsum(
-            "ng,gf->nf", weights, np.stack([m.stance_fractions for m in moving])
-        )
+        gait_steps = np.stack([gait.steps for gait in moving])
+        steps = np.einsum("ng,gfk->nfk", weights, gait_steps)
+        gait_fractions = np.stack([gait.stance_fractions for gait in moving])
+        stance_fractions = np.einsum("ng,gf->nf", weights, gait_fractions)
+        mean_fractions = stance_fractions.mean(axis=1)
         # Sideways, backward and spinning motion uses shorter, more frequent steps.
-        side_step = left_speeds * stance_fractions.mean(axis=1) / (2 * rates)
-        back_step = -speeds * stance_fractions.mean(axis=1) / (2 * rates)
+        side_step = left_speeds * mean_fractions / (2 * rates)
+        back_step = -speeds * mean_fractions / (2 * rates)
         rate_factor = np.maximum(
             np.abs(side_step) / (MAX_SIDE_STEP * leg), back_step / (MAX_BACK_STEP * leg)
         )
-        stance_yaw = np.abs(yaw_rates) * stance_fractions.mean(axis=1) / rates
+        stance_yaw = np.abs(yaw_rates) * mean_fractions / rates
         rate_factor = np.maximum(rate_factor, stance_yaw / MAX_STANCE_YAW)
         rate_factor = np.clip(rate_factor, 1.0, np.maximum(MAX_CYCLE_RATE / rates, 1.0))
         free_rates, rates = rates, rates * rate_factor
@@ -153,39 +149,31 @@ class AgentBodies(Footing):
         """
         yaw_velocities = wrap_angles(after.headings - before.headings) / dt
         # Actual velocities: those of pushed agents differ from the preferred ones.
-        local_velocities = rotated_about_y(
-            (after.points - before.points) / dt, -after.headings
-        )
-        paces = np.stack(
-            [local_velocities[:, 1], yaw_velocities, local_velocities[:, 0]], axis=1
-        )
-        paces = state.paces + (paces - state.paces) * -np.expm1(-dt / PACE_TIME)
+        velocities = (after.points - before.points) / dt
+        local_velocities = rotated_about_y(velocities, -after.headings)
+        left_speeds, forward_speeds = local_velocities.T
+        paces = np.stack([forward_speeds, yaw_velocities, left_speeds], axis=1)
+        smoothing = -np.expm1(-dt / PACE_TIME)
+        paces = state.paces + (paces - state.paces) * smoothing
         blend = self.blend(paces)
         is_misplaced = self.is_misplaced(state, after, blend)
         is_standing = (state.swings < 0).all(axis=1)
         slow_speed = STANDING_SPEED * self.gaits.moving[0].speed * self.scales
-        is_moving = (local_velocities[:, 1] > slow_speed) | (
-            np.linalg.norm(local_velocities, axis=1) > PUSHED_SPEED * slow_speed
-        )
-        is_walking = is_moving | is_misplaced.any(axis=1)
-        phases = self._lift_phases(
-            state, blend, is_walking & (state.still >= 1), is_misplaced, after
-        )
-        is_advancing = is_walking | ~is_standing
+        total_speeds = np.linalg.norm(local_velocities, axis=1)
+        is_walking = (forward_speeds > slow_speed) | is_misplaced.any(axis=1)
+        is_walking |= total_speeds > PUSHED_SPEED * slow_speed
+        is_starting = is_walking & (state.still >= 1)
+        phases = self._lift_phases(state, blend, is_starting, is_misplaced, after)
         stances = self._foot_stances(state, after, phases, blend)
         speeds = local_velocities / self.scales[:, None]
         low, high = paces[:, 1] - YAW_RATE_TOLERANCE, paces[:, 1] + YAW_RATE_TOLERANCE
         yaw_rates = np.clip(yaw_velocities, low, high)
         rates, is_stance_over = step_rates(self.leg_reach, stances, speeds, yaw_rates)
         # Hurried steps slow down again with the pace.
-        target_rates = state.rates + (blend.rate - state.rates) * -np.expm1(
-            -dt / PACE_TIME
-        )
-        rates = np.maximum(rates, target_rates)
-        rates = np.minimum(
-            rates, np.maximum(target_rates, state.rates + MAX_CADENCE_CHANGE * dt)
-        )
-        phase_change = np.where(is_advancing, rates * dt, 0.0)
+        target_rates = state.rates + (blend.rate - state.rates) * smoothing
+        max_rates = np.maximum(target_rates, state.rates + MAX_CADENCE_CHANGE * dt)
+        rates = np.minimum(np.maximum(rates, target_rates), max_rates)
+        phase_change = np.where(is_walking | ~is_standing, rates * dt, 0.0)
         footholds, swings = state.places.copy(), state.swings.copy()
         aims, heels, spans = state.aims.copy(), state.heels.copy(), state.spans.copy()
         for k in range(2):
@@ -201,8 +189,9 @@ class AgentBodies(Footing):
             heels[has_lifted, k] = heel_pitches[has_lifted]
             remaining_phases = 1 - np.maximum((phases - 0.5 * k) % 1.0, stance_phases)
             spans[has_lifted, k] = remaining_phases[has_lifted]
-            was_landing = state.swings[:, k] >= LANDING_FIXED_PHASE
-            has_landed = was_landing & (swings[:, k] < 0)
+            has_landed = (state.swings[:, k] >= LANDING_FIXED_PHASE) & (
+                swings[:, k] < 0
+            )
             footholds[has_landed, k] = state.aims[has_landed, k]
         phases = (phases + phase_change) % 1.0
         for k in range(2):
@@ -210,17 +199,14 @@ class AgentBodies(Footing):
             is_swinging = (swings[:, k] >= 0) & ~is_landing_fixed
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
-            future_points = after.points + after.velocities * remaining_times[:, None]
-            landings = self.landing(
-                k, blend, future_points, after.headings + yaw, footholds
-            )
+            points = after.points + after.velocities * remaining_times[:, None]
+            requested = self.landing(k, blend, points, after.headings + yaw, footholds)
             was_planted = state.swings[:, k] < 0
             aims[is_swinging, k] = limit_landings(
-                aims, landings, swings, was_planted, self.scales, dt, k
+                aims, requested, swings, was_planted, self.scales, dt, k
             )[is_swinging]
-        standing_change = (
-            np.where(is_walking | (swings >= 0).any(axis=1), -dt, dt) / STANDING_TIME
-        )
+        is_stepping = is_walking | (swings >= 0).any(axis=1)
+        standing_change = np.where(is_stepping, -dt, dt) / STANDING_TIME
         next_state = replace(
             state,
             phases=phases,
@@ -262,9 +248,8 @@ class AgentBodies(Footing):
             shift = rotated_about_y(shift, motion.headings)
             footholds[has_landed, k, :2] += shift[has_landed]
             required_lowering = self.leg_reach.hip_lowering(*foot_stance, pitches)
-            lowering = np.maximum(
-                lowering, np.where(is_planted, required_lowering, 0.0)
-            )
+            required_lowering = np.where(is_planted, required_lowering, 0.0)
+            lowering = np.maximum(lowering, required_lowering)
         return replace(state, places=footholds, lowered=lowering)
 
     @cached_property
@@ -294,9 +279,8 @@ class AgentBodies(Footing):
     ) -> Stances:
         """Return the stances of both feet at phases ``(N,)``."""
         feet = np.zeros((len(phases), 2, 4))
-        offsets = rotated_about_y(
-            state.places[..., :2] - motion.points[:, None], -motion.headings[:, None]
-        )
+        offsets = state.places[..., :2] - motion.points[:, None]
+        offsets = rotated_about_y(offsets, -motion.headings[:, None])
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(state.places[..., 2] - motion.headings[:, None])
         heights, _ = self.heights(state.places[..., :2].reshape(-1, 2))
@@ -306,25 +290,13 @@ class AgentBodies(Footing):
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
         thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
         begins = (phases[:, None] - [0.0, 0.5]) % 1.0
-        pitches = np.array(
-            [
-                [
-                    self.pitches(k, stance_phases[:, k], blend, state.still)
-                    for k in range(2)
-                ]
-                for stance_phases in (begins, blend.stance_fractions)
-            ]
-        ).swapaxes(1, 2)
-        is_swinging = state.swings >= 0
-        return Stances(
-            begins,
-            blend.stance_fractions,
-            is_swinging,
-            feet,
-            thighs,
-            pitches,
-            blend.rate,
-        )
+        ends, is_swinging = blend.stance_fractions, state.swings >= 0
+        pitches = [
+            [self.pitches(k, stance[:, k], blend, state.still) for k in range(2)]
+            for stance in (begins, ends)
+        ]
+        pitch_array = np.array(pitches).swapaxes(1, 2)
+        return Stances(begins, ends, is_swinging, feet, thighs, pitch_array, blend.rate)
 
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
@@ -349,12 +321,8 @@ class AgentBodies(Footing):
         offsets = self.standing_targets(motion, blend) - state.places
         forward = rotated_about_y(offsets[..., :2], -motion.headings[:, None])[..., 1]
         scores = forward + np.where(is_misplaced, 10.0, 0.0)
-        lifts_right_first = scores[:, 1] > scores[:, 0]
-        lift_phases = np.where(
-            lifts_right_first,
-            0.5 + blend.stance_fractions[:, 1],
-            blend.stance_fractions[:, 0],
-        )
+        left_phases, right_phases = (blend.stance_fractions + np.array([0.0, 0.5])).T
+        lift_phases = np.where(scores[:, 1] > scores[:, 0], right_phases, left_phases)
         return np.where(is_starting, lift_phases % 1.0, state.phases)
 
     def _advance_foot(
@@ -372,20 +340,17 @@ class AgentBodies(Footing):
         end = begin + phase_change
         stance_end = blend.stance_fractions[:, k]
         # Feet that are planted longer than in the current gait lift at once.
-        is_lifting = (
-            (swings[:, k] < 0) & (phase_change > 0) & (end >= stance_end) & (begin < 1)
-        )
+        is_lifting = (swings[:, k] < 0) & (phase_change > 0) & (end >= stance_end)
         is_late = (begin > stance_end) & ~(begin < NO_LIFT_PHASE)
-        is_lifting &= ~is_late
+        is_lifting &= (begin < 1) & ~is_late
         swings[is_lifting, k] = 0.0
         phase = np.where(is_lifting, np.maximum(begin, stance_end), begin)
         is_swinging = swings[:, k] >= 0
         progress = np.clip((end - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
         has_landed = is_swinging & (end >= 1)
         fraction = (1 - begin) / np.where(phase_change > 0, phase_change, 1.0)
-        footholds[has_landed, k] = self.landing_in_step(
-            k, blend, motions, fraction, footholds
-        )[has_landed]
+        landings = self.landing_in_step(k, blend, motions, fraction, footholds)
+        footholds[has_landed, k] = landings[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
         swings[has_landed, k] = -1.0
 
@@ -400,10 +365,8 @@ def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:
     offsets = gait_points[None] - gait_points[:, None]  # (i, j, 2)
     squares = (offsets * offsets).sum(axis=2)
     squares[squares == 0] = np.inf
-    projections = (
-        np.einsum("nik,ijk->nij", samples[:, None] - gait_points[None], offsets)
-        / squares
-    )
+    sample_offsets = samples[:, None] - gait_points[None]
+    projections = np.einsum("nik,ijk->nij", sample_offsets, offsets) / squares
     # The nearest band has at least half the weight: the sum is never 0.
     bands = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
     return np.asarray(bands / bands.sum(axis=1, keepdims=True))

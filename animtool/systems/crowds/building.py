@@ -89,9 +89,8 @@ def _build_steering(
         else project_direction(frame, goal.queue.direction) * goal.queue.spacing
         for goal in spec.goals
     ]
-    steering = Steering(
-        agents, spec.goals, goals, np.array(queues).reshape(-1, 2), grid
-    )
+    queue_spacings = np.array(queues).reshape(-1, 2)
+    steering = Steering(agents, spec.goals, goals, queue_spacings, grid)
     begins = _project_on_ground(frame, [door.begin for door in spec.doors])
     ends = _project_on_ground(frame, [door.end for door in spec.doors])
     ends = np.stack([begins, ends], axis=1)

@@ -54,16 +54,14 @@ class AgentCast:
     ) -> AgentCast:
         """Return the bodies of agents, from the gaits of their populations."""
         distinct_sources = list(dict.fromkeys(sources))
-        sources_of_agents = np.array(
-            [distinct_sources.index(source) for source in sources]
-        )[agents.kinds]
+        source_indices = [distinct_sources.index(source) for source in sources]
+        sources_of_agents = np.array(source_indices)[agents.kinds]
         groups = []
         for k, source in enumerate(distinct_sources):
             rows = np.flatnonzero(sources_of_agents == k)
             bodies = AgentBodies(source(), agents.sizes[rows], ground)
-            groups.append(
-                CastGroup(rows, bodies, _build_cast(bodies, can_fall=can_fall))
-            )
+            cast = _build_cast(bodies, can_fall=can_fall)
+            groups.append(CastGroup(rows, bodies, cast))
         order = np.concatenate([group.agents for group in groups])
         return AgentCast(groups, order)
 
@@ -130,13 +128,10 @@ class AgentCast:
         agent: int,
     ) -> WorldTransforms:
         """Return the world transforms of an agent's joints, as one frame."""
-        group = next(
-            candidate for candidate in self.groups if agent in candidate.agents
-        )
+        group = next(group for group in self.groups if agent in group.agents)
         row, rig = np.array([agent]), group.cast.rig
-        bodies = replace(
-            group.bodies, scales=group.bodies.scales[np.searchsorted(group.agents, row)]
-        )
+        scales = group.bodies.scales[np.searchsorted(group.agents, row)]
+        bodies = replace(group.bodies, scales=scales)
         poses = body_poses(bodies, select_rows(state, row), select_rows(motion, row))
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
@@ -146,10 +141,9 @@ class AgentCast:
         heights = np.nan_to_num(ground(motion.points[row])[0])
         origin = np.insert(motion.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
-        positions = so3.rotate(rotation, bodies.scales[:, None, None] * world.positions)
-        return WorldTransforms(
-            positions + frame.to_world(origin)[:, None], matrix[:, None] @ world.linear
-        )
+        positions = so3.rotate(rotation, scales[:, None, None] * world.positions)
+        positions = positions + frame.to_world(origin)[:, None]
+        return WorldTransforms(positions, matrix[:, None] @ world.linear)
 
     def frame(
         self,
@@ -178,32 +172,23 @@ class AgentCast:
         rotations, roots = [], []
         points = np.column_stack([motion.points[:, 0], heights, motion.points[:, 1]])
         for group in self.groups:
-            group_state = (
-                select_rows(state, group.agents),
-                select_rows(motion, group.agents),
-            )
-            poses = body_poses(group.bodies, *group_state)
+            bodies, group_state = group.bodies, select_rows(state, group.agents)
+            poses = body_poses(bodies, group_state, select_rows(motion, group.agents))
             for i, (positions, fallen_rotations) in fallen_poses.items():
                 for row in np.flatnonzero(group.agents == i).tolist():
-                    rotation = so3.multiply(
-                        frame.rotation, rotations_about_y(motion.headings[i])
-                    )
-                    to_ground = so3.conjugate(rotation)
+                    heading = rotations_about_y(motion.headings[i])
+                    to_ground = so3.conjugate(so3.multiply(frame.rotation, heading))
+                    root_rotation = so3.multiply(to_ground, fallen_rotations[0])
                     poses.rotations[row] = fallen_rotations
-                    poses.rotations[row, 0] = so3.multiply(
-                        to_ground, fallen_rotations[0]
-                    )
+                    poses.rotations[row, 0] = root_rotation
                     offset = positions[0] - frame.to_world(points[i])
-                    poses.roots[row] = (
-                        so3.rotate(to_ground, offset) / group.bodies.scales[row]
-                    )
+                    root = so3.rotate(to_ground, offset)
+                    poses.roots[row] = root / bodies.scales[row]
             rotations.append(poses.rotations[:, group.cast.animated])
             roots.append(poses.roots)
         order = self.order
-        is_idle = (
-            (state.still >= 1) & ~motion.velocities.any(axis=1) & (state.reacts < 0)
-        )
-        is_idle &= state.shoulders == 0
+        is_idle = (state.still >= 1) & ~motion.velocities.any(axis=1)
+        is_idle &= (state.reacts < 0) & (state.shoulders == 0)
         is_idle[list(fallen_poses)] = False
         # Feet that are about to land or just lifted are also close to the ground.
         is_near_ground = (state.swings < LIFT_PHASE) | (state.swings > LANDING_PHASE)
@@ -248,9 +233,8 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated
     if can_fall:
-        animated_joints = np.union1d(
-            animated_joints, JointCapsules.of(gaits.walker.rig).joints
-        )
+        capsules = JointCapsules.of(gaits.walker.rig)
+        animated_joints = np.union1d(animated_joints, capsules.joints)
     left, right = (leg[3] if leg[3] >= 0 else leg[2] for leg in gaits.walker.legs)
     return Cast(
         gaits.walker.rig,

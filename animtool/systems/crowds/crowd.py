@@ -124,9 +124,8 @@ class Crowd:
             return state
         x, v = state.points, state.velocities
         preferred = self.steering.preferred_velocities(t, self.begin, state.progress, x)
-        relaxed_velocities = (
-            v + (preferred - v) * -np.expm1(-dt / self._relaxation_times)[:, None]
-        )
+        fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
+        relaxed_velocities = v + (preferred - v) * fractions
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
@@ -151,17 +150,15 @@ class Crowd:
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
         headings = self._rotate_headings(state.headings, preferred, velocities, dt)
-        bodies = state.bodies
-        falls = state.falls
+        bodies, falls = state.bodies, state.falls
         if self.cast is not None and bodies is not None:
             before, after = _motion_of(state), AgentMotion(points, velocities, headings)
             speeds = self._impact_speeds(walls, dt)
             is_hit = speeds > self.spec.impact.stagger
             bodies = self.cast.advance(bodies, before, after, dt, is_hit)
-            yawed_shoulders = step_shoulders(
-                shoulders, np.where(is_hit, 0.0, shoulder_targets), dt
-            )
-            bodies = replace(bodies, shoulders=yawed_shoulders)
+            shoulder_targets = np.where(is_hit, 0.0, shoulder_targets)
+            shoulders = step_shoulders(shoulders, shoulder_targets, dt)
+            bodies = replace(bodies, shoulders=shoulders)
             if self.fall_simulator is not None and falls is not None:
                 is_falling = (speeds > self.spec.impact.fall) & ~has_fallen
                 new_falls = np.flatnonzero(is_falling)
@@ -222,9 +219,8 @@ class Crowd:
     ) -> FloatArray:
         """Return headings ``(N,)`` [rad], rotated towards the direction of motion."""
         directions = v + FACING_PREFERRED * preferred
-        speed_ratio = np.linalg.norm(directions, axis=1) / (
-            SLOW_YAW_SPEED * self.agents.speeds
-        )
+        slow_speeds = SLOW_YAW_SPEED * self.agents.speeds
+        speed_ratio = np.linalg.norm(directions, axis=1) / slow_speeds
         yaw = wrap_angles(np.arctan2(directions[:, 0], directions[:, 1]) - headings)
         fraction = -np.expm1(-dt / YAW_TIME * np.minimum(speed_ratio, 1.0))
         max_yaw = MAX_YAW_RATE * dt

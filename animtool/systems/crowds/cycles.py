@@ -156,9 +156,8 @@ def _arc_integrals(heading: float, turning: float, frames: FloatArray) -> FloatA
     else:
         cosine = (np.sin(end) - np.sin(heading)) / turning
         sine = (np.cos(heading) - np.cos(end)) / turning
-    return np.stack(
-        [np.stack([cosine, sine], axis=-1), np.stack([-sine, cosine], axis=-1)], axis=-2
-    )
+    x_row, z_row = np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)
+    return np.stack([x_row, z_row], axis=-2)
 
 
 def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
@@ -245,28 +244,22 @@ def _build_step(
     soles = so3.multiply(world.rotations[:, foot], so3.conjugate(level))
     yaw = float(np.unwrap(headings_of(soles[flat_frames])).mean())
     toe_positions = world.positions[:, toe if toe >= 0 else foot]
-    foothold = toe_positions[stance_frames].mean(axis=0) - so3.rotate(
-        rotations_about_y(np.array(yaw)), ball
-    )
+    ball_offset = so3.rotate(rotations_about_y(np.array(yaw)), ball)
+    foothold = toe_positions[stance_frames].mean(axis=0) - ball_offset
     foothold = foothold[[0, 2]]
     # In the frame of the body, the foot lands there in every cycle.
     landing_frame = np.array([float(stance.lands)])
     (start,) = path.positions(landing_frame)
     (start_heading,) = path.headings(landing_frame)
-    step = np.append(
-        rotated_about_y(foothold - start, -start_heading),
-        wrap_angles(yaw - start_heading),
-    )
+    offset = rotated_about_y(foothold - start, -start_heading)
+    step = np.append(offset, wrap_angles(yaw - start_heading))
     (end_point,) = path.positions(landing_frame + path.length)
     (end_heading,) = path.headings(landing_frame + path.length)
-    next_foothold = np.append(
-        end_point + rotated_about_y(step[:2], end_heading),
-        yaw + end_heading - start_heading,
-    )
+    next_point = end_point + rotated_about_y(offset, end_heading)
+    next_foothold = np.append(next_point, yaw + end_heading - start_heading)
     fractions = np.linspace(0.0, 1.0, PHASE_COUNT)
-    stance_rotations = _interpolate(
-        soles, stance.lands + fractions * (stance.lifts - stance.lands)
-    )
+    frames = stance.lands + fractions * (stance.lifts - stance.lands)
+    stance_rotations = _interpolate(soles, frames)
     stance_rotations = so3.multiply(rotations_about_y(np.array(-yaw)), stance_rotations)
     pitches = 2 * np.arctan2(stance_rotations[:, 0], stance_rotations[:, 3])
     pitches = wrap_angles(pitches)
@@ -276,21 +269,17 @@ def _build_step(
     yaws = yaw + progress * (next_foothold[2] - yaw)
     to_path = rotations_about_y(-yaws)
     swings = so3.multiply(to_path, _interpolate(soles, frames))
-    ankles = sample_rows(world.positions[:, foot], frames) - np.insert(
-        positions, 1, ground, axis=1
-    )
-    lifts = so3.rotate(to_path, ankles)
+    ankles = sample_rows(world.positions[:, foot], frames)
+    lifts = so3.rotate(to_path, ankles - np.insert(positions, 1, ground, axis=1))
     # The swing ends with the pitches of the stance.
     for end, weights in ((-1, 1 - fractions), (0, fractions)):
         row = 0 if end else -1
         stance_rotation = rotations_about_x(pitches[end : end + 1 or None])
-        correction = so3.multiply(
-            stance_rotation, so3.conjugate(swings[row : row + 1 or None])
-        )
+        swing_rotation = swings[row : row + 1 or None]
+        correction = so3.multiply(stance_rotation, so3.conjugate(swing_rotation))
         swings = so3.multiply(so3.exp(weights[:, None] * so3.log(correction)), swings)
-        lifts = lifts + weights[:, None] * (
-            standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
-        )
+        change = standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
+        lifts = lifts + weights[:, None] * change
     return step, pitches, swings, lifts
 
 

@@ -108,10 +108,8 @@ class FallSimulator:
             facing_up = ground.triangles
             a, b, c = facing_up.swapaxes(0, 1)
             faces_down = np.cross(b - a, c - a)[:, 1] < 0
-            facing_up = np.where(
-                faces_down[:, None, None], facing_up[:, ::-1], facing_up
-            )
-            corners = facing_up.reshape(-1, 3)
+            is_flipped = faces_down[:, None, None]
+            corners = np.where(is_flipped, facing_up[:, ::-1], facing_up).reshape(-1, 3)
             faces = np.arange(len(corners)).reshape(-1, 3)
             shape = Mesh(corners, faces, closed=True)
         poses = Poses.fixed(frame.origin, frame.rotation)
@@ -131,9 +129,8 @@ class FallSimulator:
         """Return a record without falls."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joints = max(len(rig.joints) for rig in rigs)
-        return Falls.no_falls(
-            joints, max(len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs)
-        )
+        body_counts = [len(np.unique(JointCapsules.of(rig).joints)) for rig in rigs]
+        return Falls.no_falls(joints, max(body_counts))
 
     def add_falls(
         self,
@@ -158,14 +155,12 @@ class FallSimulator:
             rotations[0, : len(rig.joints)] = pose.rotations[0]
             fall = self._ragdoll(agent, positions[0], rotations[0])
             # Velocities of a pose pair belong to the later one.
-            pose_pair = WorldTransforms(
-                np.concatenate([next_pose.positions, pose.positions]),
-                np.concatenate([next_pose.linear, pose.linear]),
-            )
+            pair_positions = np.concatenate([next_pose.positions, pose.positions])
+            pair_linear = np.concatenate([next_pose.linear, pose.linear])
+            pose_pair = WorldTransforms(pair_positions, pair_linear)
+            times = np.array([dt, 0.0])
             motion = fall.simulation.initial().motion.copy()
-            motion[:, 7:13] = ragdoll_velocities(
-                fall.ragdoll, pose_pair, np.array([dt, 0.0]), 1
-            )
+            motion[:, 7:13] = ragdoll_velocities(fall.ragdoll, pose_pair, times, 1)
             motion_row = np.zeros((1, *falls.motion.shape[1:]))
             motion_row[0, : len(motion)] = motion
             falls = Falls(
@@ -231,15 +226,13 @@ class FallSimulator:
         """Return the ragdoll of an agent that fell from a world pose, cached."""
         key = agent, positions.tobytes()
         if key not in self._ragdolls:
-            placement = Placement(
-                np.zeros((1, 3)), so3.IDENTITY[None], self._sizes[[agent]]
-            )
+            scale, identity = self._sizes[[agent]], so3.IDENTITY[None]
+            placement = Placement(np.zeros((1, 3)), identity, scale)
             rig = transform_rig(self._rigs[agent], placement)
             count = len(rig.joints)
             rig = widen_limits(rig, _local_rotations(rig, rotations[:count]))
-            pose = WorldTransforms(
-                positions[None, :count], so3.to_matrix(rotations[None, :count])
-            )
+            matrices = so3.to_matrix(rotations[None, :count])
+            pose = WorldTransforms(positions[None, :count], matrices)
             options = RagdollOptions(mass=None, damping=2.0, tone=0.0, fingers=False)
             ragdoll = build_ragdoll(rig, pose, options)
             joints = build_ragdoll_joints(ragdoll, options, lambda _: np.zeros((0, 5)))
@@ -281,8 +274,6 @@ def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` from world rotations."""
     local: FloatArray = rotations.copy()
     has_parent = rig.parents >= 0
-    parent_rotations = rotations[rig.parents[has_parent]]
-    local[has_parent] = so3.multiply(
-        so3.conjugate(parent_rotations), rotations[has_parent]
-    )
+    to_parents = so3.conjugate(rotations[rig.parents[has_parent]])
+    local[has_parent] = so3.multiply(to_parents, rotations[has_parent])
     return local

@@ -103,15 +103,12 @@ class Footing:
         The foot lands on its side of the other foot.
         """
         side = 1 - 2 * foot_index
-        step = blend.steps[:, foot_index] * np.stack(
-            [self.scales, self.scales, 0 * self.scales + 1], 1
-        )
-        other_foot = rotated_about_y(
-            footholds[:, 1 - foot_index, :2] - points, -headings
-        )
-        min_width = (
-            STEP_WIDTH * (blend.steps[:, 0, 0] - blend.steps[:, 1, 0]) * self.scales
-        )
+        factors = np.stack([self.scales, self.scales, 0 * self.scales + 1], 1)
+        step = blend.steps[:, foot_index] * factors
+        other_foot = footholds[:, 1 - foot_index, :2] - points
+        other_foot = rotated_about_y(other_foot, -headings)
+        width = blend.steps[:, 0, 0] - blend.steps[:, 1, 0]
+        min_width = STEP_WIDTH * width * self.scales
         is_too_close = side * (step[:, 0] - other_foot[:, 0]) < min_width
         # Another foot that is out of reach is no obstacle.
         is_too_close &= np.abs(other_foot[:, 0]) < 2 * min_width
@@ -121,15 +118,11 @@ class Footing:
 
     def standing_targets(self, motion: AgentMotion, blend: Blend) -> FloatArray:
         """Return the foot targets of standing bodies ``(N, 2, 3)``."""
-        steps = (
-            blend.steps
-            * np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)[:, None]
-        )
+        factors = np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)
+        steps = blend.steps * factors[:, None]
         offsets = rotated_about_y(steps[..., :2], motion.headings[:, None])
-        yaws = motion.headings[:, None] + steps[..., 2:][..., 0]
-        return np.concatenate(
-            [motion.points[:, None] + offsets, yaws[..., None]], axis=2
-        )
+        yaws = motion.headings[:, None, None] + steps[..., 2:]
+        return np.concatenate([motion.points[:, None] + offsets, yaws], axis=2)
 
     def is_misplaced(
         self, state: BodyState, motion: AgentMotion, blend: Blend
@@ -159,43 +152,28 @@ class Footing:
             fraction = swing_progress(np.maximum(state.swings[:, k], 0.0))[:, None]
             start, target = state.places[:, k], state.aims[:, k]
             stride = target - start
-            footholds[:, k] = np.where(
-                is_swinging[:, None], start + fraction * stride, start
-            )
-            end_distances = np.linalg.norm(stride[:, :2], axis=1)[:, None] * np.hstack(
-                [fraction, 1 - fraction]
-            )
-            foothold_distances[:, k] = (
-                np.where(is_swinging, end_distances.min(axis=1), 0.0) / self.scales
-            )
+            footholds[is_swinging, k] = (start + fraction * stride)[is_swinging]
+            lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
+            distances = (lengths * np.hstack([fraction, 1 - fraction])).min(axis=1)
+            foothold_distances[:, k] = np.where(is_swinging, distances, 0.0)
             start_height, start_normal = self.heights(start[:, :2])
             target_height, target_normal = self.heights(target[:, :2])
             ground_height, _ = self.heights(footholds[:, k, :2])
-            height = np.where(
-                is_swinging,
-                np.maximum(
-                    start_height + fraction[:, 0] * (target_height - start_height),
-                    ground_height,
-                ),
-                start_height,
-            )
-            normals[:, k] = np.where(
-                is_swinging[:, None],
-                start_normal + fraction * (target_normal - start_normal),
-                start_normal,
-            )
+            height = start_height + fraction[:, 0] * (target_height - start_height)
+            height = np.maximum(height, ground_height)
+            height = np.where(is_swinging, height, start_height)
+            normal = start_normal + fraction * (target_normal - start_normal)
+            normals[:, k] = np.where(is_swinging[:, None], normal, start_normal)
             feet[:, k, 1] = (height - ground_heights) / self.scales
-        foothold_distances += (
-            self._avoid_planted_feet(state, motion, footholds) / self.scales[:, None]
-        )
-        offsets = rotated_about_y(
-            footholds[..., :2] - motion.points[:, None], -motion.headings[:, None]
-        )
+        foothold_distances /= self.scales[:, None]
+        detours = self._avoid_planted_feet(state, motion, footholds)
+        foothold_distances += detours / self.scales[:, None]
+        to_body = -motion.headings[:, None]
+        offsets = footholds[..., :2] - motion.points[:, None]
+        offsets = rotated_about_y(offsets, to_body)
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(footholds[..., 2] - motion.headings[:, None])
-        normals[..., [0, 2]] = rotated_about_y(
-            normals[..., [0, 2]], -motion.headings[:, None]
-        )
+        normals[..., [0, 2]] = rotated_about_y(normals[..., [0, 2]], to_body)
         return feet, normals, foothold_distances
 
     def _avoid_planted_feet(
@@ -207,10 +185,9 @@ class Footing:
         """
         detours = np.zeros((len(footholds), 2))
         local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
-        gap, passing_range = (
-            ratio * self.gaits.walker.leg * self.scales
-            for ratio in (PASSING_GAP, PASSING_RANGE)
-        )
+        leg = self.gaits.walker.leg
+        gap = PASSING_GAP * leg * self.scales
+        passing_range = PASSING_RANGE * leg * self.scales
         for k in range(2):
             side = 1 - 2 * k
             offset = local[:, k] - local[:, 1 - k]
@@ -244,21 +221,15 @@ def limit_landings(
     ``requested`` are the new landings. Feet that have just lifted (``was_planted``) use
     the new landings without a limit.
     """
-    progress = np.where(
-        was_planted, 0.0, swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))
-    )
+    progress = swing_progress(np.clip(swings[:, foot_index], 0.0, 1.0))
+    progress = np.where(was_planted, 0.0, progress)
     correction = requested - aims[:, foot_index]
     distances = progress * np.linalg.norm(correction[:, :2], axis=1)
-    fraction = np.minimum(
-        MAX_LANDING_SPEED * scales * dt / np.maximum(distances, 1e-9), 1.0
-    )
-    landings = (
-        aims[:, foot_index]
-        + np.where(distances > 0, fraction, 1.0)[:, None] * correction
-    )
+    fraction = MAX_LANDING_SPEED * scales * dt / np.maximum(distances, 1e-9)
+    fraction = np.where(distances > 0, np.minimum(fraction, 1.0), 1.0)
+    landings = aims[:, foot_index] + fraction[:, None] * correction
     yaw = wrap_angles(correction[:, 2])
-    max_yaw = np.where(
-        progress > 0, MAX_LANDING_YAW_RATE * dt / np.maximum(progress, 1e-9), np.inf
-    )
+    max_yaw = MAX_LANDING_YAW_RATE * dt / np.maximum(progress, 1e-9)
+    max_yaw = np.where(progress > 0, max_yaw, np.inf)
     landings[:, 2] = aims[:, foot_index, 2] + np.clip(yaw, -max_yaw, max_yaw)
     return np.where(was_planted[:, None], requested, landings)

@@ -55,14 +55,12 @@ class Walker:
         feet = [left[2], right[2]]
         toe_offsets = []
         for leg in (left, right):
-            toe = leg[3] if leg[3] >= 0 else leg[2]
-            offset = so3.rotate(
-                to_forward, skeleton.positions[toe] - skeleton.positions[leg[2]]
-            )
-            ground_offset = ground - skeleton.positions[leg[2], 1]
-            toe_offsets.append(
-                [offset[0], offset[1] if leg[3] >= 0 else ground_offset, offset[2]]
-            )
+            ankle = skeleton.positions[leg[2]]
+            toe = skeleton.positions[leg[3]] if leg[3] >= 0 else ankle
+            offset = so3.rotate(to_forward, toe - ankle)
+            if leg[3] < 0:
+                offset[1] = ground - ankle[1]
+            toe_offsets.append(offset)
         return Walker(
             skeleton,
             (left, right),

@@ -89,10 +89,8 @@ class Terrain:
         x, z = offsets.T
         weight_b = (x * c[:, 2] - z * c[:, 0]) * inverse_areas[faces]
         weight_c = (b[:, 0] * z - b[:, 2] * x) * inverse_areas[faces]
-        edge_distance = np.minimum(
-            np.minimum(weight_b, weight_c), 1 - weight_b - weight_c
-        )
-        is_inside = edge_distance >= -EDGE_TOLERANCE
+        weights = np.stack([weight_b, weight_c, 1 - weight_b - weight_c])
+        is_inside = weights.min(axis=0) >= -EDGE_TOLERANCE
         rows, faces = rows[is_inside], faces[is_inside]
         face_heights = (
             a[faces, 1]
@@ -148,9 +146,7 @@ class Terrain:
         cell_spans = last_cells - first_cells + 1
         cell_counts = cell_spans.prod(axis=1)
         faces = np.repeat(np.arange(len(positions)), cell_counts)
-        k = np.arange(len(faces)) - np.repeat(
-            np.cumsum(cell_counts) - cell_counts, cell_counts
-        )
+        k = np.arange(len(faces)) - _group_starts(cell_counts)
         width = cell_spans[faces, 1]
         cells = (
             (first_cells[faces, 0] + k // width) * cells_per_axis
@@ -158,30 +154,29 @@ class Terrain:
             + k % width
         )
         order = np.argsort(cells, kind="stable")
-        starts = np.searchsorted(
-            cells[order], np.arange(cells_per_axis * cells_per_axis + 1)
-        )
+        cell_indices = np.arange(cells_per_axis * cells_per_axis + 1)
+        starts = np.searchsorted(cells[order], cell_indices)
         return low, cell_size, counts, faces[order], starts
 
     def _candidates(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs of points and triangles that may overlap seen from above."""
         low, size, counts, faces, starts = self._grid
         grid_points = (points - low) / size
-        is_inside = np.all(
-            (grid_points >= -EDGE_TOLERANCE) & (grid_points <= counts + EDGE_TOLERANCE),
-            axis=1,
-        )
+        is_inside = np.all(grid_points >= -EDGE_TOLERANCE, axis=1)
+        is_inside &= np.all(grid_points <= counts + EDGE_TOLERANCE, axis=1)
         cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
         cells = np.clip(cells, 0, counts - 1)
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
-        pair_counts = np.where(
-            is_inside, starts[cell_indices + 1] - starts[cell_indices], 0
-        )
+        face_counts = starts[cell_indices + 1] - starts[cell_indices]
+        pair_counts = np.where(is_inside, face_counts, 0)
         rows = np.repeat(np.arange(len(points)), pair_counts)
-        k = np.arange(len(rows)) - np.repeat(
-            np.cumsum(pair_counts) - pair_counts, pair_counts
-        )
+        k = np.arange(len(rows)) - _group_starts(pair_counts)
         return rows, faces[starts[cell_indices[rows]] + k]
+
+
+def _group_starts(counts: IntArray) -> IntArray:
+    """Return the first index of the group of each entry, for groups of these sizes."""
+    return np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def walkable(

@@ -239,9 +239,8 @@ def navigation_grids(
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
     nodes = NavGrid.nodes(low, cell, shape)
-    ground_heights, has_ground = walkable(
-        ground, nodes, shape, cell, np.radians(spec.ground.slope)
-    )
+    max_slope = np.radians(spec.ground.slope)
+    ground_heights, has_ground = walkable(ground, nodes, shape, cell, max_slope)
     is_free = has_ground.ravel().copy()
     if static_obstacles:
         static_colliders, heights = Colliders(static_obstacles), ground_heights.ravel()

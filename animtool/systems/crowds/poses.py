@@ -106,9 +106,8 @@ def _solve_leg_ik(
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
         )
-        sole = so3.multiply(
-            soles[:, k], np.broadcast_to(walker.level_rotations[k], upper.shape)
-        )
+        level_rotation = np.broadcast_to(walker.level_rotations[k], upper.shape)
+        sole = so3.multiply(soles[:, k], level_rotation)
         if hip_parent >= 0:
             hip_rotation = world_rotations[hip_parent]
         else:
@@ -135,20 +134,15 @@ def _hip_lowering(
         length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
         leg = joints[:, thigh] - goals[:, k]
         max_height = reach_across(length, (leg[:, [0, 2]] ** 2).sum(axis=1))
-        distance_to_landing = (
-            np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
-        ) / (2 * LOWERING_PHASE)
+        end_weight = np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
+        end_weight = np.clip(end_weight / (2 * LOWERING_PHASE), 0.0, 1.0)
         required_lowering = leg[:, 1] - max_height
-        swing_lowering = (
-            swing_progress(np.clip(distance_to_landing, 0.0, 1.0)) * required_lowering
-        )
-        swing_lowering = np.minimum(
-            swing_lowering, state.lowered + SWING_MARGIN * walker.leg
-        )
-        lowering = np.maximum(
-            lowering,
-            np.where(state.swings[:, k] < 0, required_lowering, swing_lowering),
-        )
+        swing_lowering = swing_progress(end_weight) * required_lowering
+        max_lowering = state.lowered + SWING_MARGIN * walker.leg
+        swing_lowering = np.minimum(swing_lowering, max_lowering)
+        is_planted = state.swings[:, k] < 0
+        foot_lowering = np.where(is_planted, required_lowering, swing_lowering)
+        lowering = np.maximum(lowering, foot_lowering)
     return np.minimum(lowering, MAX_LOWERING * walker.leg)
 
 
@@ -256,10 +250,8 @@ def _swing_poses(
     identity = np.broadcast_to(so3.IDENTITY, correction.shape)
     partial_correction = _mix_rotations(identity, correction, stance_weight)
     offset = standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
-    return (
-        so3.multiply(partial_correction, foot_rotations),
-        ankle_offsets + stance_weight * offset,
-    )
+    foot_rotations = so3.multiply(partial_correction, foot_rotations)
+    return foot_rotations, ankle_offsets + stance_weight * offset
 
 
 def _gait_swing(
@@ -274,9 +266,8 @@ def _gait_swing(
     moving_gaits = gaits.moving
     rows = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
-    swing_rotations = _blend_rotations(
-        [sample_rows(gait.swings[k], rows) for gait in moving_gaits], weights
-    )
+    gait_rotations = [sample_rows(gait.swings[k], rows) for gait in moving_gaits]
+    swing_rotations = _blend_rotations(gait_rotations, weights)
     ankle_offsets = np.asarray(
         sum(
             weight[:, None] * sample_rows(gait.lifts[k], rows)
@@ -294,26 +285,23 @@ def _gait_swing(
     fraction = rows / (PHASE_COUNT - 1)
     straight_offsets = end_offsets[0] + fraction * (end_offsets[1] - end_offsets[0])
     stride = np.minimum(blend.stride[is_swinging], 1.0)
-    ankle_offsets[:, 2] = straight_offsets + stride * (
-        ankle_offsets[:, 2] - straight_offsets
-    )
+    deviations = ankle_offsets[:, 2] - straight_offsets
+    ankle_offsets[:, 2] = straight_offsets + stride * deviations
     # Feet stay flat after standing, and lift less in quick steps.
     standing_weight = state.still[is_swinging]
     swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
     swing_fraction = 1 - blend.stance_fractions[is_swinging, k]
     typical_time = swing_fraction / blend.free_rate[is_swinging]
     shortening = 1 - np.minimum(swing_time / typical_time, 1.0)
-    landing_progress = swing_progress(
-        np.clip((swings - LANDING_PHASE) / (1 - LANDING_PHASE), 0.0, 1.0)
-    )
+    landing_progress = (swings - LANDING_PHASE) / (1 - LANDING_PHASE)
+    landing_progress = swing_progress(np.clip(landing_progress, 0.0, 1.0))
     flat_weight = np.maximum(standing_weight, shortening * (1 - landing_progress))
     flat_weight = flat_weight[:, None]
     flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
     rotations = _mix_rotations(swing_rotations, flat_rotations, flat_weight)
     flat_ankle = standing_ankle(gaits.walker, k, flat_rotations)
-    flat_lift = FLAT_FOOT_LIFT * np.maximum(
-        ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0
-    )
+    lift = np.maximum(ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0)
+    flat_lift = FLAT_FOOT_LIFT * lift
     ankle_offsets += flat_weight * (flat_ankle + flat_lift * UP - ankle_offsets)
     return rotations, ankle_offsets
 
@@ -324,9 +312,8 @@ def _gait_rotations(
     """Return rotations of animated joints ``(N, M, 4)``, and hip positions."""
     gaits, rows = bodies.gaits, state.phases * PHASE_COUNT
     tables, idle_table = bodies.animated_rotations
-    walk_rotations = _blend_rotations(
-        [sample_rows(table, rows, cyclic=True) for table in tables], blend.weights
-    )
+    gait_rotations = [sample_rows(table, rows, cyclic=True) for table in tables]
+    walk_rotations = _blend_rotations(gait_rotations, blend.weights)
     hips = np.asarray(
         sum(
             weight[:, None] * sample_rows(table.hips, rows, cyclic=True)
@@ -375,9 +362,8 @@ def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatA
     total = reference * weights[:, 0].reshape(shape)
     for k, rotation in enumerate(rotations[1:], start=1):
         is_opposite = (reference * rotation).sum(axis=-1, keepdims=True) < 0
-        total = total + np.where(is_opposite, -rotation, rotation) * weights[
-            :, k
-        ].reshape(shape)
+        nearest = np.where(is_opposite, -rotation, rotation)
+        total = total + nearest * weights[:, k].reshape(shape)
     return np.asarray(total / np.linalg.norm(total, axis=-1, keepdims=True))
 
 

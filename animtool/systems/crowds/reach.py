@@ -61,9 +61,8 @@ class LegReach:
             thighs += weight[:, None, None] * sample_rows(
                 gait_thighs, rows, cyclic=True
             )
-        return np.asarray(
-            thighs + standing_weights[:, None, None] * (self.standing_thighs - thighs)
-        )
+        offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
+        return np.asarray(thighs + offsets)
 
     def reach_margin(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
@@ -141,28 +140,25 @@ def step_rates(
         is_swinging = stances.swings[:, k]
         phase, stance_fraction = stances.begins[:, k], stances.stance_fractions[:, k]
         foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
-        current_margin, _ = reach.reach_margin(*foot_stance, stances.pitches[0, :, k])
-        lift_margin, outwards = reach.reach_margin(
-            *foot_stance, stances.pitches[1, :, k]
-        )
+        pitch, lift_pitch = stances.pitches[:, :, k]
+        current_margin, _ = reach.reach_margin(*foot_stance, pitch)
+        lift_margin, outwards = reach.reach_margin(*foot_stance, lift_pitch)
         leaving_speed = -(outwards * hip_velocities).sum(axis=1)
         foot_yaw = stances.feet[:, k, 3]
-        max_yaw = np.where(
-            foot_yaw * (1 - 2 * k) < 0, MAX_YAW_INWARDS, MAX_YAW_OUTWARDS
-        )
+        is_inwards = foot_yaw * (1 - 2 * k) < 0
+        max_yaw = np.where(is_inwards, MAX_YAW_INWARDS, MAX_YAW_OUTWARDS)
         yaw_speeds = -yaw_rates * np.sign(foot_yaw)
-        required_rates = np.maximum(
-            _rate_for_margin(lift_margin, MIN_REACH_MARGIN, leaving_speed),
-            _rate_for_margin(max_yaw - np.abs(foot_yaw), MIN_YAW_MARGIN, yaw_speeds),
-        ) * np.maximum(stance_fraction - phase, 0.0)
-        is_stance_over[:, k] = ~is_swinging & (
-            np.maximum(current_margin, lift_margin) < 0
-        )
+        yaw_margin = max_yaw - np.abs(foot_yaw)
+        yaw_rate = _rate_for_margin(yaw_margin, MIN_YAW_MARGIN, yaw_speeds)
+        reach_rate = _rate_for_margin(lift_margin, MIN_REACH_MARGIN, leaving_speed)
+        remaining_phase = np.maximum(stance_fraction - phase, 0.0)
+        required_rates = np.maximum(reach_rate, yaw_rate) * remaining_phase
+        is_out_of_reach = np.maximum(current_margin, lift_margin) < 0
+        is_stance_over[:, k] = ~is_swinging & is_out_of_reach
         # A foot that lifted too early lands soon.
         must_land = (is_swinging & (phase < stance_fraction)) | is_stance_over[:, k]
-        required_rates = np.where(
-            must_land, MAX_CYCLE_RATE, np.where(is_swinging, 0.0, required_rates)
-        )
+        required_rates[is_swinging] = 0.0
+        required_rates[must_land] = MAX_CYCLE_RATE
         rate = np.maximum(rate, np.minimum(required_rates, MAX_CYCLE_RATE))
     return rate, is_stance_over
 
@@ -180,6 +176,5 @@ def _gait_thighs(gaits: Gaits, gait: Gait) -> FloatArray:
     translations = np.repeat(rig.rest_translations[None], len(gait.rotations), axis=0)
     translations[:, 0] = gait.hips
     legs = [leg[0] for leg in gaits.walker.legs]
-    return np.asarray(
-        forward_kinematics(rig, translations, gait.rotations).positions[:, legs]
-    )
+    world = forward_kinematics(rig, translations, gait.rotations)
+    return np.asarray(world.positions[:, legs])

@@ -119,14 +119,11 @@ class NavGrid:
         """
         rows, columns, weights = self.cell_corners(points)
         clearances = self._clearances[rows, columns]
-        slopes = (
-            clearances[:, 1] - clearances[:, 0],
-            clearances[:, :, 1] - clearances[:, :, 0],
-        )
-        directions = np.stack(
-            [(slopes[0] * weights.sum(axis=1)).sum(axis=1),
-             (slopes[1] * weights.sum(axis=2)).sum(axis=1)], axis=1,
-        )  # fmt: skip
+        x_change = clearances[:, 1] - clearances[:, 0]
+        z_change = clearances[:, :, 1] - clearances[:, :, 0]
+        x_slope = (x_change * weights.sum(axis=1)).sum(axis=1)
+        z_slope = (z_change * weights.sum(axis=2)).sum(axis=1)
+        directions = np.stack([x_slope, z_slope], axis=1)
         lengths = np.linalg.norm(directions, axis=1)[:, None]
         directions = directions / np.where(lengths > 0, lengths, 1.0)
         return (clearances * weights).sum(axis=(1, 2)) - self.cell / 2, directions
@@ -153,9 +150,8 @@ class FlowField:
         for axis, (before, after) in enumerate(neighbours):
             lower_distances = np.minimum(before, after)
             is_descending = np.isfinite(distances) & (lower_distances < distances)
-            drop = np.where(is_descending, distances, 0) - np.where(
-                is_descending, lower_distances, 0
-            )
+            drop = np.zeros_like(distances)
+            np.subtract(distances, lower_distances, out=drop, where=is_descending)
             descent[..., axis] = np.where(before < after, -drop, drop)
         size = np.linalg.norm(descent, axis=2)[..., None]
         return descent / np.where(size > 0, size, 1.0)
@@ -174,9 +170,8 @@ class FlowField:
         if is_undefined.any():
             blocked_points = points[is_undefined]
             free_nodes = grid.nearest_free_node(blocked_points)
-            unit_vectors[is_undefined] = (
-                grid.node_positions(free_nodes) - blocked_points
-            )
+            to_nodes = grid.node_positions(free_nodes) - blocked_points
+            unit_vectors[is_undefined] = to_nodes
         goal = self.path_ends(points)
         offset = goal - points
         distances = np.linalg.norm(offset, axis=1)
@@ -185,9 +180,7 @@ class FlowField:
         node = grid.node_positions(row * grid.free.shape[1] + column)
         node_to_goal = np.linalg.norm(goal - node, axis=1)
         is_outside = grid.border_distance(points) < 0
-        straight_distance = np.where(
-            is_outside, np.maximum(distances, node_to_goal), distances
-        )
+        straight_distance = np.maximum(distances, np.where(is_outside, node_to_goal, 0))
         max_distance = straight_distance + STRAIGHT_DETOUR * grid.cell
         is_near = self.distances[row, column] <= max_distance
         # Paths to a goal outside the grid end at its border, and go straight from
@@ -232,25 +225,20 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     order = np.lexsort([goal_distances, components])
     nearest_to_goal = order[np.flatnonzero(np.diff(components[order], prepend=0))]
     row, column = grid.nearest_nodes(goal[None])[0]
-    goals = np.concatenate(
-        [np.zeros((1, 2)), grid.node_positions(nodes[nearest_to_goal])]
-    )
+    nearest_positions = grid.node_positions(nodes[nearest_to_goal])
+    goals = np.concatenate([np.zeros((1, 2)), nearest_positions])
     goal_seeds: Sequence[int] | IntArray = []
     if grid.free[row, column]:
         goals[goal_component] = goal
         # Seeded around the goal, so that paths end there and not at a node; outside the
         # grid nothing blocks the facing sides.
-        nearby_nodes = nodes[
-            (components == goal_component) & (goal_distances < 1.5 * grid.cell)
-        ]
+        is_near = goal_distances < 1.5 * grid.cell
+        nearby_nodes = nodes[is_near & (components == goal_component)]
         border = grid.facing_border(goal)
-        goal_seeds = np.union1d(
-            nearby_nodes,
-            border[grid.components.ravel()[border] == goal_component],
-        )
+        border = border[grid.components.ravel()[border] == goal_component]
+        goal_seeds = np.union1d(nearby_nodes, border)
     seeds = np.concatenate([nodes[nearest_to_goal], goal_seeds]).astype(np.int64)
-    start_distances = np.linalg.norm(
-        grid.node_positions(seeds) - goals[grid.components.ravel()[seeds]], axis=1
-    )
+    offsets = grid.node_positions(seeds) - goals[grid.components.ravel()[seeds]]
+    start_distances = np.linalg.norm(offsets, axis=1)
     distances = _kernels.travel_distances(grid.free, grid.cell, seeds, start_distances)
     return FlowField(grid, goals, distances)

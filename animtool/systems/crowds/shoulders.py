@@ -45,9 +45,8 @@ def step_shoulders(shoulders: FloatArray, targets: FloatArray, dt: float) -> Flo
     """
     sign = np.where(shoulders != 0, np.sign(shoulders), np.sign(targets))
     target_yaws = MAX_YAW * sign * np.abs(targets)
-    time_constant = np.where(
-        np.abs(target_yaws) > np.abs(shoulders), YAW_TIME, RETURN_TIME
-    )
+    is_growing = np.abs(target_yaws) > np.abs(shoulders)
+    time_constant = np.where(is_growing, YAW_TIME, RETURN_TIME)
     next_yaws = shoulders + (target_yaws - shoulders) * -np.expm1(-dt / time_constant)
     has_returned = (targets == 0) & (np.abs(next_yaws) < NEGLIGIBLE_YAW * MAX_YAW)
     return np.where(has_returned, 0.0, next_yaws)
@@ -67,9 +66,8 @@ class Trunk:
             role: tuple(j for j, actual in enumerate(skeleton.roles) if actual == role)
             for role in ("spine", "neck", "head")
         }
-        return Trunk(
-            joints_by_role["spine"], joints_by_role["neck"] + joints_by_role["head"]
-        )
+        neck = joints_by_role["neck"] + joints_by_role["head"]
+        return Trunk(joints_by_role["spine"], neck)
 
     @property
     def joints(self) -> IntArray:
@@ -94,12 +92,9 @@ class Trunk:
             for j in _ancestors(parents, joint):
                 parent_rotation = so3.multiply(parent_rotation, agent_rotations[:, j])
             yaw = rotations_about_y(fraction * agent_angles)
-            local_yaw = so3.multiply(
-                so3.conjugate(parent_rotation), so3.multiply(yaw, parent_rotation)
-            )
-            agent_rotations[:, joint] = so3.multiply(
-                local_yaw, agent_rotations[:, joint]
-            )
+            to_parent = so3.conjugate(parent_rotation)
+            yaw = so3.multiply(to_parent, so3.multiply(yaw, parent_rotation))
+            agent_rotations[:, joint] = so3.multiply(yaw, agent_rotations[:, joint])
         rotations[rows] = agent_rotations
 
 

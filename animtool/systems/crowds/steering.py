@@ -72,17 +72,15 @@ class Steering:
     def initial(self) -> Progress:
         """Return the initial progress."""
         count = len(self.agents)
-        return Progress(
-            np.zeros(count, np.int64), np.zeros(count), np.full(count, NO_TICKET)
-        )
+        stages, tickets = np.zeros(count, np.int64), np.full(count, NO_TICKET)
+        return Progress(stages, np.zeros(count), tickets)
 
     def current_goals(self, progress: Progress) -> IntArray:
         """Return the current goal of each agent ``(N,)``; -1 for none."""
         table, counts, is_repeating, _ = self._route_plans
         stages = progress.stages
-        route_index = np.where(
-            is_repeating, stages % np.maximum(counts, 1), np.minimum(stages, counts)
-        )
+        loop_stages = stages % np.maximum(counts, 1)
+        route_index = np.where(is_repeating, loop_stages, np.minimum(stages, counts))
         goal_indices = table[np.arange(len(stages)), np.maximum(route_index, 0)]
         return np.where(stages == GONE, -1, goal_indices)
 
@@ -101,13 +99,11 @@ class Steering:
             positions = offset_positions
         else:
             # Offsets only apply if they are reachable from the centre.
-            nodes = self.grid.nearest_nodes(
-                np.stack([positions, offset_positions]).reshape(-1, 2)
-            )
+            both_positions = np.concatenate([positions, offset_positions])
+            nodes = self.grid.nearest_nodes(both_positions)
             components = self.grid.components[nodes[:, 0], nodes[:, 1]].reshape(2, -1)
-            positions = np.where(
-                (components[0] == components[1])[:, None], offset_positions, positions
-            )
+            is_reachable = (components[0] == components[1])[:, None]
+            positions = np.where(is_reachable, offset_positions, positions)
         is_queued = progress.tickets != NO_TICKET
         for g in np.unique(goal_indices[is_queued]).tolist():
             queue = np.flatnonzero(is_queued & (goal_indices == g))
@@ -118,9 +114,8 @@ class Steering:
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
         """Return each agent's reachable goal position, else ``x`` ``(N, 2)`` [m]."""
-        positions = np.where(
-            (goal_indices >= 0)[:, None], self.goal_points[goal_indices], x
-        )
+        has_goal = (goal_indices >= 0)[:, None]
+        positions = np.where(has_goal, self.goal_points[goal_indices], x)
         for g, route in enumerate(self.flow_fields):
             is_assigned = goal_indices == g
             positions[is_assigned] = route.path_ends(x[is_assigned])
@@ -199,24 +194,17 @@ class Steering:
         has_queue = np.array([goal.queue is not None for goal in self.goals])
         has_queue = has_queue[goal_indices]
         radius = self._arrival_radii(goal_indices, progress.waited > 0)
-        tickets = self._assign_tickets(
-            progress.tickets, goal_indices, has_goal & has_queue, x
-        )
-        target, is_queued = self.targets(
-            replace(progress, tickets=tickets), goal_indices, x
-        )
+        must_queue = has_goal & has_queue
+        tickets = self._assign_tickets(progress.tickets, goal_indices, must_queue, x)
+        queued_progress = replace(progress, tickets=tickets)
+        target, is_queued = self.targets(queued_progress, goal_indices, x)
         target_distances = np.linalg.norm(target - x, axis=1)
-        goal_distances = np.linalg.norm(
-            self._reachable_goals(goal_indices, x) - x, axis=1
-        )
-        is_served = (
-            is_queued
-            & (target_distances <= radius)
-            & (target == self.goal_points[goal_indices]).all(axis=1)
-        )
-        has_arrived = has_goal & np.where(
-            has_queue, is_served, goal_distances <= radius
-        )
+        offsets = self._reachable_goals(goal_indices, x) - x
+        goal_distances = np.linalg.norm(offsets, axis=1)
+        is_first = (target == self.goal_points[goal_indices]).all(axis=1)
+        is_served = is_queued & (target_distances <= radius) & is_first
+        has_arrived = np.where(has_queue, is_served, goal_distances <= radius)
+        has_arrived &= has_goal
         waited = np.where(has_arrived | ((progress.waited > 0) & has_goal & ~has_queue),
                           progress.waited + dt, 0.0)  # fmt: skip
         is_last = ~is_repeating & ~is_leaving & (progress.stages + 1 >= counts)
@@ -235,12 +223,10 @@ class Steering:
     ) -> FloatArray:
         """Return the arrival radius of each agent's goal ``(N,)`` [m]."""
         radii = np.array([entry.radius for entry in self.goals])[goal_indices]
-        count = np.bincount(
-            goal_indices[has_arrived & (goal_indices >= 0)], minlength=len(self.goals)
-        )[goal_indices]
-        return np.asarray(
-            np.maximum(radii, self.agents.radii * np.sqrt(count / PACKING_FRACTION))
-        )
+        reached_goals = goal_indices[has_arrived & (goal_indices >= 0)]
+        count = np.bincount(reached_goals, minlength=len(self.goals))[goal_indices]
+        crowd_radii = self.agents.radii * np.sqrt(count / PACKING_FRACTION)
+        return np.asarray(np.maximum(radii, crowd_radii))
 
     def _assign_tickets(
         self,
@@ -254,14 +240,13 @@ class Steering:
         for g in np.unique(goal_indices[has_queue]).tolist():
             is_queuing = has_queue & (goal_indices == g)
             is_waiting = is_queuing & (result != NO_TICKET)
-            queue_end = (
-                self.goal_points[g] + int(is_waiting.sum()) * self.queue_spacings[g]
-            )
-            spacing = float(np.linalg.norm(self.queue_spacings[g]))
+            offset = self.queue_spacings[g]
+            queue_end = self.goal_points[g] + int(is_waiting.sum()) * offset
+            spacing = float(np.linalg.norm(offset))
             distances = np.linalg.norm(x - queue_end, axis=1)
-            joining_agents = np.flatnonzero(
-                is_queuing & ~is_waiting & (distances < JOINING_DISTANCE * spacing)
-            )
+            is_joining = is_queuing & ~is_waiting
+            is_joining &= distances < JOINING_DISTANCE * spacing
+            joining_agents = np.flatnonzero(is_joining)
             if len(joining_agents):
                 result = result.copy()
                 # The nearest comes first; equal ones in order.

@@ -116,9 +116,8 @@ def _look_rotations(
     length = np.linalg.norm(left, axis=1)[:, None]
     previous_left = so3.rotate(previous_rotations, np.array([1.0, 0.0, 0.0]))
     previous_left -= (previous_left * forward).sum(axis=1)[:, None] * forward
-    left = np.where(
-        length > 1e-6, left / np.maximum(length, _TINY_LENGTH), previous_left
-    )
+    unit_left = left / np.maximum(length, _TINY_LENGTH)
+    left = np.where(length > 1e-6, unit_left, previous_left)
     left = left / np.maximum(np.linalg.norm(left, axis=1)[:, None], _TINY_LENGTH)
     axes = np.stack([left, so3.cross(forward, left), forward], axis=-1)
     return np.where(speeds > _TINY_LENGTH, so3.from_matrix(axes), previous_rotations)
@@ -133,9 +132,8 @@ def mesh_indices(
     ``(S, 2)``.
     """
     first_meshes, counts = mesh_ranges[members.kinds].T
-    return np.asarray(
-        first_meshes + np.floor((phases % 1.0) * counts).astype(np.int64) % counts
-    )
+    frame_indices = np.floor((phases % 1.0) * counts).astype(np.int64)
+    return np.asarray(first_meshes + frame_indices % counts)
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,9 +101,8 @@ class Members(Groups):
                 break
             is_moved |= is_inside
             normals = volumes.normals[deepest, members]
-            points = points + (
-                normals * ((max_depths + CLEARANCE * self.radii) * is_inside)[:, None]
-            )
+            distances = (max_depths + CLEARANCE * self.radii) * is_inside
+            points = points + normals * distances[:, None]
         else:
             if colliders.rigid:
                 name = self.label(int(np.argmax(is_inside)))

@@ -187,6 +187,5 @@ def pair_coefficients(spec: MoleculesModel) -> FloatArray:
     epsilon = np.array([species.epsilon for species in spec.species])
     sigmas = (sigma[:, None] + sigma) / 2
     well_depths = 4 * np.sqrt(epsilon[:, None] * epsilon)
-    return np.ascontiguousarray(
-        np.stack([well_depths * sigmas**12, well_depths * sigmas**6], axis=-1)
-    )
+    repulsion, attraction = well_depths * sigmas**12, well_depths * sigmas**6
+    return np.ascontiguousarray(np.stack([repulsion, attraction], axis=-1))

@@ -57,9 +57,8 @@ class Interactions:
         self._atoms, self._box = atoms, box
         self._pair_coefficients = pair_coefficients(spec)
         self._cutoff = min(spec.cutoff_distance, box.size.min() / 2)
-        self._switch_distance = min(
-            0.9 * self._cutoff if spec.switch is None else spec.switch, self._cutoff
-        )
+        switch_distance = 0.9 * self._cutoff if spec.switch is None else spec.switch
+        self._switch_distance = min(switch_distance, self._cutoff)
         self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         has_charges = bool(atoms.charges.any())
         self._charges = atoms.charges * np.sqrt(COULOMB) if has_charges else None

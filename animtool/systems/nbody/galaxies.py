@@ -99,9 +99,8 @@ def enclosed_mass(component: SpheroidModel | DiscModel, r: FloatArray) -> FloatA
     """Return the enclosed mass of a spheroid or disc at radii [kg]."""
     mass_fraction = _MASS_FRACTIONS[getattr(component, "profile", "exponential")]
     scaled_radii = np.minimum(r / component.radius, component.cutoff)
-    return np.asarray(
-        component.mass * mass_fraction(scaled_radii) / mass_fraction(component.cutoff)
-    )
+    fractions = mass_fraction(scaled_radii)
+    return np.asarray(component.mass * fractions / mass_fraction(component.cutoff))
 
 
 def squared_disc_speeds(disc: DiscModel, r: FloatArray) -> FloatArray:

@@ -139,9 +139,8 @@ class Emitter(Emission, Checked):
         speeds = self.speed + self.speed_spread * (2 * randoms[:, 5] - 1)
         lifetimes = self.lifetime + self.lifetime_spread * (2 * randoms[:, 6] - 1)
         radii = self.radius + self.radius_spread * (2 * randoms[:, 7] - 1)
-        positions, velocities = self._in_world(
-            births.times, points, directions * speeds[:, None]
-        )
+        velocities = directions * speeds[:, None]
+        positions, velocities = self._in_world(births.times, points, velocities)
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
 
     def sample_at(self, t: float, count: int) -> tuple[FloatArray, FloatArray]:
@@ -181,11 +180,9 @@ class Emitter(Emission, Checked):
         poses = self.poses.at_times(times)
         earlier_poses = self.poses.at_times(times - _VELOCITY_INTERVAL)
         positions = so3.rotate(poses[:, 3:], points) + poses[:, :3]
-        earlier_positions = (
-            so3.rotate(earlier_poses[:, 3:], points) + earlier_poses[:, :3]
-        )
-        factor = self.inherit / _VELOCITY_INTERVAL
-        emitter_velocity = (positions - earlier_positions) * factor
+        offsets = so3.rotate(earlier_poses[:, 3:], points)
+        displacement = positions - (offsets + earlier_poses[:, :3])
+        emitter_velocity = displacement * (self.inherit / _VELOCITY_INTERVAL)
         return positions, so3.rotate(poses[:, 3:], velocities) + emitter_velocity
 
     def problems(self) -> list[tuple[str, str]]:

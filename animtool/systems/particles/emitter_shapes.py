@@ -15,6 +15,10 @@ from animtool.sim.colliders.shapes import Mesh
 # Points ``(N, 3)``, and outward normals or None.
 PointsAndNormals: TypeAlias = tuple[FloatArray, FloatArray | None]
 
+Radius: TypeAlias = Annotated[
+    float, Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
+]
+
 
 class _RangeChecked:
     """Base of shapes that are checked against the declared ranges of their fields."""
@@ -43,18 +47,15 @@ class Disc(_RangeChecked):
         radius: [m].
     """
 
-    radius: Annotated[
-        float, Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
-    ]
+    radius: Radius
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
         """Return random points, uniform by area."""
         radius = self.radius * np.sqrt(uniforms[:, 0])
         angle = 2 * np.pi * uniforms[:, 1]
         heights = np.zeros(len(uniforms))
-        return np.stack(
-            [radius * np.cos(angle), heights, radius * np.sin(angle)], axis=1
-        ), None
+        x, z = radius * np.cos(angle), radius * np.sin(angle)
+        return np.stack([x, heights, z], axis=1), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,9 +67,7 @@ class SphereShape(_RangeChecked):
         hollow: Whether to emit from the surface only, along its normals.
     """
 
-    radius: Annotated[
-        float, Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
-    ]
+    radius: Radius
     hollow: bool = False
 
     def points(self, uniforms: FloatArray) -> PointsAndNormals:
@@ -76,9 +75,8 @@ class SphereShape(_RangeChecked):
         height = 2 * uniforms[:, 0] - 1
         radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * uniforms[:, 1]
-        normals = np.stack(
-            [radius * np.cos(angle), height, radius * np.sin(angle)], axis=1
-        )
+        x, z = radius * np.cos(angle), radius * np.sin(angle)
+        normals = np.stack([x, height, z], axis=1)
         if self.hollow:
             return normals * self.radius, normals
         return normals * (self.radius * np.cbrt(uniforms[:, 2:])), None
@@ -119,9 +117,8 @@ class MeshSurface:
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
         cumulative = np.cumsum(areas)
-        faces = np.searchsorted(
-            cumulative, uniforms[:, 0] * cumulative[-1], side="right"
-        )
+        samples = uniforms[:, 0] * cumulative[-1]
+        faces = np.searchsorted(cumulative, samples, side="right")
         faces = np.minimum(faces, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
         u, v = uniforms[:, 1], uniforms[:, 2]

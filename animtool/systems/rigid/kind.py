@@ -123,9 +123,8 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         collision_shapes += [(piece, origin, rotation) for piece, _ in collision_pieces]
         is_split = len(collision_pieces) > 1
         split_mesh = shape if is_split and isinstance(shape, Mesh) else None
-        display_shapes.append(
-            (split_mesh, core.transformed(origin, rotation), origin, rotation)
-        )
+        placed_core = core.transformed(origin, rotation)
+        display_shapes.append((split_mesh, placed_core, origin, rotation))
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal_inertia(inertia)

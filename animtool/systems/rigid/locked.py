@@ -62,16 +62,14 @@ def locked_joints(
         body_indices = np.searchsorted(loop_bodies, loop_rows[:, 1:])
         loop_rows[:, 1:] = np.where(loop_rows[:, 1:] < 0, -1, body_indices)
         body_centres = centres[loop_bodies]
-        loop_size = float(
-            np.ptp(np.concatenate([body_centres, frames[loop, :3]]), axis=0).max()
-        )
+        points = np.concatenate([body_centres, frames[loop, :3]])
+        loop_size = float(np.ptp(points, axis=0).max()) or 1.0
         rows_by_joint = [
-            _constraint_rows(row, frames[k], body_centres, loop_size or 1.0)
+            _constraint_rows(row, frames[k], body_centres, loop_size)
             for row, k in zip(loop_rows, loop, strict=True)
         ]
-        null_space = _null_space(
-            [constraints for constraints, _ in rows_by_joint], body_count
-        )
+        constraints = [constrained for constrained, _ in rows_by_joint]
+        null_space = _null_space(constraints, body_count)
         for k, (_, free_rows) in zip(loop, rows_by_joint, strict=True):
             remaining_motion = _remaining_motion(free_rows, null_space)
             if not len(free_rows) or remaining_motion > LOCKED_MOTION:
@@ -80,7 +78,7 @@ def locked_joints(
             for i, other_joint in enumerate(loop):
                 if other_joint == k:
                     continue
-                others = [c for j, (c, _) in enumerate(rows_by_joint) if j != i]
+                others = constraints[:i] + constraints[i + 1 :]
                 null_space_without = _null_space(others, body_count)
                 if _remaining_motion(free_rows, null_space_without) > LOCKED_MOTION:
                     blocking_joints.append(other_joint)
@@ -93,12 +91,11 @@ def locked_notices(
 ) -> list[Fault]:
     """Return a warning for each locked joint (SIM172)."""
     start = bodies.initial_states
-    frames = np.array(
-        [
-            to_parent_frame(start[row[2], :7], parameters[7:14])
-            for row, parameters in zip(rows.tolist(), numbers, strict=True)
-        ]
-    ).reshape(-1, 7)
+    joint_frames = [
+        to_parent_frame(start[row[2], :7], parameters[7:14])
+        for row, parameters in zip(rows.tolist(), numbers, strict=True)
+    ]
+    frames = np.array(joint_frames).reshape(-1, 7)
     notices = []
     for locked in locked_joints(rows, frames, start[:, :3]):
         name = excerpt(names[locked.joint_index])
@@ -124,10 +121,8 @@ def _closed_loops(rows: IntArray, body_count: int) -> list[list[int]]:
     ]
     remaining_joints = set(range(len(joint_bodies)))
     while True:
-        joint_counts = np.bincount(
-            [i for k in remaining_joints for i in joint_bodies[k]],
-            minlength=body_count + 1,
-        )
+        ends = [i for k in remaining_joints for i in joint_bodies[k]]
+        joint_counts = np.bincount(ends, minlength=body_count + 1)
         dangling_joints = {
             k
             for k in remaining_joints
@@ -204,9 +199,8 @@ def _null_space(
     rows = [row for joint_rows in joint_constraints for row in joint_rows]
     if not rows:
         return np.eye(6 * body_count)
-    _, singular_values, right_vectors = np.linalg.svd(
-        _constraint_matrix(rows, body_count)
-    )
+    matrix = _constraint_matrix(rows, body_count)
+    _, singular_values, right_vectors = np.linalg.svd(matrix)
     rank = int((singular_values > RANK_TOLERANCE * singular_values[0]).sum())
     return np.asarray(right_vectors[rank:].T)
 

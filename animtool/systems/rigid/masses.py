@@ -40,15 +40,13 @@ def with_rig_masses(
     rotations = so3.split_scale(world.linear[0])[0]
     result = list(kinds)
     for body, masses in masses_by_body.items():
+        kind, joint = kinds[body], int(joints[body])
         if all(mass.inertia is None for mass in masses):
             total = sum(mass.mass for mass in masses)
-            factor = total / kinds[body].mass
-            moments = kinds[body].moments * factor
-            result[body] = replace(kinds[body], mass=total, moments=moments)
-            continue
-        result[body] = _combined_body(
-            rig, world, rotations, int(joints[body]), masses, kinds[body]
-        )
+            moments = kind.moments * (total / kind.mass)
+            result[body] = replace(kind, mass=total, moments=moments)
+        else:
+            result[body] = _combined_body(rig, world, rotations, joint, masses, kind)
     return result
 
 
@@ -66,14 +64,11 @@ def _combined_body(
     centres, inertias = [], []
     for mass in masses:
         j = rig.index(mass.joint)
-        position = world.positions[0, j] + so3.rotate(
-            rotations[j], np.array(mass.centre)
-        )
+        offset = so3.rotate(rotations[j], np.array(mass.centre))
+        position = world.positions[0, j] + offset
         centres.append(so3.rotate(world_to_body, position - world.positions[0, body]))
-        rotation = so3.multiply(
-            so3.multiply(world_to_body, rotations[j]), np.array(mass.axes)
-        )
-        matrix = so3.to_matrix(rotation)
+        rotation = so3.multiply(world_to_body, rotations[j])
+        matrix = so3.to_matrix(so3.multiply(rotation, np.array(mass.axes)))
         # A mass without inertia is a point mass.
         local_inertia = np.diag(mass.inertia or (0.0, 0.0, 0.0))
         inertias.append(matrix @ local_inertia @ matrix.T)

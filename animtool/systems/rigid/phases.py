@@ -35,12 +35,10 @@ class BodyPhase:
 
     def full_shape_indices(self, indices: IntArray) -> IntArray:
         """Convert shape and collider indices to those of the full system."""
-        clipped_indices = np.minimum(indices, len(self.shapes) - 1)
+        full_indices = self.shapes[np.minimum(indices, len(self.shapes) - 1)]
         collider_indices = indices - len(self.shapes)
         count = int(self.shapes.max(initial=-1)) + 1
-        return np.where(
-            collider_indices < 0, self.shapes[clipped_indices], count + collider_indices
-        )
+        return np.where(collider_indices < 0, full_indices, count + collider_indices)
 
     def with_parameters(
         self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0
@@ -48,9 +46,8 @@ class BodyPhase:
         """Return the kernel object with other joint parameters and mass factors."""
         joints, first = self.joints, self.surroundings.first
         excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first)
-        return self.bodies.kernel(
-            joints.rows, joint_parameters[self.intact_joints], excluded, mass_factors
-        )
+        parameters = joint_parameters[self.intact_joints]
+        return self.bodies.kernel(joints.rows, parameters, excluded, mass_factors)
 
 
 class BodyPhases:
@@ -111,10 +108,8 @@ class BodyPhases:
             is_dynamic[bodies.dynamic[~is_free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, intact_joints = subset_joints(self._joints, self._bodies, bodies)
-        intact = intact_joints
-        if len(is_broken):
+        if len(is_broken) and is_broken[intact_joints].any():
             intact = np.flatnonzero(~is_broken[intact_joints])
-        if len(intact) < len(intact_joints):
             joints, intact_joints = joints.subset(intact), intact_joints[intact]
         colliders = Colliders(
             [*self._colliders, *bodies.colliders(), *self._static],
@@ -133,38 +128,23 @@ class BodyPhases:
     def _shapes(self, bodies: RigidBodies, colliders: int) -> IntArray:
         """Return the indices of shapes and rigid colliders in the full system."""
         all_bodies, first = self._bodies, len(self._colliders)
+        owners = all_bodies.shapes[1]
         if bodies is all_bodies:
-            return np.arange(len(all_bodies.shapes[1]) + colliders)
-        dynamic_indices = {int(i): k for k, i in enumerate(all_bodies.dynamic)}
-        count = len(all_bodies.shapes[1])
-        first_shapes = np.searchsorted(
-            all_bodies.shapes[1], np.arange(len(all_bodies.dynamic))
-        )
-        dynamic_shapes: list[int] = []
+            return np.arange(len(owners) + colliders)
+        first_shapes = np.searchsorted(owners, np.arange(len(all_bodies.dynamic)))
+        dynamic = all_bodies.dynamic.tolist()
+        first_shape_of_body = dict(zip(dynamic, first_shapes.tolist(), strict=True))
+        shapes: list[int] = []
         for i in bodies.dynamic.tolist():
-            dynamic_shapes += range(
-                first_shapes[dynamic_indices[i]],
-                first_shapes[dynamic_indices[i]] + len(all_bodies.kind_of(i).cores),
-            )
-        next_collider = count + first
-        kinematic_shapes: list[int] = []
+            start = first_shape_of_body[i]
+            shapes += range(start, start + len(all_bodies.kind_of(i).cores))
+        next_collider = len(owners) + first
+        shapes += range(len(owners), next_collider)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
-            shapes = len(all_bodies.kind_of(i).shapes)
-            if all_bodies.is_dynamic[i]:
-                kinematic_shapes += range(
-                    first_shapes[dynamic_indices[i]],
-                    first_shapes[dynamic_indices[i]] + shapes,
-                )
-            else:
-                kinematic_shapes += range(next_collider, next_collider + shapes)
-                next_collider += shapes
-        static_range = range(next_collider, next_collider + len(self._static))
-        return np.array(
-            [
-                *dynamic_shapes,
-                *range(count, count + first),
-                *kinematic_shapes,
-                *static_range,
-            ],
-            np.int64,
-        )
+            # Bodies that are never dynamic only have colliders.
+            start = first_shape_of_body.get(i, next_collider)
+            count = len(all_bodies.kind_of(i).shapes)
+            shapes += range(start, start + count)
+            next_collider += 0 if i in first_shape_of_body else count
+        shapes += range(next_collider, next_collider + len(self._static))
+        return np.array(shapes, np.int64)

@@ -67,12 +67,10 @@ class RagdollOptions:
     gravity: Annotated[float, between(-MAX_NUMBER, "SIM062")] = 9.81
     friction: Annotated[float, between(0.0, "SIM062")] = 0.6  # friction coefficient [1]
     colliders: ColliderEntries = ()  # colliders of the ragdoll
-    step: Annotated[float, between(0.0, "SIM062", 1.0, includes_minimum=False)] = (
-        0.005  # [s]
-    )
-    substeps: Annotated[int, between(1.0, "SIM062", 1000.0)] = (
-        8  # substeps of each step
-    )
+    # Step [s].
+    step: Annotated[float, between(0.0, "SIM062", 1.0, includes_minimum=False)] = 0.005
+    # Substeps of each step.
+    substeps: Annotated[int, between(1.0, "SIM062", 1000.0)] = 8
 
 
 @dataclass(frozen=True)
@@ -101,14 +99,11 @@ def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> 
     joints = np.unique(capsules.joints)
     kinds = _body_kinds(rig, world, capsules, joints, options)
     rotations = so3.split_scale(world.linear[0])[0]
-    poses = [
-        Poses.fixed(world.positions[0, joint], rotations[joint]) for joint in joints
-    ]
-    count = len(joints)
-    bodies = RigidBodies(
-        kinds, rig.names, np.arange(count), np.ones(count, np.bool_), poses, 0.0
-    )
-    frames, axes = _rest_frames(rig, world.positions[0], rotations, joints)
+    positions = world.positions[0]
+    poses = [Poses.fixed(positions[joint], rotations[joint]) for joint in joints]
+    body_indices, is_dynamic = np.arange(len(joints)), np.ones(len(joints), np.bool_)
+    bodies = RigidBodies(kinds, rig.names, body_indices, is_dynamic, poses, 0.0)
+    frames, axes = _rest_frames(rig, positions, rotations, joints)
     return Ragdoll(rig, joints, _parent_bodies(rig, joints), bodies, frames, axes)
 
 
@@ -130,12 +125,10 @@ def _body_kinds(
                 message = f"a collider of joint {rig.joints[j].name!r} has no size"
                 hint = "give its capsule a radius above 0"
                 raise OptionError(Fault("SIM062", message, hint=hint))
-            a, b = ends[capsule]
+            radius, (a, b) = float(radii[capsule]), ends[capsule]
             length = float(np.linalg.norm(b - a))
             axis = (b - a) / length if length else np.array([0.0, 1.0, 0.0])
-            shapes.append(
-                Capsule(float(radii[capsule]), length, tuple(axis), tuple((a + b) / 2))
-            )
+            shapes.append(Capsule(radius, length, tuple(axis), tuple((a + b) / 2)))
         model = BodyModel.model_validate(
             {
                 "name": rig.joints[j].name,
@@ -144,9 +137,8 @@ def _body_kinds(
                 "friction": options.friction,
             }
         )
-        kinds.append(
-            build_body_kind(model, {"shapes": [{"shape": shape} for shape in shapes]})
-        )
+        parts = {"shapes": [{"shape": shape} for shape in shapes]}
+        kinds.append(build_body_kind(model, parts))
     if rig.masses:
         kinds = with_rig_masses(rig, world, joints, kinds)
     if options.mass is None:
@@ -234,18 +226,12 @@ def build_ragdoll_joints(
         frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
         parent = int(ragdoll.parent_bodies[i])
         rows.append((_JOINT_TYPES[joint.type], parent, i))
-        drive = [
-            options.stiffness + passive[i, 0],
-            options.damping + passive[i, 1],
-            -1.0,
-            0.0,
-        ]
+        stiffness, damping = passive[i] + [options.stiffness, options.damping]
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
         frame_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
         frame_b = relative_to_principal(bodies, i, frame)
-        parameters.append(
-            [*frame_a, *frame_b, *_limit_parameters(joint), *target, *drive]
-        )
+        values = [*frame_a, *frame_b, *_limit_parameters(joint), *target]
+        parameters.append([*values, stiffness, damping, -1.0, 0.0])
     table = np.array(parameters, np.float64).reshape(-1, PARAMETER_COUNT)
 
     def parameters_at(t: float) -> FloatArray:
@@ -267,18 +253,13 @@ def build_ragdoll_joints(
 
 def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:
     """Return passive stiffness and damping of the joints of bodies ``(N, 2)``."""
-    bodies, rig = ragdoll.bodies, ragdoll.rig
     if not options.tone:
         return np.zeros((len(ragdoll.joints), 2))
-    springs = passive_springs(
-        ragdoll.parent_bodies,
-        bodies.masses,
-        bodies.initial_states[:, :3],
-        ragdoll.frames[:, :3],
-    )
-    is_rotational = [
-        rig.joints[j].type is not JointType.PRISMATIC for j in ragdoll.joints
-    ]
+    bodies, parent_bodies = ragdoll.bodies, ragdoll.parent_bodies
+    centres, pivots = bodies.initial_states[:, :3], ragdoll.frames[:, :3]
+    springs = passive_springs(parent_bodies, bodies.masses, centres, pivots)
+    joint_types = [ragdoll.rig.joints[j].type for j in ragdoll.joints]
+    is_rotational = [type is not JointType.PRISMATIC for type in joint_types]
     factors = np.array([options.tone, np.sqrt(options.tone)])
     return np.asarray(springs * factors * np.array(is_rotational)[:, None])
 
@@ -290,37 +271,29 @@ def _limit_parameters(joint: Joint) -> list[float]:
             return [low, high, -1.0, -1.0]
         case BallLimit(swing=swing, twist=twist):
             low, high = (1.0, 0.0) if twist is None else twist
-            swing_limits = (
-                [-1.0, -1.0] if swing is None else np.minimum(swing, MAX_SWING).tolist()
-            )
-            return [low, high, *swing_limits]
+            swings = [-1.0, -1.0] if swing is None else np.minimum(swing, MAX_SWING)
+            return [low, high, *swings]
     return [1.0, 0.0, -1.0, -1.0]
 
 
 def _overlapping_pairs(ragdoll: Ragdoll) -> IntArray:
     """Return pairs of bodies that overlap at the start ``(P, 2)``."""
-    cores_by_body = []
-    for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
-        pose = poses.at(0.0)
-        cores_by_body.append(
-            [core.transformed(pose[:3], pose[3:]) for core in kind.cores]
-        )
     fractions = np.linspace(0, 1, 9)[:, None]
-
-    def axis_points(points: FloatArray) -> FloatArray:
-        samples: FloatArray = points[0] + fractions * (points[-1] - points[0])
-        return samples
-
+    # Points on the axis of each core, and its radius.
+    samples_by_body = []
+    for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
+        pose, samples = poses.at(0.0), []
+        for core in kind.cores:
+            points = core.transformed(pose[:3], pose[3:]).points
+            axis_points = points[0] + fractions * (points[-1] - points[0])
+            samples.append((axis_points, core.radius))
+        samples_by_body.append(samples)
     pairs = []
-    for i, j in combinations(range(len(cores_by_body)), 2):
+    for i, j in combinations(range(len(samples_by_body)), 2):
         gaps = [
-            np.linalg.norm(
-                axis_points(a.points)[:, None] - axis_points(b.points), axis=2
-            ).min()
-            - a.radius
-            - b.radius
-            for a in cores_by_body[i]
-            for b in cores_by_body[j]
+            np.linalg.norm(a[:, None] - b, axis=2).min() - radius_a - radius_b
+            for a, radius_a in samples_by_body[i]
+            for b, radius_b in samples_by_body[j]
         ]
         if min(gaps) < 0:
             pairs.append((i, j))

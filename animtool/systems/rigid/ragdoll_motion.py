@@ -103,12 +103,12 @@ def ragdoll_transforms(
     """
     rig = ragdoll.rig
     body_of_joint = {int(j): i for i, j in enumerate(ragdoll.joints)}
-    rigid_joints = {
-        k for j in body_of_joint for k in rig.upwards(j)[1:]
-    } - body_of_joint.keys()
+    rigid_joints = {k for j in body_of_joint for k in rig.upwards(j)[1:]}
+    rigid_joints -= body_of_joint.keys()
     new_translations, new_rotations = translations.copy(), rotations.copy()
     root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
     root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
+    body_of_joint |= root_joints
     frame_count, joints = len(origins), len(rig.joints)
     positions = np.zeros((frame_count, joints, 3))
     world_rotations = np.zeros((frame_count, joints, 4))
@@ -117,12 +117,11 @@ def ragdoll_transforms(
             new_translations[:, j] = translations[0, j]
             new_rotations[:, j] = rotations[0, j]
         parent = joint.parent
-        if j in body_of_joint or j in root_joints:
-            i = root_joints[j] if j in root_joints else body_of_joint[j]
-            frame_on_body = _frame_on_body(
-                rig, int(ragdoll.joints[i]), j, translations[0], rotations[0]
-            )
-            joint_rotations = so3.multiply(body_rotations[:, i], frame_on_body[3:])
+        if j in body_of_joint:
+            i = body_of_joint[j]
+            body = int(ragdoll.joints[i])
+            frame = _frame_on_body(rig, body, j, translations[0], rotations[0])
+            joint_rotations = so3.multiply(body_rotations[:, i], frame[3:])
             if parent < 0:
                 world_to_parent = so3.IDENTITY
             else:
@@ -130,21 +129,17 @@ def ragdoll_transforms(
             new_rotations[:, j] = so3.multiply(world_to_parent, joint_rotations)
             new_translations[:, j] = translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:
-                origin = origins[:, i] + so3.rotate(
-                    body_rotations[:, i], frame_on_body[:3]
-                )
+                origin = origins[:, i] + so3.rotate(body_rotations[:, i], frame[:3])
                 offset = origin - (0 if parent < 0 else positions[:, parent])
                 new_translations[:, j] = so3.rotate(world_to_parent, offset)
         if parent < 0:
             positions[:, j] = new_translations[:, j]
             world_rotations[:, j] = new_rotations[:, j]
         else:
-            positions[:, j] = positions[:, parent] + so3.rotate(
-                world_rotations[:, parent], new_translations[:, j]
-            )
-            world_rotations[:, j] = so3.multiply(
-                world_rotations[:, parent], new_rotations[:, j]
-            )
+            parent_rotations = world_rotations[:, parent]
+            offset = so3.rotate(parent_rotations, new_translations[:, j])
+            positions[:, j] = positions[:, parent] + offset
+            world_rotations[:, j] = so3.multiply(parent_rotations, new_rotations[:, j])
     return new_translations, new_rotations
 
 

@@ -96,18 +96,16 @@ class RigidStates:
         bodies, motion = self.bodies, state.motion.copy()
 
         def velocity_changes(pushes: FloatArray) -> tuple[FloatArray, FloatArray]:
-            angular_impulses = pushes[:, 3:] - np.cross(
-                state.motion[:, :3], pushes[:, :3]
-            )
-            return pushes[:, :3] / bodies.masses[:, None], angular_impulses
+            impulses, moments = pushes[:, :3], pushes[:, 3:]
+            angular_impulses = moments - np.cross(state.motion[:, :3], impulses)
+            return impulses / bodies.masses[:, None], angular_impulses
 
         displacement, twist = velocity_changes(wrenches.delayed)
         twisted_motion = motion.copy()
         twisted_motion[:, 10:13] = twist
         motion[:, :3] += displacement
-        motion[:, 3:7] = so3.multiply(
-            so3.exp(bodies.spins(twisted_motion)), motion[:, 3:7]
-        )
+        rotations = so3.exp(bodies.spins(twisted_motion))
+        motion[:, 3:7] = so3.multiply(rotations, motion[:, 3:7])
         velocity_change, momenta = velocity_changes(wrenches.impulses)
         motion[:, 7:10] += velocity_change
         motion[:, 10:13] += momenta
@@ -117,26 +115,19 @@ class RigidStates:
     def push_to(self, state: RigidState, target: RigidState) -> Wrenches:
         """Return the impulses that change one state to another."""
         before, after, masses = state.motion, target.motion, self.bodies.masses[:, None]
-        rotation_vector = so3.log(
-            so3.multiply(after[:, 3:7], so3.conjugate(before[:, 3:7]))
-        )
-        momentum_local = (
-            so3.rotate(so3.conjugate(before[:, 3:7]), rotation_vector)
-            * self.bodies.moments
-        )
-        twist = so3.rotate(before[:, 3:7], momentum_local)
+        axes = before[:, 3:7]
+        rotation_vector = so3.log(so3.multiply(after[:, 3:7], so3.conjugate(axes)))
+        local_vector = so3.rotate(so3.conjugate(axes), rotation_vector)
+        twist = so3.rotate(axes, local_vector * self.bodies.moments)
 
         def impulse(displacement: FloatArray, angular_change: FloatArray) -> FloatArray:
             impulses = masses * displacement
             angular_impulses = angular_change + so3.cross(before[:, :3], impulses)
             return np.concatenate([impulses, angular_impulses], axis=1)
 
-        return Wrenches(
-            impulse(
-                after[:, 7:10] - before[:, 7:10], after[:, 10:13] - before[:, 10:13]
-            ),
-            impulse(after[:, :3] - before[:, :3], twist),
-        )
+        change = after - before
+        impulses = impulse(change[:, 7:10], change[:, 10:13])
+        return Wrenches(impulses, impulse(change[:, :3], twist))
 
     def inverse_masses(
         self,
@@ -156,13 +147,9 @@ class RigidStates:
         motion, moments = state.motion[owners], self.bodies.moments[owners]
         arms = np.cross(points - motion[:, :3], directions)
         squares = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
-        rotational = np.divide(
-            squares, moments, out=np.zeros_like(squares), where=moments > 0
-        )
-        inverse_masses: FloatArray = 1 / self.bodies.masses[owners] + rotational.sum(
-            axis=1
-        )
-        return inverse_masses
+        rotational = np.zeros_like(squares)
+        np.divide(squares, moments, out=rotational, where=moments > 0)
+        return np.asarray(1 / self.bodies.masses[owners] + rotational.sum(axis=1))
 
     def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:
         """Return centres of mass and inverse inertias of the bodies, in the world.

@@ -169,24 +169,20 @@ class RigidSimulation(RigidStates):
         for k in range(substeps):
             time, motion = t + k * substep, state.motion
             is_constrained = self._is_constrained(state, time, substep)
-            flight = self._force_solver.free_flight(time, substep, motion)
-            step_forces = self._force_solver.step_forces(
-                time, substep, motion, is_constrained, flight
-            )
-            after = self._solve(state, step_forces, time, substep)
-            unexpected_contacts = step_forces.unexpected_contacts(
-                after.motion[:, 7:10], is_constrained
-            )
-            if unexpected_contacts.any():
-                required_substeps = step_forces.required_substeps(
-                    substeps, unexpected_contacts
-                )
+            solver = self._force_solver
+            flight = solver.free_flight(time, substep, motion)
+            forces = solver.step_forces(time, substep, motion, is_constrained, flight)
+            after = self._solve(state, forces, time, substep)
+            is_hit = forces.unexpected_contacts(after.motion[:, 7:10], is_constrained)
+            if is_hit.any():
+                required_substeps = forces.required_substeps(substeps, is_hit)
                 if required_substeps > substeps:
                     return state, required_substeps
-                step_forces = self._force_solver.step_forces(
-                    time, substep, motion, is_constrained | unexpected_contacts, flight
+                is_constrained = is_constrained | is_hit
+                forces = solver.step_forces(
+                    time, substep, motion, is_constrained, flight
                 )
-                after = self._solve(state, step_forces, time, substep)
+                after = self._solve(state, forces, time, substep)
             state = after
         return state, substeps
 
@@ -202,9 +198,8 @@ class RigidSimulation(RigidStates):
             return is_constrained
         phase = self._current_phase(state, t - dt, dt)
         owners = np.append(self.bodies.shapes[1], -1)
-        pressing_shapes = phase.full_shape_indices(
-            state.pairs[state.contacts[:, 3:].any(axis=1)]
-        )
+        pressing_pairs = state.pairs[state.contacts[:, 3:].any(axis=1)]
+        pressing_shapes = phase.full_shape_indices(pressing_pairs)
         bodies = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
         bodies = np.concatenate([bodies, self.joints.rows[:, 1:].ravel()])
         is_constrained[bodies[bodies >= 0]] = True
@@ -246,15 +241,13 @@ class RigidSimulation(RigidStates):
         for k, is_deeper in enumerate((depth > deepest[0], t == self._begin)):
             if is_deeper:
                 pair = np.array(result[10:12])
+                full_pair = phase.full_shape_indices(pair)
                 deepest[k] = depth
-                deepest_pairs[k] = np.where(
-                    pair < 0, pair, phase.full_shape_indices(pair)
-                )
+                deepest_pairs[k] = np.where(pair < 0, pair, full_pair)
         broken, impulses = self._break_joints(state, phase, impulses, t + dt)
         max_step, oscillating_joint = result[12] * self._spec.step / dt, result[13]
-        is_worse = oscillating_joint >= 0 and (
-            state.swinging < 0 or max_step < state.follows
-        )
+        is_faster = state.swinging < 0 or max_step < state.follows
+        is_worse = oscillating_joint >= 0 and is_faster
         return RigidState(
             next_motion,
             pairs,
@@ -278,10 +271,8 @@ class RigidSimulation(RigidStates):
             return
         first_diverged = int(np.flatnonzero(~is_finite)[0])
         name = self.bodies.names[self.bodies.dynamic[first_diverged]]
-        speed = (
-            float(np.linalg.norm(motion[first_diverged, 7:10] / MAX_POSITION))
-            * MAX_POSITION
-        )
+        scaled_velocity = motion[first_diverged, 7:10] / MAX_POSITION
+        speed = float(np.linalg.norm(scaled_velocity)) * MAX_POSITION
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
         step = plain_number(floor_to_two_digits(self._spec.step / 2))
         hint = f"do joints start within their limits? if so, use step: {step}"
@@ -292,14 +283,12 @@ class RigidSimulation(RigidStates):
     ) -> Any:
         """Return the kernel object with current drives and mass factors."""
         joints, inertias = self.joints, step_forces.mass_factors
-        if joints.parameters_at is None and inertias is None:
+        parameters_at = joints.parameters_at
+        if parameters_at is None and inertias is None:
             return phase.kernel
-        numbers = (
-            joints.numbers if joints.parameters_at is None else joints.parameters_at(t)
-        )
-        return phase.with_parameters(
-            numbers, 1.0 if inertias is None else inertias[phase.is_free]
-        )
+        numbers = joints.numbers if parameters_at is None else parameters_at(t)
+        mass_factors = 1.0 if inertias is None else inertias[phase.is_free]
+        return phase.with_parameters(numbers, mass_factors)
 
     def _break_joints(
         self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
@@ -378,9 +367,8 @@ class RigidSimulation(RigidStates):
         """The UsdPhysics records to write, if requested."""
         if not self._spec.physics:
             return None
-        return physics_record(
-            self.bodies, self.joints, self._colliders, self._forces.forces
-        )
+        forces = self._forces.forces
+        return physics_record(self.bodies, self.joints, self._colliders, forces)
 
     def energy(self, state: RigidState) -> Energy:
         """Return kinetic energy, and potential energy of conservative forces."""
@@ -399,11 +387,8 @@ class RigidSimulation(RigidStates):
             "deepest": float(state.deepest[0]),
             "residual": state.residual,
         }
-        notices = [
-            *self.joints.notices,
-            *self._locked_notices,
-            *self._colliders.notices(),
-        ]
+        notices = [*self.joints.notices, *self._locked_notices]
+        notices += self._colliders.notices()
         notices += oscillation_notices(state, self.joints, self._spec.step)
         for kind in self.bodies.kinds:
             notices += kind.notices
@@ -416,9 +401,7 @@ class RigidSimulation(RigidStates):
         """Return the body name of each shape, followed by the collider names."""
         bodies, colliders = self.bodies, self._colliders
         names = [bodies.names[bodies.dynamic[i]] for i in bodies.shapes[1]]
-        names += [
-            collider.name or f"colliders[{i}]" for i, collider in enumerate(colliders)
-        ]
+        names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
         names += [sheet.name for sheet in colliders.sheets]
         return names + [
             collider.name

@@ -42,8 +42,7 @@ class BodyForces:
         The fields `forces` are evaluated at the start of the step.
         """
         wrenches = self.push_wrenches(t, dt, body_states)
-        x = body_states[:, :3]
-        v = body_states[:, 7:10]
+        x, v = body_states[:, :3], body_states[:, 7:10]
         for force in self.forces:
             wrenches[:, :3] += force.force(t, x, v, self._particles)
         return wrenches
@@ -59,13 +58,11 @@ class BodyForces:
             return wrenches
         middle_states = body_states.copy()
         spins = self._bodies.spins(body_states)
-        middle_states[:, 3:7] = so3.multiply(
-            so3.exp(spins * (dt / 2)), body_states[:, 3:7]
-        )
+        rotations = so3.exp(spins * (dt / 2))
+        middle_states[:, 3:7] = so3.multiply(rotations, body_states[:, 3:7])
+        interval = t, t + dt
         for body, push in self._pushes:
-            wrenches[body] += self._wrench_of_push(
-                body, push, (t, t + dt), middle_states
-            )
+            wrenches[body] += self._wrench_of_push(body, push, interval, middle_states)
         return wrenches
 
     def accelerations(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:
@@ -116,9 +113,8 @@ class BodyForces:
         """Return a mask of the bodies whose force changes in the next step ``(N,)``."""
         next_wrenches = self.step_wrenches(t + dt, dt, body_states)
         magnitudes = np.linalg.norm(forces, axis=1)
-        return np.asarray(
-            np.linalg.norm(next_wrenches - forces, axis=1) > WAKE_CHANGE * magnitudes
-        )
+        changes = np.linalg.norm(next_wrenches - forces, axis=1)
+        return np.asarray(changes > WAKE_CHANGE * magnitudes)
 
     def potential(self, body_states: FloatArray) -> float:
         """Return the potential energy of conservative forces [J]."""

@@ -78,9 +78,8 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     pose = WorldTransforms(world.positions[frame], world.linear[frame])
     ragdoll = build_ragdoll(rig, pose, options)
     coordinates = project_to_coordinates(rig, LocalTransforms(translations, rotations))
-    targets = DriveTargets(
-        ragdoll, times - times[first_index], coordinates, coordinate_slices(rig)
-    )
+    drive_times, slices = times - times[first_index], coordinate_slices(rig)
+    targets = DriveTargets(ragdoll, drive_times, coordinates, slices)
     speeds = ragdoll_velocities(ragdoll, world, times, first_index)
     start_time = float(times[first_index])
     colliders = Colliders([_shift_times(one, start_time) for one in options.colliders])

@@ -48,25 +48,19 @@ def with_finger_capsules(
     joints, ends, radii = [], [], []
     for hand in sorted(joints_with_capsules - ancestors):
         chains = [_joint_chain(children, child) for child in children.get(hand, ())]
-        long_chains = [chain for chain in chains if len(chain) > 1]
-        finger_chains = [
-            c for c in long_chains if _FINGER_NAMES.search(rig.joints[c[0]].name)
-        ]
-        for chain in (
-            long_chains if len(long_chains) >= MIN_HAND_CHAINS else finger_chains
-        ):
+        chains = [chain for chain in chains if len(chain) > 1]
+        if len(chains) < MIN_HAND_CHAINS:
+            chains = [c for c in chains if _FINGER_NAMES.search(rig.joints[c[0]].name)]
+        for chain in chains:
             points = world.positions[0, chain]
             bones = np.diff(points, axis=0)
             lengths = np.linalg.norm(bones, axis=1)
             if not lengths.all():
                 continue
-            has_end_joint = (
-                rig.joints[chain[-1]].name.lower().endswith(("end", "tip", "nub"))
-            )
-            if not has_end_joint:
-                points = np.concatenate(
-                    [points, points[-1:] + LAST_BONE_RATIO * bones[-1:]]
-                )
+            last_name = rig.joints[chain[-1]].name.lower()
+            if not last_name.endswith(("end", "tip", "nub")):
+                end_point = points[-1] + LAST_BONE_RATIO * bones[-1]
+                points = np.vstack([points, end_point])
             inverse_linear = np.linalg.inv(world.linear[0, hand])
             local_points = (points - world.positions[0, hand]) @ inverse_linear.T
             scale = np.cbrt(np.abs(np.linalg.det(inverse_linear)))

@@ -160,11 +160,11 @@ def _summarize_prim(prim: Any) -> PointPrim:
     )
     count_attr = prim.GetAttribute(name) if name else None
     # Arrays of many samples are compressed; the lengths at both ends are enough.
-    element_counts = (
-        array_lengths(count_attr, time_codes_of([*times[:1], *times[1:][-1:]]))
-        if count_attr
-        else []
-    )
+    element_counts: list[int | None] = []
+    if count_attr:
+        element_counts = array_lengths(
+            count_attr, time_codes_of([*times[:1], *times[1:][-1:]])
+        )
     if is_instancer:
         element_counts = [len(prototype_paths(prim))]
     primvars = UsdGeom.PrimvarsAPI(prim).GetPrimvarsWithAuthoredValues()

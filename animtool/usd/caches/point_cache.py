@@ -18,7 +18,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import UpAxis
 from animtool.rig.surfaces import Strands, Surface
-from animtool.skin.deform import DeformedFrames
+from animtool.skin.deform import DeformedFrames, unit_normals
 from animtool.usd.caches.writer import (
     Block,
     CachedMesh,
@@ -102,7 +102,8 @@ def round_points(
         points = points @ linear.T + translation
         extents = np.stack([points.min(axis=1), points.max(axis=1)], axis=1)
         velocities = None if velocities is None else velocities @ linear.T
-        normals = None if normals is None else _transformednormals(normals, linear)
+        if normals is not None:
+            normals = unit_normals(normals @ np.linalg.inv(linear))
     rounded_points, error, frame, vertex = round_to_float32(
         points, meters_per_unit, ValueLabels("points", "point"), codes
     )
@@ -124,12 +125,6 @@ def _padded_extents(extents: Float32Array, margin: float) -> Float32Array:
     """Return bounds of points widened by the curve width, as `UsdGeom.Curves` does."""
     with np.errstate(over="ignore"):
         return extents + np.array([[-margin], [margin]], np.float32)
-
-
-def _transformednormals(normals: FloatArray, linear: FloatArray) -> FloatArray:
-    transformed = normals @ np.linalg.inv(linear)
-    length = np.linalg.norm(transformed, axis=-1, keepdims=True)
-    return np.asarray(transformed / np.where(length > 0, length, 1.0))
 
 
 def author_cache(

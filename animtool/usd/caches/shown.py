@@ -60,7 +60,6 @@ class ShownMesh:
     counts: IntArray  # number of corners of each face ``(M,)``
     indices: IntArray  # point index of each corner, face by face
     color: tuple[float, float, float] | None  # None if not authored
-    double_sided: bool
     # Linear, per point ``(N, 3)``; None without point colors.
     colors: FloatArray | None = None
 
@@ -70,7 +69,7 @@ class ShownPrim:
 
     Attributes:
         name: Path below the default prim.
-        kind: ``mesh``, ``curves``, ``points`` or ``instances``.
+        kind: ``mesh``, ``curves``, ``points`` or ``copies``.
     """
 
     def __init__(self, stage: StageContents, prim: Any, name: str, kind: str) -> None:
@@ -93,6 +92,11 @@ class ShownPrim:
             if xformable and xformable.GetResetXformStack():
                 return False
         return False
+
+    @property
+    def is_animated(self) -> bool:
+        """Whether the prim's points in world space may change over time."""
+        return self.is_deforming or self.is_moving
 
     @cached_property
     def has_changing_faces(self) -> bool:
@@ -123,16 +127,12 @@ class ShownPrim:
             counts, indices = self._reader.faces(time)
             if mesh_fault(points, counts, indices):
                 return None
-            double_sided = bool(UsdGeom.Mesh(self.prim).GetDoubleSidedAttr().Get())
         else:
             points, counts, indices = _implicit_mesh(self.prim)
-            double_sided = False
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
         points_meters = points * self._stage.meters
-        return ShownMesh(
-            points_meters, counts, indices, self.color, double_sided, vertex_colors
-        )
+        return ShownMesh(points_meters, counts, indices, self.color, vertex_colors)
 
     def curve_counts(self) -> IntArray:
         """Return the number of points of each curve ``(C,)``."""

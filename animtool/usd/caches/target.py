@@ -172,8 +172,8 @@ def _curve_mismatch(
         return []
     message = (
         f"{entry.name!r} has {rig_shape[0]} strands of {rig_shape[1]} points here, but "
+        f"{take_shape[0]} of {take_shape[1]} in the take's rig"
     )
-    message += f"{take_shape[0]} of {take_shape[1]} in the take's rig"
     hint = "the cache would not match its curves"
     return [PrimLocation.from_prim(rig.path, curves).fault("USD041", message, hint)]
 

@@ -27,15 +27,11 @@ from animtool.usd.layers.faults import (
 )
 from animtool.usd.rigs.skinned import is_rig_mesh
 
+# Schema of a relationship's targets, and its name in messages.
 _TARGET_SCHEMAS = {
-    "skel:animationSource": UsdSkel.Animation,
-    "skel:skeleton": UsdSkel.Skeleton,
-    "skel:blendShapeTargets": UsdSkel.BlendShape,
-}
-_TARGET_TYPE_NAMES = {
-    "skel:animationSource": "SkelAnimation",
-    "skel:skeleton": "Skeleton",
-    "skel:blendShapeTargets": "BlendShape",
+    "skel:animationSource": (UsdSkel.Animation, "SkelAnimation"),
+    "skel:skeleton": (UsdSkel.Skeleton, "Skeleton"),
+    "skel:blendShapeTargets": (UsdSkel.BlendShape, "BlendShape"),
 }
 
 
@@ -45,7 +41,7 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
     In a layer over another file's rig, missing targets may be in that file.
     """
     for prim in subject.prims:
-        for name, schema in _TARGET_SCHEMAS.items():
+        for name, (schema, schema_name) in _TARGET_SCHEMAS.items():
             relationship = prim.GetRelationship(name)
             if not relationship:
                 continue
@@ -60,19 +56,19 @@ def check_bindings(subject: StageSubject) -> Iterator[Fault]:
                 ):
                     continue
                 yield from _check_target(
-                    relationship, target, target_prim, schema, _TARGET_TYPE_NAMES[name]
+                    relationship, target, target_prim, schema, schema_name
                 )
 
 
 def _check_target(
-    relationship: Any, target: Any, prim: Any, schema: Any, type_name: str
+    relationship: Any, target: Any, prim: Any, schema: Any, schema_name: str
 ) -> Iterator[Fault]:
     if not prim:
         message = f"{target} does not exist"
         yield finding("USD208", relationship.GetPath(), message)
     elif not prim.IsA(schema):
         kind = prim.GetTypeName() or "prim without a type"
-        message = f"{target} is a {kind}, not a {type_name}"
+        message = f"{target} is a {kind}, not a {schema_name}"
         yield finding("USD208", relationship.GetPath(), message)
 
 

@@ -20,7 +20,12 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
-from animtool.usd.checks.skinned_bounds import SkinnedBounds, find_overhang
+from animtool.usd.checks.skinned_bounds import (
+    SkinnedBounds,
+    find_overhang,
+    spaced_indices,
+    time_code_of,
+)
 from animtool.usd.checks.subject import (
     AnyArray,
     SampledArray,
@@ -159,14 +164,12 @@ def _compare_extents(
         {time for attribute in sources for time in subject.times(attribute)}
     )
     sampled_extents = extents if array.is_animated else None
-    times = (
-        array.times
-        if sampled_extents is not None
-        else np.array(animated_times or [np.nan])
-    )
+    times = array.times
+    if sampled_extents is None:
+        times = np.array(animated_times or [np.nan])
     bounds_from_joints = _joint_bounds(subject, boundable, sources, times)
     is_exact = sampled_extents is not None or not animated_times
-    candidates, outliers = _spaced_indices(len(times)), None
+    candidates, outliers = spaced_indices(len(times), MAX_COMPUTED_SAMPLES), None
     if bounds_from_joints is not None:
         excess, _ = bounds_difference(extents, bounds_from_joints, must_equal=is_exact)
         outliers = np.flatnonzero(~(excess <= 0))
@@ -176,8 +179,8 @@ def _compare_extents(
     skinned_root = _SkinnedRoot(boundable)
     faulty_samples = []
     for i in candidates.tolist():
-        code = Usd.TimeCode.Default() if np.isnan(times[i]) else Usd.TimeCode(times[i])
-        usd_extent = _computed_extent(boundable, code)
+        code = time_code_of(times[i])
+        usd_extent = computed_extent(boundable, code)
         if usd_extent is None:
             return
         bounds = np.array(usd_extent, np.float64).reshape(1, 2, 3)
@@ -230,7 +233,7 @@ class _SkinnedRoot:
         return bool(bounds_difference(extent, expected, must_equal=True)[0][0] <= 0)
 
 
-def joined_bounds(first: FloatArray, second: FloatArray) -> FloatArray:
+def joined_bounds(first: AnyArray, second: AnyArray) -> AnyArray:
     """Return the union of two bounds ``(2, 3)``.
 
     >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
@@ -268,19 +271,12 @@ def bounds_difference(
     return distances - EXTENT_TOLERANCE * sizes - 1e-6 * (1 + magnitudes), distances
 
 
-def _computed_extent(boundable: Any, code: Any) -> Any:
+def computed_extent(boundable: Any, code: Any) -> Any:
     """Return the extent USD computes; None if it cannot, as for a broken Skeleton."""
     try:
         return UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
     except Tf.ErrorException:
         return None
-
-
-def _spaced_indices(count: int) -> IntArray:
-    """Return up to `MAX_COMPUTED_SAMPLES` evenly spaced indices below a count."""
-    return np.unique(
-        np.linspace(0, count - 1, min(count, MAX_COMPUTED_SAMPLES)).astype(np.int64)
-    )
 
 
 def _joint_bounds(
@@ -309,8 +305,7 @@ def _joint_bounds(
         return None
     joints = token_array(skeleton.GetJointsAttr())
     bounds = _origin_bounds(joint_parents(joints), *locals_)
-    code = Usd.TimeCode(times[0])
-    first_extent = _computed_extent(boundable, code)
+    first_extent = computed_extent(boundable, Usd.TimeCode(times[0]))
     if first_extent is None:
         return None
     padding = np.array(first_extent, np.float64).reshape(2, 3) - bounds[0]

@@ -139,11 +139,9 @@ def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fau
     """Yield up to `MAX_FINDINGS` findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
-        suffix = (
-            f"; so are {omitted_count} more values of this prim"
-            if omitted_count > 0
-            else ""
-        )
+        suffix = ""
+        if omitted_count > 0:
+            suffix = f"; so are {omitted_count} more values of this prim"
         yield finding("USD171", path, f"{message}{where}{suffix}")
 
 

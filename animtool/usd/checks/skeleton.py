@@ -21,7 +21,11 @@ from animtool.usd.layers.faults import (
     matrix_array,
     token_array,
 )
-from animtool.usd.rigs.rest_pose import collapsed_bone_faults, rest_faults
+from animtool.usd.rigs.rest_pose import (
+    collapsed_bone_faults,
+    rest_faults,
+    skeleton_space,
+)
 
 
 def check_physics_joints(subject: StageSubject) -> Iterator[Fault]:
@@ -185,10 +189,7 @@ def _check_swapped(
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         return
-    rest_in_skeleton = rest.copy()
-    for joint, parent in enumerate(parents.tolist()):
-        if parent >= 0:
-            rest_in_skeleton[joint] = rest[joint] @ rest_in_skeleton[parent]
+    rest_in_skeleton = skeleton_space(rest, parents)
     identity = np.zeros_like(bind) + np.eye(4)
     if _nearly_equal(rest_in_skeleton, bind) or _nearly_equal(
         rest_in_skeleton, identity

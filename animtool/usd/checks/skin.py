@@ -70,8 +70,10 @@ def _check_joints(prim: Any, binding: Any, indices: FloatArray) -> Iterator[Faul
     joint_names = _bound_joints(prim)
     unknown = [name for name in joint_names if name not in set(skeleton_joints)]
     if skeleton_joints and unknown:
-        message = f"{counted(len(unknown), 'joint')} that {skeleton_query.GetPath()} "
-        message += f"does not have: {listed(unknown)}"
+        message = (
+            f"{counted(len(unknown), 'joint')} that {skeleton_query.GetPath()} "
+            f"does not have: {listed(unknown)}"
+        )
         yield finding("USD238", f"{prim.GetPath()}.skel:joints", message)
     count = len(joint_names or skeleton_joints)
     out_of_range = indices[(indices < 0) | (indices >= count)] if count else indices[:0]
@@ -254,14 +256,18 @@ def _check_indices(
     out_of_range = indices[(indices < 0) | (indices > last_index)]
     if len(out_of_range):
         range_end = "" if vertex_count is None else f" to {last_index}"
-        message = f"{len(out_of_range)} of {len(indices)} are not in 0{range_end}, "
-        message += f"the first is {out_of_range[0]}"
+        message = (
+            f"{len(out_of_range)} of {len(indices)} are not in 0{range_end}, "
+            f"the first is {out_of_range[0]}"
+        )
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
         rows, counts = np.unique(indices, return_counts=True)
         repeated_rows = rows[counts > 1]
-        message = f"{len(repeated_rows)} of {len(indices)} are duplicates, "
-        message += f"the first is {repeated_rows[0]}"
+        message = (
+            f"{len(repeated_rows)} of {len(indices)} are duplicates, "
+            f"the first is {repeated_rows[0]}"
+        )
         yield finding("USD241", path, message)
 
 

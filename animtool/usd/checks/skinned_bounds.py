@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from pxr import Tf, Usd, UsdGeom, UsdSkel
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.usd.caches.reader import PointReader, transform_points
 
@@ -96,15 +96,10 @@ def find_overhang(
     """
     bounds = SkinnedBounds(root)
     max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.point_count, 1))
-    count = len(times)
-    sample_indices = np.unique(
-        np.linspace(0, count - 1, min(count, max_samples)).astype(int)
-    )
+    sample_indices = spaced_indices(len(times), max_samples)
     largest, largest_code = 0.0, times[0]
     for i in sample_indices.tolist():
-        time = times[i]
-        code = Usd.TimeCode.Default() if np.isnan(time) else Usd.TimeCode(time)
-        point_bounds = bounds.at_time(code)
+        point_bounds = bounds.at_time(time_code_of(times[i]))
         if point_bounds is None:
             continue
         lowest, highest = extents[i if len(extents) > 1 else 0]
@@ -112,10 +107,20 @@ def find_overhang(
             np.maximum(lowest - point_bounds[0], point_bounds[1] - highest).max()
         )
         if distance > largest:
-            largest, largest_code = distance, time
-    return (
-        (largest, largest_code, len(sample_indices) == count) if largest > 0.0 else None
-    )
+            largest, largest_code = distance, times[i]
+    if not largest:
+        return None
+    return largest, largest_code, len(sample_indices) == len(times)
+
+
+def spaced_indices(count: int, max_count: int) -> IntArray:
+    """Return up to ``max_count`` evenly spaced indices below a count."""
+    return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(np.int64))
+
+
+def time_code_of(time: float) -> Any:
+    """Return a time as `Usd.TimeCode`; the default time code for NaN."""
+    return Usd.TimeCode.Default() if np.isnan(time) else Usd.TimeCode(time)
 
 
 def _skeleton_bindings(root: Any) -> list[tuple[Any, list[_SkinnedPrim]]]:

@@ -189,15 +189,13 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         )
     else:
         first_code, last_code = spans[paths_outside[0]]
-        suffix = (
-            ""
-            if len(paths_outside) == 1
-            else f", as are those of {len(paths_outside) - 1} more"
-        )
+        suffix = ""
+        if len(paths_outside) != 1:
+            suffix = f", as are those of {len(paths_outside) - 1} more"
         message = (
             f"samples are at {span_label(first_code, last_code)}, but the stage's "
+            "range is "
         )
-        message += "range is "
         message += f"{span_label(start, end)}{suffix}"
         yield finding("USD256", paths_outside[0], message)
 

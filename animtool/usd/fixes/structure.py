@@ -5,21 +5,22 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.core.errors import Fault, counted
-from animtool.usd.checks.extents import extent_sources, joined_bounds
+from animtool.usd.checks.extents import computed_extent, extent_sources, joined_bounds
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import (
-    AnyArray,
     Change,
     Edit,
     FixTarget,
     NotFixableError,
-    rewrite_arrays,
+    replace_arrays,
+    stored_arrays,
 )
 from animtool.usd.layers.faults import token_array
+from animtool.usd.layers.finite import rounded_outwards
 from animtool.usd.rigs.prims import self_and_ancestors
 from animtool.usd.rigs.rest_pose import local_bind_transforms
 
@@ -38,28 +39,23 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
 
     def edit() -> Change:
         changed_points = point_count = 0
-
-        def divide_by_sums(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal changed_points, point_count
-            new_arrays = []
-            for array in arrays:
-                rows = array.astype(np.float64).reshape(-1, size)
-                weight_sums = rows.sum(axis=1, keepdims=True)
-                if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
-                    raise NotFixableError("a point has no weights")
-                is_off = np.abs(weight_sums - 1) > ROUNDING
-                changed_points = changed_points + int(is_off.sum())
-                point_count = point_count + len(rows)
-                rows = rows / np.where(is_off, weight_sums, 1.0)
-                new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
-            return new_arrays
-
-        _, _, largest_change = rewrite_arrays(spec, divide_by_sums)
+        new_arrays = []
+        for array in stored_arrays(spec):
+            rows = array.astype(np.float64).reshape(-1, size)
+            weight_sums = rows.sum(axis=1, keepdims=True)
+            if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
+                raise NotFixableError("a point has no weights")
+            is_off = np.abs(weight_sums - 1) > ROUNDING
+            changed_points += int(is_off.sum())
+            point_count += len(rows)
+            rows = rows / np.where(is_off, weight_sums, 1.0)
+            new_arrays.append(rows.reshape(array.shape).astype(array.dtype))
+        _, largest_change = replace_arrays(spec, new_arrays)
         text = (
             f"divides the weights of {changed_points} of "
-            f"{counted(point_count, 'point')} "
+            f"{counted(point_count, 'point')} by their sums"
         )
-        return Change(f"{text}by their sums", largest_change)
+        return Change(text, largest_change)
 
     return edit
 
@@ -231,21 +227,13 @@ def _extent_with_skin(
     boundable: Any, code: Any, skinned_bounds: SkinnedBounds | None
 ) -> Any:
     """Return the extent that USD computes, widened to contain the skinned points."""
-    try:
-        extent = UsdGeom.Boundable.ComputeExtentFromPlugins(boundable, code)
-    except Tf.ErrorException:
-        extent = None
+    extent = computed_extent(boundable, code)
     if extent is None or len(extent) != 2 or not np.isfinite(np.array(extent)).all():
         raise NotFixableError("USD cannot compute it")
     point_bounds = None if skinned_bounds is None else skinned_bounds.at_time(code)
     if point_bounds is None:
         return Vt.Vec3fArray(extent)
-    # Rounded outwards, so that no point is outside.
-    infinities = np.array([[-np.inf], [np.inf]], np.float32)
-    widened_bounds = np.nextafter(
-        point_bounds.astype(np.float32), infinities, dtype=np.float32
-    )
-    union = joined_bounds(np.array(extent, np.float32), widened_bounds)
+    union = joined_bounds(np.array(extent, np.float32), rounded_outwards(point_bounds))
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 

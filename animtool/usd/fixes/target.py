@@ -25,12 +25,11 @@ from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.jobs import SUFFIXES
 from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
-# Maps the arrays of an attribute, in time order, to their replacements.
-ArrayTransform: TypeAlias = Callable[[list[AnyArray]], list[AnyArray]]
 
 
 class NotFixableError(Exception):
@@ -102,43 +101,48 @@ class FixTarget:
             raise NotFixableError(f"the value is in {name}; fix that file")
 
 
-def rewrite_arrays(
-    spec: Any, transform_arrays: ArrayTransform
-) -> tuple[int, int, float]:
-    """Transform the arrays of an attribute spec, and write those that change.
+def stored_arrays(spec: Any) -> list[AnyArray]:
+    """Return the arrays of an attribute spec in time order, or its default alone."""
+    return [np.array(value) for value in _stored_values(spec)]
 
-    Returns the number of changed arrays, the number of all arrays, and the largest
-    change of a number.
+
+def replace_arrays(spec: Any, new_arrays: list[AnyArray]) -> tuple[int, float]:
+    """Write those of the new arrays of an attribute spec that differ from its own.
+
+    Returns the number of changed arrays, and the largest change of a number.
     """
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
-    values = [layer.QueryTimeSample(path, t) for t in times] or [spec.default]
-    if any(isinstance(value, Sdf.ValueBlock) for value in values):
-        raise NotFixableError("samples are blocked")
-    old_arrays = [np.array(value) for value in values]
-    new_arrays = transform_arrays(old_arrays)
     changed_count, largest = 0, 0.0
     with Sdf.ChangeBlock():
-        for i, (old_array, new_array) in enumerate(
-            zip(old_arrays, new_arrays, strict=True)
-        ):
+        for i, value in enumerate(_stored_values(spec)):
+            old_array, new_array = np.array(value), new_arrays[i]
             if np.array_equal(old_array, new_array):
                 continue
             changed_count += 1
             difference = np.abs(new_array.astype(np.float64) - old_array)
             largest = max(largest, float(difference.max()))
             rows = np.ascontiguousarray(new_array.astype(old_array.dtype))
-            array = type(values[i]).FromNumpy(rows)
+            array = type(value).FromNumpy(rows)
             if times:
                 layer.SetTimeSample(path, times[i], array)
             else:
                 spec.default = array
-    return changed_count, len(old_arrays), largest
+    return changed_count, largest
+
+
+def _stored_values(spec: Any) -> list[Any]:
+    """Return the values of an attribute spec in time order, or its default alone."""
+    times = spec.layer.ListTimeSamplesForPath(spec.path)
+    values = [spec.layer.QueryTimeSample(spec.path, t) for t in times]
+    values = values or [spec.default]
+    if any(isinstance(value, Sdf.ValueBlock) for value in values):
+        raise NotFixableError("samples are blocked")
+    return values
 
 
 # Raises NotFixableError if the fix would not be safe.
 Fix: TypeAlias = Callable[[FixTarget, Fault], Edit]
-SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class EditedLayer:

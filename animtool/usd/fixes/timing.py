@@ -13,12 +13,12 @@ from animtool.core.errors import Fault, counted
 from animtool.maths import so3
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import (
-    AnyArray,
     Change,
     Edit,
     FixTarget,
     NotFixableError,
-    rewrite_arrays,
+    replace_arrays,
+    stored_arrays,
 )
 from animtool.usd.takes.animation_values import MAX_OFF_FRAME
 
@@ -31,17 +31,16 @@ def align_rotation_signs(target: FixTarget, fault: Fault) -> Edit:
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        flip_count = 0
-
-        def align_signs(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal flip_count
-            stacked = _stack_arrays(arrays)
-            aligned = so3.align_signs(stacked, stacked[0])
-            flip_count = int((aligned != stacked).any(axis=-1).sum())
-            return [row.astype(stacked.dtype) for row in aligned]
-
-        changed_samples, sample_count, _ = rewrite_arrays(spec, align_signs)
-        samples = f"{changed_samples} of {counted(sample_count, 'sample')}"
+        arrays = stored_arrays(spec)
+        if len({array.shape for array in arrays}) != 1:
+            raise NotFixableError("samples have different numbers of rotations")
+        stacked = np.stack(arrays)
+        aligned = so3.align_signs(stacked, stacked[0])
+        flip_count = int((aligned != stacked).any(axis=-1).sum())
+        changed_samples, _ = replace_arrays(
+            spec, [row.astype(stacked.dtype) for row in aligned]
+        )
+        samples = f"{changed_samples} of {counted(len(arrays), 'sample')}"
         return Change(f"negates {counted(flip_count, 'quaternion')} in {samples}")
 
     return edit
@@ -52,38 +51,26 @@ def normalize_rotations(target: FixTarget, fault: Fault) -> Edit:
     spec = target.attribute(fault)
 
     def edit() -> Change:
-        quaternion_count = 0
-
-        def normalize(arrays: list[AnyArray]) -> list[AnyArray]:
-            nonlocal quaternion_count
-            normalized = []
-            for array in arrays:
-                lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
-                if (
-                    not (lengths > MIN_QUATERNION_LENGTH).all()
-                    or not np.isfinite(lengths).all()
-                ):
-                    raise NotFixableError("a quaternion has no direction")
-                # Rounding error of a unit quaternion's length.
-                rounding = 4 * float(np.finfo(array.dtype).eps)
-                is_off_unit = np.abs(lengths - 1) > rounding
-                quaternion_count += int(is_off_unit.sum())
-                rows = array / np.where(is_off_unit, lengths, 1.0)[..., None]
-                normalized.append(rows.astype(array.dtype))
-            return normalized
-
-        changed_samples, sample_count, largest = rewrite_arrays(spec, normalize)
-        samples = f"{changed_samples} of {counted(sample_count, 'sample')}"
+        arrays, normalized, quaternion_count = stored_arrays(spec), [], 0
+        for array in arrays:
+            lengths = np.linalg.norm(array.astype(np.float64), axis=-1)
+            if (
+                not (lengths > MIN_QUATERNION_LENGTH).all()
+                or not np.isfinite(lengths).all()
+            ):
+                raise NotFixableError("a quaternion has no direction")
+            # Rounding error of a unit quaternion's length.
+            rounding = 4 * float(np.finfo(array.dtype).eps)
+            is_off_unit = np.abs(lengths - 1) > rounding
+            quaternion_count += int(is_off_unit.sum())
+            rows = array / np.where(is_off_unit, lengths, 1.0)[..., None]
+            normalized.append(rows.astype(array.dtype))
+        changed_samples, largest = replace_arrays(spec, normalized)
+        samples = f"{changed_samples} of {counted(len(arrays), 'sample')}"
         text = f"normalises {counted(quaternion_count, 'quaternion')} in {samples}"
         return Change(text, largest)
 
     return edit
-
-
-def _stack_arrays(arrays: list[AnyArray]) -> AnyArray:
-    if len({array.shape for array in arrays}) != 1:
-        raise NotFixableError("samples have different numbers of rotations")
-    return np.stack(arrays)
 
 
 # Rate that USD assumes for a layer without one [1/s].

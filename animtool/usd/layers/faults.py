@@ -140,8 +140,10 @@ def bind_faults(
     bind = matrix_array(attr)
     if len(bind) != len(joints):
         if len(bind) or is_skinned:
-            message = f"{counted(len(bind), 'bindTransform')}"
-            message += f" for {counted(len(joints), 'joint')}"
+            message = (
+                f"{counted(len(bind), 'bindTransform')}"
+                f" for {counted(len(joints), 'joint')}"
+            )
             yield finding("USD224", attr.GetPath(), message)
         return
     faults = list(non_finite_faults(attr, bind, joints))

@@ -99,6 +99,12 @@ def round_to_float32(
     return rounded_points, error, frame, vertex
 
 
+def rounded_outwards(bounds: FloatArray) -> Float32Array:
+    """Return bounds ``(2, 3)`` as float32, rounded so that no point is outside."""
+    infinities = np.array([[-np.inf], [np.inf]], np.float32)
+    return np.asarray(np.nextafter(bounds.astype(np.float32), infinities), np.float32)
+
+
 def check_rows(
     rows: npt.NDArray[Any], letter: str, labels: ValueLabels, codes: FloatArray
 ) -> None:

@@ -368,6 +368,11 @@ def gf_vector(row: FloatArray) -> Any:
     return Gf.Vec3d(*row.tolist())
 
 
+def gf_vec3f(row: FloatArray) -> Any:
+    """Return a vector ``(3,)`` as a float32 Gf vector."""
+    return Gf.Vec3f(*row.tolist())
+
+
 def gf_quaternion(row: FloatArray) -> Any:
     """Return a quaternion ``(4,)``, x y z w, as a Gf quaternion.
 

@@ -97,11 +97,11 @@ def read_shapes(
     ):
         source.add_notice(prim, f"has a size of {list(sizes)} m: skipped")
         return
-    axis_rotation = (
-        so3.shortest_rotation(AXIS_VECTORS["Y"], _prim_axis(source, prim))
-        if kind in TYPES_WITH_AXIS
-        else so3.IDENTITY
-    )
+    axis_rotation = so3.IDENTITY
+    if kind in TYPES_WITH_AXIS:
+        axis_rotation = so3.shortest_rotation(
+            AXIS_VECTORS["Y"], _prim_axis(source, prim)
+        )
     pose = np.concatenate([pose[:3], so3.multiply(pose[3:], axis_rotation)])
     name = str(prim.GetName())
     yield PhysicsShape(
@@ -159,8 +159,10 @@ def _read_friction_and_restitution(
     restitution = source.number(api.GetRestitutionAttr()) or 0.0
     clamped = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
     if clamped != (friction, restitution):
-        message = f"has friction {friction:g} and restitution {restitution:g}: "
-        message += f"using {clamped[0]:g} and {clamped[1]:g}"
+        message = (
+            f"has friction {friction:g} and restitution {restitution:g}: "
+            f"using {clamped[0]:g} and {clamped[1]:g}"
+        )
         source.add_notice(material.GetPrim(), message)
     return clamped
 

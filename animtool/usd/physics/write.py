@@ -28,6 +28,7 @@ from animtool.usd.layers.sdf import (
     author_xform_order,
     gf_quaternion,
     gf_quatf,
+    gf_vec3f,
     gf_vector,
     prim_spec,
 )
@@ -105,8 +106,9 @@ class PhysicsWriter:
         direction = so3.rotate(
             self._up_rotation, self._physics.gravity / (magnitude or 1.0)
         )
-        value = Gf.Vec3f(*direction.tolist())
-        attribute_spec(spec, "physics:gravityDirection", _TYPES.Vector3f, value)
+        attribute_spec(
+            spec, "physics:gravityDirection", _TYPES.Vector3f, gf_vec3f(direction)
+        )
         self._author_number(spec, "physics:gravityMagnitude", magnitude / self._unit)
 
     @staticmethod
@@ -116,8 +118,7 @@ class PhysicsWriter:
     def _author_vector(
         self, spec: Any, name: str, metres: FloatArray, kind: Any
     ) -> None:
-        value = Gf.Vec3f(*(metres / self._unit).tolist())
-        attribute_spec(spec, name, kind, value)
+        attribute_spec(spec, name, kind, gf_vec3f(metres / self._unit))
 
     def _write_body(self, path: str, body: PhysicsBody) -> None:
         spec = self._layer.GetPrimAtPath(path)
@@ -128,7 +129,7 @@ class PhysicsWriter:
             velocity_name = "physics:velocity"
             angular_velocity_name = "physics:angularVelocity"
             self._author_vector(spec, velocity_name, body.velocity, _TYPES.Vector3f)
-            angular_velocity = Gf.Vec3f(*np.degrees(body.spin).tolist())
+            angular_velocity = gf_vec3f(np.degrees(body.spin))
             attribute_spec(
                 spec, angular_velocity_name, _TYPES.Vector3f, angular_velocity
             )
@@ -139,7 +140,7 @@ class PhysicsWriter:
                 spec, "physics:centerOfMass", body.centre, _TYPES.Point3f
             )
         if body.inertia is not None:
-            inertia = Gf.Vec3f(*(body.inertia / self._unit**2).tolist())
+            inertia = gf_vec3f(body.inertia / self._unit**2)
             attribute_spec(spec, "physics:diagonalInertia", _TYPES.Float3, inertia)
             attribute_spec(
                 spec, "physics:principalAxes", _TYPES.Quatf, gf_quatf(body.axes)

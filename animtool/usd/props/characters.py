@@ -328,10 +328,10 @@ class _CharacterGroup:
         if (self.upright != so3.IDENTITY).any():
             attribute_spec(spec, "xformOp:orient", _TYPES.Quatf, gf_quatf(self.upright))
             op_names.append("xformOp:orient")
-        translate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
+        rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
         rows = _changing_frames(degrees[:, None], np.degrees(HEADING_TOLERANCE))
-        write_samples(self.layer, translate, track.codes, rows, degrees[rows].tolist())
+        write_samples(self.layer, rotate, track.codes, rows, degrees[rows].tolist())
         op_names.append("xformOp:rotateY")
         if track.scales[i] != 1:
             scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -340,13 +340,13 @@ class _CharacterGroup:
         author_xform_order(spec, *op_names)
         is_visible = track.visible[:, i]
         if not is_visible.all():
-            translate = attribute_spec(spec, "visibility", _TYPES.Token)
+            visibility = attribute_spec(spec, "visibility", _TYPES.Token)
             rows = np.flatnonzero(np.diff(is_visible, prepend=~is_visible[:1]))
             tokens = [
                 "inherited" if position else "invisible"
                 for position in is_visible[rows].tolist()
             ]
-            write_samples(self.layer, translate, track.codes, rows, tokens)
+            write_samples(self.layer, visibility, track.codes, rows, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]

@@ -46,11 +46,9 @@ def prim_transform_reader(
     with usd_errors(path):
         stage = open_stage(path)
         usd_prim = _require_prim(stage, path, prim_path)
-        space_prim = (
-            None
-            if space_path is None
-            else _require_prim(stage, path, space_path, "space")
-        )
+        space_prim = None
+        if space_path is not None:
+            space_prim = _require_prim(stage, path, space_path, "space")
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     up_rotation = up_from_up(rig.up, up_axis(stage))
     if space_prim is not None:

@@ -39,6 +39,7 @@ from animtool.usd.layers.sdf import (
     author_relationship,
     author_xform_order,
     gf_quaternion,
+    gf_vec3f,
     gf_vector,
     prim_spec,
 )
@@ -337,7 +338,7 @@ class XformsForm(FrameForm[TransformsFrame]):
                 transform = _instance_transform(frame, i, writer.unit)
                 author_values(instance, dict(zip(names, transform, strict=True)))
             if not (frame.scales[i] == 1.0).all():
-                scale = Gf.Vec3f(*frame.scales[i].tolist())
+                scale = gf_vec3f(frame.scales[i])
                 attribute_spec(
                     instance, "xformOp:scale", Sdf.ValueTypeNames.Float3, scale
                 )

@@ -117,11 +117,9 @@ def map_joints(
     fit: RigFit | None = None
     fit_notices: list[Fault] = []
     if take.joints and skeleton.rig.joints:
-        rig = (
-            skeleton.rig
-            if converted_take is None
-            else transform_rig(skeleton.rig, converted_take.upright_scale)
-        )
+        rig = skeleton.rig
+        if converted_take is not None:
+            rig = transform_rig(skeleton.rig, converted_take.upright_scale)
         fit, fit_notices = check_fit(
             at_origin(take),
             rig,
@@ -182,20 +180,25 @@ def _unmatched_notices(
         _check_shapes(take, target)
     names = target.skeleton.rig.names
     unmapped_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
-    notices = []
-    if missing_names:
-        message = f"{len(missing_names)} joints of the take are not in the rig: "
-        hint, severity = "they are skipped", Severity.WARNING
-        notices.append(
-            names_fault("USD102", message, missing_names, where, hint, severity)
-        )
-    if unmapped_names:
-        message = f"{len(unmapped_names)} joints of the rig are not in the take: "
-        hint, severity = "they stay at rest", Severity.NOTE
-        notices.append(
-            names_fault("USD111", message, unmapped_names, where, hint, severity)
-        )
-    return notices
+    message = f"{len(missing_names)} joints of the take are not in the rig: "
+    notices = _names_notice("USD102", message, missing_names, where, "they are skipped")
+    message = f"{len(unmapped_names)} joints of the rig are not in the take: "
+    hint = "they stay at rest"
+    return notices + _names_notice(
+        "USD111", message, unmapped_names, where, hint, Severity.NOTE
+    )
+
+
+def _names_notice(
+    code: str,
+    message: str,
+    names: list[str],
+    path: str,
+    hint: str | None,
+    severity: Severity = Severity.WARNING,
+) -> list[Fault]:
+    """Return a notice that lists names; none without names."""
+    return [names_fault(code, message, names, path, hint, severity)] if names else []
 
 
 def _check_shapes(take: Rig, target: RigTarget) -> None:
@@ -259,27 +262,22 @@ def match_shapes(
         for i, (shape_name, name) in enumerate(zip(shapes, matches, strict=True))
     ]
     where = str(target.path)
-    notices = []
     original_names = usd_names or {}
     unknown_names = [
         name
         for name in matches
         if name not in target_shapes and original_names.get(name) not in target_shapes
     ]
-    if unknown_names:
-        message = f"{len(unknown_names)} shapes of the take are on no mesh of the rig: "
-        hint, severity = "their weights have no effect there", Severity.WARNING
-        notices.append(
-            names_fault("USD114", message, unknown_names, where, hint, severity)
-        )
+    message = f"{len(unknown_names)} shapes of the take are on no mesh of the rig: "
+    hint = "their weights have no effect there"
+    notices = _names_notice("USD114", message, unknown_names, where, hint)
     respelled_names = [
         f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
     ]
-    if respelled_names:
-        message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
-        notices.append(
-            names_fault("USD118", message, respelled_names, where, None, Severity.NOTE)
-        )
+    message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
+    notices += _names_notice(
+        "USD118", message, respelled_names, where, None, Severity.NOTE
+    )
     return tuple(matches), notices
 
 

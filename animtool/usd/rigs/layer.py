@@ -27,6 +27,8 @@ from animtool.usd.layers.sdf import (
     author_xform_order,
     gf_quaternion,
     gf_quatf,
+    gf_vec3f,
+    gf_vector,
     new_layer,
     prim_spec,
     save_layer,
@@ -74,9 +76,7 @@ def _author_body(
     spec = prim_spec(layer, path, "Xform")
     apply_schemas(spec, ["PhysicsRigidBodyAPI"])
     attribute_spec(spec, "physics:kinematicEnabled", _TYPES.Bool, True)
-    attribute_spec(
-        spec, "xformOp:translate", _TYPES.Double3, Gf.Vec3d(*position.tolist())
-    )
+    attribute_spec(spec, "xformOp:translate", _TYPES.Double3, gf_vector(position))
     attribute_spec(spec, "xformOp:orient", _TYPES.Quatd, gf_quaternion(rotation))
     author_xform_order(spec, "xformOp:translate", "xformOp:orient")
 
@@ -102,9 +102,7 @@ def _author_joint(
     position = np.array(joint.translation) / meters_per_unit
     parent_frame = so3.multiply(np.array(joint.rotation), frame)
     zero = Gf.Vec3f(0.0)
-    attribute_spec(
-        spec, "physics:localPos0", _TYPES.Point3f, Gf.Vec3f(*position.tolist())
-    )
+    attribute_spec(spec, "physics:localPos0", _TYPES.Point3f, gf_vec3f(position))
     attribute_spec(spec, "physics:localPos1", _TYPES.Point3f, zero)
     attribute_spec(spec, "physics:localRot0", _TYPES.Quatf, gf_quatf(parent_frame))
     attribute_spec(spec, "physics:localRot1", _TYPES.Quatf, gf_quatf(frame))
@@ -218,11 +216,9 @@ def read_ball_limit(joint: Any, axis: tuple[float, float, float]) -> BallLimit |
     swing_limits = None
     if swing_y_limits is not None and swing_z_limits is not None:
         swing_limits = (swing_y_limits[1], swing_z_limits[1])
-    return (
-        None
-        if twist is None and swing_limits is None
-        else BallLimit(swing_limits, twist, axis)
-    )
+    if twist is None and swing_limits is None:
+        return None
+    return BallLimit(swing_limits, twist, axis)
 
 
 # USD's fallback rate; animation layers over the rig adopt it.
@@ -235,11 +231,6 @@ def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     The layer has model, SkelRoot, Skeleton, meshes and blend shapes but no animation.
     Properties that USD cannot express are stored as customData.
     """
-    layer, notices = _rig_layer(rig, path)
-    return save_layer(layer, path), notices
-
-
-def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
     names = joint_names(rig.joints)
     paths = RigPaths.from_model(f"/{legal_name(rig.name)}")
     layer, meters = new_layer(path), rig.meters_per_unit
@@ -261,7 +252,7 @@ def _rig_layer(rig: Rig, path: Path) -> tuple[Any, list[Fault]]:
         value = Vt.Vec3fArray.FromNumpy(bounds)
         attribute_spec(root, "extent", Sdf.ValueTypeNames.Float3Array, value)
     notices = [replace(fault, path=str(path)) for fault in names.notices + mesh_notices]
-    return layer, notices
+    return save_layer(layer, path), notices
 
 
 def _author_layer_metadata(layer: Any, rig: Rig, paths: RigPaths) -> None:

@@ -110,11 +110,9 @@ def _geom_bind(
         cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
         skeleton_to_world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
         local_to_world = cache.GetLocalToWorldTransform(query.GetPrim())
-        bind_matrix = (
-            local_to_world
-            if skeleton_to_world == Gf.Matrix4d(1)
-            else local_to_world * skeleton_to_world.GetInverse()
-        )
+        bind_matrix = local_to_world
+        if skeleton_to_world != Gf.Matrix4d(1):
+            bind_matrix = local_to_world * skeleton_to_world.GetInverse()
     matrix = np.array(bind_matrix, np.float64).T
     if not np.isfinite(matrix).all():
         code = "USD235" if query.HasJointInfluences() else "USD017"
@@ -402,11 +400,9 @@ def read_source_meshes(
             return StageMeshes((), (), np.zeros((0, 4, 4)), UpAxis.Y, [])
         rig = skeleton_rig(skeletons[0], path)
         rig_placement = local_placement(skeletons[0].GetPrim(), rig.rig)
-        rest_placement = (
-            rig_placement.upright_scale
-            if placement == DROP
-            else rig_placement.rest_placement
-        )
+        rest_placement = rig_placement.rest_placement
+        if placement == DROP:
+            rest_placement = rig_placement.upright_scale
         meshes = _stage_meshes(skeletons[0], rig, path, rest_placement)
         unskinned_notices = animated_mesh_notice(skeletons[0], str(path), placement)
         return replace(meshes, notices=meshes.notices + unskinned_notices)

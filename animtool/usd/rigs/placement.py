@@ -305,8 +305,8 @@ def unsupported_notice(
         return []
     message = (
         f"the character {placement.unsupported_reason}, which joints cannot represent: "
+        "the transform is ignored"
     )
-    message += "the transform is ignored"
     hint = "scale it uniformly where it is placed"
     return [where.fault("USD109", message, hint, Severity.WARNING)]
 

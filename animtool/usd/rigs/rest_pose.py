@@ -53,11 +53,9 @@ def find_rest_pose(skeleton: Any, joints: Sequence[str]) -> RestPose | None:
     if bind is not None:
         return RestPose(bind, "the bind pose")
     first_pose = _first_pose(_bound_animation(skeleton), joints)
-    return (
-        None
-        if first_pose is None
-        else RestPose(first_pose, "the animation's first sample")
-    )
+    if first_pose is None:
+        return None
+    return RestPose(first_pose, "the animation's first sample")
 
 
 def local_bind_transforms(skeleton: Any, joints: Sequence[str]) -> FloatArray | None:
@@ -78,6 +76,15 @@ def local_bind_transforms(skeleton: Any, joints: Sequence[str]) -> FloatArray | 
     return np.ascontiguousarray(local)
 
 
+def skeleton_space(local: FloatArray, parents: IntArray) -> FloatArray:
+    """Return local matrices ``(J, 4, 4)``, parents first, in Skeleton space."""
+    matrices = local.copy()
+    for joint, parent in enumerate(parents.tolist()):
+        if parent >= 0:
+            matrices[joint] = local[joint] @ matrices[parent]
+    return matrices
+
+
 def collapsed_bone_faults(skeleton: Any, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield a warning about bones that only the bind pose collapses (USD290).
 
@@ -90,10 +97,7 @@ def collapsed_bone_faults(skeleton: Any, joints: Sequence[str]) -> Iterator[Faul
     is_ordered = bool((parents < np.arange(len(joints))).all())
     if not (is_ordered and len(bind) == len(rest) == len(joints)):
         return
-    rest_in_skeleton = rest.copy()
-    for joint, parent in enumerate(parents.tolist()):
-        if parent >= 0:
-            rest_in_skeleton[joint] = rest[joint] @ rest_in_skeleton[parent]
+    rest_in_skeleton = skeleton_space(rest, parents)
     bind_lengths, rest_lengths = (
         _bone_lengths(pose, parents) for pose in (bind, rest_in_skeleton)
     )
@@ -135,8 +139,9 @@ def rest_faults(
     if not len(rest):
         yield _missing_rest_fault(skeleton, joints, is_animated=is_animated)
     elif len(rest) != len(joints):
-        message = f"{counted(len(rest), 'restTransform')}"
-        message += f" for {counted(len(joints), 'joint')}"
+        message = (
+            f"{counted(len(rest), 'restTransform')} for {counted(len(joints), 'joint')}"
+        )
         yield finding("USD223", attr.GetPath(), message)
     else:
         yield from non_finite_faults(attr, rest, joints)

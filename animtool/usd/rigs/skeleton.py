@@ -30,6 +30,7 @@ from animtool.usd.layers.sdf import (
     author_model,
     author_relationship,
     gf_quaternion,
+    gf_vector,
     prim_spec,
 )
 
@@ -54,7 +55,7 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
         return {}
     rest_placement = rig.placement or Placement.from_rotation(so3.IDENTITY)
     record: dict[str, Any] = {
-        "translate": Gf.Vec3d(*rest_placement.translations[0].tolist()),
+        "translate": gf_vector(rest_placement.translations[0]),
         "rotate": gf_quaternion(rest_placement.rotations[0]),
     }
     return record | ({"rides": True} if rig.has_animated_parents else {})
@@ -80,11 +81,9 @@ def apply_recorded_rest(
     motion_rest, is_animated = motion_placement
     if skeleton is not None and rest_placement is not motion_placement:
         # The Skeleton's rest pose is that of another library take, or has no placement.
-        relative_placement = (
-            motion_rest
-            if rest_placement is None
-            else motion_rest.after(rest_placement[0].inverse())
-        )
+        relative_placement = motion_rest
+        if rest_placement is not None:
+            relative_placement = motion_rest.after(rest_placement[0].inverse())
         rig = transform_rig(rig, relative_placement)
     return replace(
         rig,

@@ -79,8 +79,8 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
         return []
     message = (
         f"SkelBindingAPI is not applied to {listed(unbound_paths, MAX_LISTED_PRIMS)}"
+        ", which no joint or shape deforms"
     )
-    message += ", which no joint or shape deforms"
     return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
 
 

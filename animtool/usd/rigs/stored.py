@@ -157,8 +157,10 @@ def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
         f"{unit * stored_size / size:.4g}: it measures {length_text(size)} instead of "
         f"{length_text(stored_size)}"
     )
-    hint = f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "
-    hint += "again if it is meant to have another size"
+    hint = (
+        f"set metersPerUnit = {unit * stored_size / size:.4g}, or convert the rig "
+        "again if it is meant to have another size"
+    )
     return Fault("USD126", message, str(path), (), hint, Severity.WARNING)
 
 
@@ -314,11 +316,9 @@ def _remove_from_control(control: Control, removed: set[str]) -> Control:
 def _remove_from_driver(driver: Driver | None, removed: set[str]) -> Driver | None:
     """Return a driver, or None if the driver reads a removed joint."""
     driver_names = () if driver is None else driver.names
-    return (
-        None
-        if removed & {split_coordinate(name)[0] for name in driver_names}
-        else driver
-    )
+    if removed & {split_coordinate(name)[0] for name in driver_names}:
+        return None
+    return driver
 
 
 # Tolerance of a bind pose equal to rest, for rounding of other tools [rad], [1].

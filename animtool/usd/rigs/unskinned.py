@@ -44,13 +44,15 @@ def animated_mesh_notice(
         return []
     mesh_count = counted(len(distances), "mesh", "meshes")
     largest = max(distances.values())
-    message = f"transforms move {mesh_count} without a skin by up to {largest:.4g} "
-    message += f"m, but the cache does not: {listed(list(distances), MAX_LISTED_PRIMS)}"
+    message = (
+        f"transforms move {mesh_count} without a skin by up to {largest:.4g} "
+        f"m, but the cache does not: {listed(list(distances), MAX_LISTED_PRIMS)}"
+    )
     hint = (
         f"bind them to a joint; if the source is also {argument('rig_layer')}, "
         "meshes without "
+        "shapes keep their transforms"
     )
-    hint += "shapes keep their transforms"
     return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
 
 

@@ -185,8 +185,10 @@ def _grid_notices(grid: SampleGrid, samples: int, where: PrimLocation) -> list[F
         )
         notices.append(where.fault("USD121", message, severity=Severity.NOTE))
     if grid.between_count:
-        message = f"{grid.between_count} of {samples} samples fall between frames; "
-        message += "only the values on frames are read"
+        message = (
+            f"{grid.between_count} of {samples} samples fall between frames; "
+            "only the values on frames are read"
+        )
         hint = "resample the animation to whole frames in the tool that wrote it"
         warning = Severity.WARNING
         notices.append(where.fault("USD122", message, hint, warning))

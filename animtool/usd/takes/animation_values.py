@@ -71,8 +71,10 @@ def read_samples(
     for i, time in enumerate(time_codes):
         value = number_rows(attr, component_count, time)
         if len(value) != item_count:
-            message = f"{attr.GetName()} has {counted(len(value), 'value')}"
-            message += f" for {counted(item_count, noun)}"
+            message = (
+                f"{attr.GetName()} has {counted(len(value), 'value')}"
+                f" for {counted(item_count, noun)}"
+            )
             hint = f"{_time_label(time)}; UsdSkel falls back to rest"
             where.at_prim(attr).fail(
                 "USD206" if noun == "shape" else "USD200", message, hint
@@ -262,11 +264,9 @@ def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> Samp
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
-    return (
-        _integer_grid(times, where)
-        if grid is None
-        else _trim_to_authored_start(grid, span)
-    )
+    if grid is None:
+        return _integer_grid(times, where)
+    return _trim_to_authored_start(grid, span)
 
 
 def _exact_grid(times: list[float]) -> SampleGrid | None:

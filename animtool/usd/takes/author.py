@@ -70,25 +70,7 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
         )
     with Sdf.ChangeBlock():
         if authored.rig is not None:
-            author_rig(authored.rig, job.rig, job.names, job.paths, job.meters_per_unit)
-            authored.has_visible_geometry |= any(
-                entry.points is not None for entry in job.rig.attach
-            )
-            if job.rig.meshes:
-                from animtool.usd.rigs.meshes import author_meshes
-
-                tokens = dict(zip(job.rig.names, job.joints, strict=True))
-                surfaces = surfaces_of(job.rig)
-                _, notices = author_meshes(
-                    authored.rig, surfaces, job.paths, tokens, job.meters_per_unit
-                )
-                authored.has_visible_geometry = True
-            if job.show_bones:
-                from animtool.usd.rigs.meshes import author_bones
-
-                authored.has_visible_geometry |= author_bones(
-                    authored.rig, job.rig, job.paths, job.meters_per_unit
-                )
+            notices += _author_rig_and_geometry(job, authored)
         authored_takes = [
             _author_take(job, authored, take, is_first=not i)
             for i, take in enumerate(takes)
@@ -121,6 +103,29 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
     for authored_take in authored_takes:
         authored_take.report.sampled = authored_take.writer.sampled_names
     return authored, result
+
+
+def _author_rig_and_geometry(job: UsdJob, authored: AuthoredLayers) -> list[Fault]:
+    """Author the rig, its meshes and bones; return notices about the meshes."""
+    layer, rig, paths = authored.rig, job.rig, job.paths
+    author_rig(layer, rig, job.names, paths, job.meters_per_unit)
+    has_strands = any(entry.points is not None for entry in rig.attach)
+    authored.has_visible_geometry = has_strands or bool(rig.meshes)
+    notices: list[Fault] = []
+    if rig.meshes:
+        from animtool.usd.rigs.meshes import author_meshes
+
+        tokens = dict(zip(rig.names, job.joints, strict=True))
+        _, notices = author_meshes(
+            layer, surfaces_of(rig), paths, tokens, job.meters_per_unit
+        )
+    if job.show_bones:
+        from animtool.usd.rigs.meshes import author_bones
+
+        authored.has_visible_geometry |= author_bones(
+            layer, rig, paths, job.meters_per_unit
+        )
+    return notices
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,22 +162,8 @@ def _author_take(
         )
     report = _take_report(job, take, writer)
     if take.props is not None:
-        from animtool.usd.props.placement import build_prop_placements
-        from animtool.usd.props.writer import author_props
-
-        rig_layer = None if authored.rig is layer else authored.rig
-        placements = build_prop_placements(
-            job.paths,
-            job.target,
-            rig_layer,
-            job.meters_per_unit,
-            job.rig.up,
-            take.name,
-            take.rig_from_take,
-        )
-        report.props, report.notices = author_props(
-            layer, take.props, placements, job.output
-        )
+        _author_take_props(job, authored, take, report)
+    animation = layer.GetPrimAtPath(paths.animation)
     if take.name:
         from animtool.usd.takes.library import author_take_metadata
 
@@ -185,14 +176,35 @@ def _author_take(
         )
     if job.form is LayerForm.LAYER and job.names.originals:
         # Source names of joints, for readers that do not have the rig.
-        _author_data(layer.GetPrimAtPath(paths.animation), "names", job.names.originals)
+        _author_data(animation, "names", job.names.originals)
     if take.is_reduced:
-        _author_data(layer.GetPrimAtPath(paths.animation), "reduced", value=True)
+        _author_data(animation, "reduced", value=True)
     if take.rest_record:
-        _author_data(
-            layer.GetPrimAtPath(paths.animation), PLACEMENT_KEY, take.rest_record
-        )
+        _author_data(animation, PLACEMENT_KEY, take.rest_record)
     return _AuthoredTake(writer, report, take.curves)
+
+
+def _author_take_props(
+    job: UsdJob, authored: AuthoredLayers, take: UsdTake, report: WrittenTake
+) -> None:
+    """Author the props of a take; add them and their notices to its report."""
+    from animtool.usd.props.placement import build_prop_placements
+    from animtool.usd.props.writer import author_props
+
+    assert take.props is not None
+    rig_layer = None if authored.rig is authored.animation else authored.rig
+    placements = build_prop_placements(
+        job.paths,
+        job.target,
+        rig_layer,
+        job.meters_per_unit,
+        job.rig.up,
+        take.name,
+        take.rig_from_take,
+    )
+    report.props, report.notices = author_props(
+        authored.animation, take.props, placements, job.output
+    )
 
 
 def _author_data(animation: Any, key: str, value: Mapping[str, Any] | bool) -> None:

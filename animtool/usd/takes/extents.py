@@ -10,6 +10,7 @@ from pxr import Gf, Sdf
 
 from animtool.core.array_types import Float32Array, FloatArray
 from animtool.core.errors import Fault, OutputError
+from animtool.usd.layers.finite import rounded_outwards
 from animtool.usd.layers.jobs import UsdJob
 from animtool.usd.layers.sdf import attribute_spec, prim_spec
 from animtool.usd.takes.joint_writer import AnimationWriter
@@ -52,9 +53,7 @@ def shape_bounds(
     if not lows:
         return None
     bounds = np.array([np.min(lows, axis=0), np.max(highs, axis=0)])
-    # Rounded outwards, so that no point is outside.
-    infinities = np.array([[-np.inf], [np.inf]], np.float32)
-    return np.asarray(np.nextafter(bounds.astype(np.float32), infinities), np.float32)
+    return rounded_outwards(bounds)
 
 
 def _shape_padding(prim: Any, max_weight_by_shape: dict[str, float]) -> float:

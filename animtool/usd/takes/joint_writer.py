@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import field
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -162,11 +163,7 @@ class AnimationWriter:
         types = Sdf.ValueTypeNames
         names = self.joints
         if self.joint_mask is not None:
-            names = [
-                name
-                for name, is_included in zip(names, self.joint_mask, strict=True)
-                if is_included
-            ]
+            names = list(compress(names, self.joint_mask))
         self._joint_count = len(names)
         self._transform_writers: dict[str, SampleWriter] = {}
         if names:
@@ -262,11 +259,7 @@ class AnimationWriter:
             return
         spec = self.layer.GetPrimAtPath(self.paths.animation)
         types = Sdf.ValueTypeNames
-        names = [
-            name
-            for name, is_nonzero in zip(self.shapes, is_used, strict=True)
-            if is_nonzero
-        ]
+        names = list(compress(self.shapes, is_used))
         tokens = Vt.TokenArray(names)
         attribute_spec(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
         attr = attribute_spec(spec, "blendShapeWeights", types.FloatArray)

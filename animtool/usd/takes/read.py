@@ -256,11 +256,9 @@ def _dropped_placement_reader(
             skeleton = stage.GetPrimAtPath(prim.GetPath())
             current_placement = skeleton_placement(skeleton, rig, codes.tolist())
         heading_placement, _ = current_placement.fixed.split(rig.up)
-        return (
-            heading_placement
-            if recorded_placement is None
-            else heading_placement.after(recorded_placement)
-        )
+        if recorded_placement is None:
+            return heading_placement
+        return heading_placement.after(recorded_placement)
 
     return placement_at
 

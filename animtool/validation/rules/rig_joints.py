@@ -199,10 +199,10 @@ def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
-    in_one_place = equal_sides(rig.rig, rig.rest[0])  # reported when it was read
+    coincident_pairs = equal_sides(rig.rig, rig.rest[0])  # reported when it was read
     for (left, right), is_mirrored in zip(pairs, are_mirrored.tolist(), strict=True):
         indices = rig.rig.index(left.name), rig.rig.index(right.name)
-        if not is_mirrored and indices not in in_one_place:
+        if not is_mirrored and indices not in coincident_pairs:
             location = (*rig.at("joints", right.name), "translate")
             message = f"{right.name!r} is not the mirror image of {left.name!r} at rest"
             hint = f"mirror: {right.name} in {left.name!r} creates it"

@@ -29,13 +29,13 @@ def baked(walk: Path, folder: Path, *options: str) -> Path:
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """Return a list of the times that USD is asked about."""
     times: list[Any] = []
-    computed = extents._computed_extent
+    computed = extents.computed_extent
 
     def count(bounded: Any, code: Any) -> Any:
         times.append(code)
         return computed(bounded, code)
 
-    monkeypatch.setattr(extents, "_computed_extent", count)
+    monkeypatch.setattr(extents, "computed_extent", count)
     return times
 
 

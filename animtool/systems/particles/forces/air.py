@@ -12,6 +12,7 @@ from animtool.systems.particles.forces.base import (
     Positive,
     Time,
     Vector,
+    unit_vectors,
 )
 from animtool.systems.particles.state import ParticleState
 
@@ -38,8 +39,7 @@ class Drag(Force):
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
         """Return the Jacobians of the force, as `Force.slopes` does."""
-        speed = np.linalg.norm(v, axis=1)[:, None]
-        directions = np.divide(v, speed, out=np.zeros_like(v), where=speed > 0)
+        directions, speed = unit_vectors(v)
         isotropic = (self.linear + self.quadratic * speed)[:, :, None] * np.eye(3)
         radial = (self.quadratic * speed)[:, :, None] * directions[:, :, None]
         return np.zeros_like(isotropic), -isotropic - radial * directions[:, None]

@@ -28,6 +28,13 @@ Time: TypeAlias = "float | FloatArray"
 DIFFERENCE_STEP = 1e-6
 
 
+def unit_vectors(vectors: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return unit vectors ``(N, 3)``, zeros for zeros, and lengths ``(N, 1)``."""
+    lengths = np.linalg.norm(vectors, axis=1)[:, None]
+    zeros = np.zeros_like(vectors)
+    return np.divide(vectors, lengths, out=zeros, where=lengths > 0), lengths
+
+
 class Force(ABC):
     """A force on particles, and its options.
 

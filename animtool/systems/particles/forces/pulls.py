@@ -17,6 +17,7 @@ from animtool.systems.particles.forces.base import (
     NotNegative,
     Time,
     Vector,
+    unit_vectors,
 )
 from animtool.systems.particles.state import ParticleState
 
@@ -117,10 +118,7 @@ class Spring(Force):
         offsets = x - self._anchors(particles)
         if self.rest == 0 and self.kd == 0:
             return -self.k * offsets
-        length = np.linalg.norm(offsets, axis=1)[:, None]
-        directions = np.divide(
-            offsets, length, out=np.zeros_like(offsets), where=length > 0
-        )
+        directions, length = unit_vectors(offsets)
         rate = (v * directions).sum(axis=1)[:, None]
         tension = self.k * (length - self.rest) + self.kd * rate
         return np.asarray(-tension * directions)
@@ -134,14 +132,10 @@ class Spring(Force):
         stiffness = np.broadcast_to(-self.k * unit, (len(x), 3, 3))
         if self.rest == 0 and self.kd == 0:
             return stiffness, np.zeros_like(stiffness)
-        length = np.linalg.norm(offsets, axis=1)[:, None]
-        directions = np.divide(
-            offsets, length, out=np.zeros_like(offsets), where=length > 0
-        )
+        directions, length = unit_vectors(offsets)
         outer = directions[:, :, None] * directions[:, None]
-        length_ratio = np.divide(
-            self.rest, length, out=np.zeros_like(length), where=length > 0
-        )
+        length_ratio = np.zeros_like(length)
+        np.divide(self.rest, length, out=length_ratio, where=length > 0)
         by_position = stiffness + self.k * length_ratio[:, :, None] * (unit - outer)
         return by_position, -self.kd * outer
 
@@ -179,8 +173,7 @@ class Propulsion(Force):
         axis = v
         if self.direction is not None:
             axis = np.broadcast_to(np.asarray(self.direction, np.float64), x.shape)
-        length = np.linalg.norm(axis, axis=1)[:, None]
-        directions = np.divide(axis, length, out=np.zeros_like(x), where=length > 0)
+        directions, _ = unit_vectors(axis)
         is_burning = (t - particles.births <= self.duration)[:, None]
         return np.asarray(self.thrust * directions * is_burning)
 
