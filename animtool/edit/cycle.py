@@ -134,15 +134,15 @@ def _frames_hint(
     shortest: float, longest: float, rate: float, seconds: float
 ) -> str | None:
     """Return a hint if lengths are in frames of a take of some seconds, or None."""
-    is_whole = [
+    are_integers = [
         length >= MIN_FRAMES and length == round(length)
         for length in (shortest, longest)
     ]
-    if not is_whole[0] or shortest / rate > seconds:
+    if not are_integers[0] or shortest / rate > seconds:
         return None
     texts = argument("shortest", f"{shortest / rate:.3g}")
     frames = f"{shortest:g}"
-    if is_whole[1] and longest >= shortest:
+    if are_integers[1] and longest >= shortest:
         frames += f" to {longest:g}"
         texts += f", {argument('longest', f'{longest / rate:.3g}')}"
     return f"lengths are in seconds: for {frames} frames write {texts}"

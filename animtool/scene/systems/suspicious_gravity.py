@@ -39,8 +39,8 @@ def warn_of_weak_gravity(
     """
     constant = float(spec.gravity_constant)
     mass, distance, acceleration = _strongest_pull(spec, parts)
-    if not constant or not acceleration or not distance:
-        return
+    if not constant * acceleration * distance > 0:
+        return  # nothing attracts, or arrays that are refused are not finite
     seconds = max(seconds, MIN_SECONDS)
     move = constant * acceleration * seconds**2 / 2
     if move >= MIN_MOVE * distance:
@@ -69,13 +69,14 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
     pulls = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
     for body, data in zip(spec.bodies, parts.get("bodies") or (), strict=False):
-        body_points = (data or {}).get("points")
-        if body_points is None or np.ndim(body_points) != 2:
+        body_points, stated = ((data or {}).get(key) for key in ("points", "masses"))
+        if body_points is None or np.shape(body_points)[1:] != (3,):
             continue
+        body_masses = np.full(len(body_points), body.mass)
+        if np.shape(stated) == np.shape(body_masses):
+            body_masses = np.asarray(stated, np.float64)
         points.append(np.asarray(body_points, np.float64))
-        stated = data.get("masses")
-        body_masses = np.full(len(body_points), body.mass) if stated is None else stated
-        masses.append(np.broadcast_to(np.ravel(body_masses), len(body_points)))
+        masses.append(body_masses)
     for galaxy in spec.galaxies:
         points.append(np.array([galaxy.at], np.float64))
         mass = sum(part.mass for part in galaxy.parts)

@@ -220,9 +220,9 @@ STARS = """\
 @pytest.mark.parametrize(
     ("constant", "mass", "hint"),
     [
-        ("gravity_constant: 6.674e-11", "1", "write gravity_constant: 1"),
+        ("gravity_constant: 6.674e-11", "1", "write gravity_constant: 0.2"),
         ("gravity_constant: 6.674e-11", "1e12", None),
-        ("gravity_constant: 1e-7", "2", "raise it, such as to gravity_constant: 0.5"),
+        ("gravity_constant: 1e-7", "2", "raise it, such as to gravity_constant: 0.1"),
         ("gravity_constant: 0", "1", None),
         ("gravity_constant: 10", "1", None),
         ("method: rk4", "1", None),
