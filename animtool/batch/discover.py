@@ -29,13 +29,14 @@ from animtool.batch.item import (
     output_root,
     unknown_names,
 )
+from animtool.batch.locations import located_values, variable_fault
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name, name_problems, variant_pattern
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
 from animtool.core.files.output import is_inside
 from animtool.core.files.reading import MatchedFile
-from animtool.core.names import check_unused, has_kind_suffix
+from animtool.core.names import check_unused, has_kind_suffix, most_similar
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer
 from animtool.scene.sources.open import source_stem
@@ -115,18 +116,34 @@ def check_effects(
         if spec.scene is None and not names:
             continue
         values = overrides.values.get(shot.media.path, {})
-        scene = cast("Scene", sample_source(spec, item_task, shot, values))
+        with located_values(spec):
+            scene = cast("Scene", sample_source(spec, item_task, shot, values))
         if spec.scene is not None and not scene.effective_variables & item_names:
             faults.append(_unused_inputs_fault(scene, len(shots)))
         if names and not scene.effective_variables.intersection(names):
-            names_text = ", ".join(f"${{{name}}}" for name in names)
-            message = f"the scene uses none of the variables that vary: {names_text}"
-            hint = (
-                f"write {names_text.partition(',')[0]} in the scene in place of a value"
-            )
-            faults.append(Fault("BAT060", message, str(path), (), hint))
+            faults.append(_unused_variants_fault(spec, scene))
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
+
+
+def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
+    """Return the fault of a scene that uses no variant, where the batch names them."""
+    assert spec.variants is not None
+    names, used_names = spec.variants.names, sorted(scene.effective_variables)
+    file = Path(str(scene.path)).name
+    message = f"{file} uses no {' or '.join(f'${{{name}}}' for name in names)}"
+    if used_names:
+        used_text = listed([f"${{{name}}}" for name in used_names])
+        message += f"; it uses {used_text}"
+    varying = [name for name in used_names if name not in _item_names(spec)]
+    similar = [most_similar(name, varying) for name in names]
+    hint = f"write ${{{names[0]}}} in {file} in place of a value"
+    for name, other in zip(names, similar, strict=True):
+        if other:
+            return variable_fault(
+                spec, name, "BAT060", message, f"did you mean {other!r}?"
+            )
+    return variable_fault(spec, names[0], "BAT060", message, hint)
 
 
 def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
@@ -189,7 +206,8 @@ def find_batch(spec: BatchSpec) -> Batch:
     sample = None
     if spec.scene is not None:
         values = overrides.values.get(files[0].path, {})
-        sample = sample_source(spec, item_task, shots[0], values)
+        with located_values(spec):
+            sample = sample_source(spec, item_task, shots[0], values)
         if spec.output is not None:
             item_task.refuse_several(sample)
     _check_variables(spec, item_task, sample)
@@ -280,7 +298,11 @@ def _check_variables(
     variables = [*dict.fromkeys([*spec.variables, *override_names]), *spec.rows[0]]
     used_names = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
     if sample is not None:
-        used_names |= set(getattr(sample, "variables", ()))
+        scene_names = set(getattr(sample, "variables", ()))
+        if spec.scene is not None and scene_names.isdisjoint(spec.rows[0]):
+            # `check_effects` reports variants that are all unused.
+            variables = [name for name in variables if name not in spec.rows[0]]
+        used_names |= scene_names
     elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
         # Each holds its faults until the items are built.
         used_names |= set(variables)

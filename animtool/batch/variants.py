@@ -35,9 +35,11 @@ TOO_MANY_TEXT = f"a batch has at most {MAX_VARIANTS} variants"
 _RANGE = re.compile(
     r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
 )
-# A range of other tools: FIRST:LAST:STEP, FIRST:STEP:LAST or FIRST..LAST..STEP.
+# A range of other tools: FIRST:LAST:STEP, FIRST:STEP:LAST or FIRST..LAST..STEP; and one
+# of integers with a hyphen, which may also be a text.
 _NUMBER = r"(-?(?:0|[1-9]\d*)(?:\.\d+)?)"
 _OTHER_RANGE = re.compile(rf"{_NUMBER}(?::|\.\.){_NUMBER}(?::|\.\.){_NUMBER}")
+_HYPHEN_RANGE = re.compile(r"(\d+)\s*[-:]\s*(\d+)")
 _UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 
@@ -134,6 +136,19 @@ def _translate_range(text: str) -> str | None:
     if float(last) > float(middle) or float(middle) == 0:
         middle, last = last, middle
     return f"{first}..{middle}/{last}"
+
+
+def translate_range(text: str) -> str | None:
+    """Convert a range, also one with a hyphen; None if it is none.
+
+    >>> tuple(map(translate_range, ("1-4", "50:200:50", "2 - 12", "4-1", "walk-2")))
+    ('1..4', '50..200/50', '2..12', None, None)
+    """
+    match = _HYPHEN_RANGE.fullmatch(text.strip())
+    if match is None:
+        return _translate_range(text.strip())
+    first, last = match.groups()
+    return f"{first}..{last}" if int(first) < int(last) else None
 
 
 def values_of_text(text: str) -> list[str]:

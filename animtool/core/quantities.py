@@ -15,6 +15,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterable
 
 # An integer of at least this many seconds may be meant in frames.
 MIN_FRAMES = 5
@@ -129,6 +130,15 @@ def plain_number(value: float, digits: int = 3) -> str:
     decimals = max(0, digits - 1 - exponent)
     text = f"{number_and_exponent:.{decimals}f}"
     return text.rstrip("0").rstrip(".") if decimals else text
+
+
+def vector_text(values: Iterable[float], digits: int = 3) -> str:
+    """Return numbers as a list, as in YAML.
+
+    >>> vector_text((20, 0.50001, -0.0))
+    '[20, 0.5, 0]'
+    """
+    return f"[{', '.join(plain_number(value + 0.0, digits) for value in values)}]"
 
 
 def length_text(meters: float, digits: int = 3) -> str:

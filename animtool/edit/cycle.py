@@ -17,7 +17,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError
-from animtool.core.quantities import frames_hint
+from animtool.core.quantities import MIN_FRAMES
 from animtool.core.record import dataclass
 from animtool.edit.frames import frame_index
 from animtool.edit.loop_options import LoopOptions
@@ -109,8 +109,7 @@ def find_cycle(
         hint = f"use a longer take, or lower {argument('shortest')}"
         if shortest > longest:
             hint = f"lower {argument('shortest')}, or raise {argument('longest')}"
-        if in_seconds := frames_hint(shortest, float(clock.rate)):
-            hint += f"; {in_seconds}"
+        hint = _frames_hint(shortest, longest, float(clock.rate), seconds) or hint
         if len(frames) == 1:
             hint = "a cycle needs several frames: choose another take"
         raise _no_cycle_error(message, hint)
@@ -126,6 +125,24 @@ def find_cycle(
     has_length = (length >= min_lag * stride) & (length <= max_lag * stride)
     i, j, distance = _closest_pair(pose_view, pairs[:, has_length])
     return _build_cycle(clock, i, j, distance, max(distance, extent))
+
+
+def _frames_hint(
+    shortest: float, longest: float, rate: float, seconds: float
+) -> str | None:
+    """Return a hint if lengths are in frames of a take of some seconds, or None."""
+    are_integers = [
+        length >= MIN_FRAMES and length == round(length)
+        for length in (shortest, longest)
+    ]
+    if not are_integers[0] or shortest / rate > seconds:
+        return None
+    texts = argument("shortest", f"{shortest / rate:.3g}")
+    frames = f"{shortest:g}"
+    if are_integers[1] and longest >= shortest:
+        frames += f" to {longest:g}"
+        texts += f", {argument('longest', f'{longest / rate:.3g}')}"
+    return f"lengths are in seconds: for {frames} frames write {texts}"
 
 
 def measure_cycle(

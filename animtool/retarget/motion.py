@@ -16,6 +16,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, listed
 from animtool.core.files.spool import Spool
+from animtool.core.quantities import plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.driving import drive_take
@@ -45,7 +46,12 @@ from animtool.retarget.props import PropTracks
 from animtool.retarget.report import ContactFrames, FitMeter, RetargetReport
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
-from animtool.retarget.verdict import TakeStatus, Verdict, VerdictReason
+from animtool.retarget.verdict import (
+    TakeStatus,
+    Verdict,
+    VerdictReason,
+    is_likely_scale,
+)
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 
@@ -258,11 +264,16 @@ class Retargeting:
     def verdict(self) -> Verdict:
         """Return whether the frames so far are usable."""
         verdict = self._meter.verdict(self.clamped, self.ignored_errors)
-        stopped = self.stopped_by_rest_frame
-        if not stopped or verdict.status is TakeStatus.UNUSABLE:
+        reasons = []
+        if stopped := self.stopped_by_rest_frame:
+            reasons.append(VerdictReason("stopped by their limits", listed(stopped)))
+        scale = self.transfer.scale
+        if not is_likely_scale(scale):
+            text = f"{plain_number(scale)} times that of the take"
+            reasons.append(VerdictReason("size", text))
+        if not reasons or verdict.status is TakeStatus.UNUSABLE:
             return verdict
-        reason = VerdictReason("stopped by their limits", listed(stopped))
-        return Verdict(TakeStatus.LOOK, (*verdict.reasons, reason))
+        return Verdict(TakeStatus.LOOK, (*verdict.reasons, *reasons))
 
     @property
     def stopped_by_rest_frame(self) -> list[str]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from animtool.core.arguments import ArgumentNamer, argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import rate_warning
 from animtool.core.readers import reader_of
@@ -22,11 +22,14 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
+from animtool.rig.body_size import fitting_unit, unit_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 
 # Smallest size of what a user chose a unit for: of a prop, and of many joints [m].
 MIN_SIZES, MIN_JOINTS = (0.01, 0.05), 8
+# Formats that state their unit, as details of a stream name them.
+SIZED_FORMATS = frozenset({"USD", "glTF", "FBX"})
 # Sizes of people [m].
 PERSON_HEIGHTS = (0.5, 3.0)
 # Minimum cosine to an axis for a body that stands along it [1].
@@ -360,6 +363,11 @@ def with_source_warnings(
         for i, block in enumerate(stream.blocks):
             if i == 0 and file_format not in {"BVH", "markers"}:
                 add_notices(order_warning(stream.rig, block, str(path)))
+            if i == 0 and unit is None and file_format in SIZED_FORMATS:
+                codes = {notice.code for notice in stream.notices}
+                if codes.isdisjoint({"USD126", "RIG217"}):
+                    unit_notices = unit_warnings(stream.rig, file_format)
+                    add_notices(replace(n, path=str(path)) for n in unit_notices)
             if i == 0 and not is_stated:
                 add_notices(lying_body_notices(path, stream.rig, block, severity, up))
             yield block
@@ -384,6 +392,19 @@ def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:
     if fitting_units:
         hint = f"use {argument('source.unit', fitting_units[0])}, or {hint}"
     return [Fault("RIG217", message, str(path), (), hint, Severity.WARNING)]
+
+
+def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
+    """Return a warning about a character that fits another unit (MOT213).
+
+    Only formats of `SIZED_FORMATS` are checked.
+    """
+    size = rest_size(rig)
+    fitting = fitting_unit(rig.names, size, rig.meters_per_unit)
+    if fitting is None or file_format not in SIZED_FORMATS:
+        return []
+    texts = unit_texts(size, rig.meters_per_unit, fitting, str(file_format))
+    return [warning("MOT213", *texts)]
 
 
 def _other_axis(up: UpAxis) -> UpAxis:

@@ -51,7 +51,8 @@ from animtool.retarget.roles import (
     TWIST,
     base_role,
 )
-from animtool.retarget.standing import find_standing_axis
+from animtool.retarget.standing import find_standing_axis, unit_warnings
+from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
@@ -233,7 +234,7 @@ def retarget_stream(
         notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
     transfer = build_transfer(source, rig, joint_map, rest_rotations, as_rig=as_rig)
-    notices += _scale_warnings(transfer.scale)
+    notices += _size_warnings(stream, transfer.scale)
     retargeting = Retargeting(
         transfer,
         joint_map,
@@ -312,20 +313,31 @@ def _standing_positions(rig: Rig, first: Motion, rest: FloatArray | None) -> Flo
     return np.asarray(pose.positions[0])
 
 
-# Size ratios that a child, a giant or a doll explains; beyond these, a wrong unit is
-# more likely, since units mostly differ by a factor of 10 or more.
-LIKELY_SCALES = (1 / 9, 9.0)
-
-
-def _scale_warnings(scale: float) -> list[Fault]:
+def _size_warnings(stream: TakeStream, scale: float) -> list[Fault]:
     """Return a warning if rig and take differ in size by an order of magnitude."""
-    smallest, largest = LIKELY_SCALES
-    if smallest <= scale <= largest:
+    source_codes = {notice.code for notice in stream.notices}
+    if is_likely_scale(scale) or not source_codes.isdisjoint({"MOT213", "USD126"}):
+        return []
+    file_format = stream.details.get("format")
+    has_option = file_format in {"BVH", "glTF", "FBX"}
+    return unit_warnings(stream.rig, file_format) or _scale_warnings(
+        scale, has_option=has_option
+    )
+
+
+def _scale_warnings(scale: float, *, has_option: bool = True) -> list[Fault]:
+    """Return a warning if rig and take differ in size by an order of magnitude.
+
+    has_option: Whether an option of reading the take gives it another unit.
+    """
+    if is_likely_scale(scale):
         return []
     message = f"the rig is {plain_number(scale)} times the size of the person in the "
     message += "take"
-    hint = f"is the unit right? {argument('source.unit')} sets that of a BVH take; a "
-    hint += "rig file states its own"
+    hint = "correct the unit that the file of the take states, or units of the rig"
+    if has_option:
+        hint = f"give the unit of the take with {argument('source.unit')}, or correct "
+        hint += "units of the rig"
     return [warning("MAP106", message, hint)]
 
 

@@ -24,6 +24,15 @@ CHECK_FACTOR = 3.0
 MAX_LIMB_DEVIATION = np.radians(30.0)
 # Runs of frames nearer to each other than this are joined [frames].
 MAX_JOINED_GAP = 4
+# Size ratios that a child, a giant or a doll explains; beyond these, a wrong unit is
+# more likely, since units mostly differ by a factor of 10 or more.
+LIKELY_SCALES = (1 / 9, 9.0)
+
+
+def is_likely_scale(scale: float) -> bool:
+    """Return whether rig and take differ in size by less than units do."""
+    smallest, largest = LIKELY_SCALES
+    return smallest <= scale <= largest
 
 
 class TakeStatus(StrEnum):

@@ -176,7 +176,11 @@ MIN_FILES_PER_PROCESS = 40
 # Number of files that a process takes at a time.
 CHUNK_FILES = 10
 # Findings that another finding in the same file explains, by the codes that do.
-CAUSES = {"MOT209": {"CLIP122", "CLIP123"}, "RIG204": {"RIG115"}}
+CAUSES = {
+    "MOT209": {"CLIP122", "CLIP123"},
+    "MOT213": {"USD126"},
+    "RIG204": {"RIG115"},
+}
 
 
 @dataclass(frozen=True, slots=True)

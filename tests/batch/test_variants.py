@@ -303,3 +303,46 @@ def test_variants_on_the_command_line(swing: Path) -> None:
 def test_an_end_of_a_range_with_an_underscore_is_no_number() -> None:
     with pytest.raises(ValueError, match=r"'0\._5' is not a finite number"):
         range_values("0", "0._5", "0.1")
+
+
+WAVES = (
+    "scene: animtool/1\nvariables: {input: a.bvh, waves: 4}\nsource: {file: ${input}}\n"
+    "passes:\n- loop: {repeats: '${waves}'}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("variants", "code", "line", "column", "hint"),
+    [
+        ("{waves: 1-2}", "SCN002", 4, 19, "for the numbers 1 to 2 write 1..2"),
+        ("{waves: few}", "SCN002", 4, 19, None),
+        ("\n- {waves: few}", "SCN002", 5, 11, None),
+        ("{wave: 1..2}", "BAT060", 4, 18, "did you mean 'waves'?"),
+        ("{k: 1..2}", "BAT060", 4, 15, "write ${k} in w.scene.yaml"),
+        ("{waves: 1..2}", None, 0, 0, None),
+    ],
+)
+def test_values_that_the_scene_refuses_are_located_in_the_batch(
+    tmp_path: Path,
+    walk: Path,
+    variants: str,
+    code: str | None,
+    line: int,
+    column: int,
+    hint: str | None,
+) -> None:
+    (tmp_path / "a.bvh").write_bytes(walk.read_bytes())
+    written(tmp_path, "w.scene.yaml", WAVES)
+    text = "batch: animtool/1\ninputs: [a.bvh]\nscene: w.scene.yaml\n"
+    name = "{k}" if "k:" in variants else "{waves}" if "waves" in variants else "{wave}"
+    text += f"variants: {variants}\noutput: 'o/{{stem}}_{name}.usdc'\n"
+    spec = load_batch(written(tmp_path, "w.batch.yaml", text))
+    if code is None:
+        assert len(find_batch(spec).items) == 2
+        return
+    with pytest.raises(AnimtoolError) as caught:
+        find_batch(spec)
+    (fault,) = caught.value.faults
+    assert (fault.code, Path(str(fault.path)).name) == (code, "w.batch.yaml")
+    assert (fault.lines, fault.column) == ((line,), column)
+    assert hint is None or hint in str(fault.hint)

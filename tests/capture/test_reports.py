@@ -363,8 +363,8 @@ def test_what_is_said_of_landmarks_that_do_not_fit() -> None:
     assert [f.code for f in found] == ["FAC103", "FAC104", "FAC105", "FAC105"]
     assert found[0].message.startswith("1 frame with fewer than 4 landmarks")
     assert found[1].message.startswith("2 frames")
-    assert "1 landmark are never seen: e" in found[2].message
-    assert "1 landmark do not match the face in most frames: b" in found[3].message
+    assert "1 landmark is never seen: e" in found[2].message
+    assert "1 landmark does not match the face in most frames: b" in found[3].message
 
 
 @pytest.mark.parametrize(

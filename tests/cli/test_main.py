@@ -48,7 +48,7 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["bake", "a.bvh", "--ovrwrite"], "--overwrite"),
         (["bake", "a.bvh", "--fps", "fast"], "24000/1001"),
         (["bake", "a.bvh", "--range", "9-1"], "is reversed"),
-        (["bake", "a.bvh", "--samples", "0,1.5"], "within a frame"),
+        (["bake", "a.bvh", "--samples", "0,1.5"], "not between -1 and 1"),
         (["bake", "a.bvh", "--rest", "bind"], "frame:N"),
         (
             ["bake", "a.bvh", "-o", "-", "--format", "json"],

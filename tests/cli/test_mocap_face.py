@@ -51,3 +51,18 @@ def test_a_rig_is_asked_for(landmarks: Path) -> None:
     assert done.code == 2
     assert "--rig" in done.stderr
     assert not made.exists()
+
+
+def test_a_neutral_frame_with_an_expression(tmp_path: Path, landmarks: Path) -> None:
+    """The mouth is open in a later frame; in the first, the face is at rest."""
+    with np.load(ROOT / "samples/face/speech.npz") as whole:
+        arrays = dict(whole)
+    arrays["landmarks_mm"] = arrays["landmarks_mm"][::7]
+    np.savez(landmarks, **arrays)
+    made = tmp_path / "face.usdc"
+    for frame, found in (("7", True), ("0", False)):
+        done = animtool("mocap", "face", landmarks, *RIG, *OWN, "-o", made,
+                        "--neutral", frame, "--overwrite")  # fmt: skip
+        assert done.code == 0, done.stderr
+        assert done.stderr.count("FAC111 with --neutral 7 ") == found
+        assert "FAC105" not in done.stderr

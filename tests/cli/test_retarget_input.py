@@ -133,7 +133,35 @@ def test_a_take_in_another_unit_is_named() -> None:
     source, rig = SAMPLE / "takes/walk.bvh", SAMPLE / "rigs/child.rig.yaml"
     done = animtool("retarget", source, "--to", rig, "--units", "m")
     assert "MAP106 the rig is 0.00544 times the size" in done.stderr
+    assert "check these frames: size 0.00544 times that of the take" in done.stderr
     assert "MAP106" not in animtool("retarget", source, "--to", rig).stderr
+
+
+@pytest.mark.parametrize(
+    ("written", "stated", "found"), [("cm", "1", True), ("cm", "0.01", False)]
+)
+def test_a_usd_take_whose_unit_is_wrong_is_named_by_its_key(
+    tmp_path: Path, written: str, stated: str, found: bool
+) -> None:
+    """In a bake, a retarget and `validate`, as one warning each."""
+    take, rig = tmp_path / "walk.usda", SAMPLE / "rigs/child.rig.yaml"
+    source = SAMPLE / "takes/walk.bvh"
+    done = animtool("bake", source, "-o", take, "--units", written)
+    assert done.code == 0, done.stderr
+    text = take.read_text("utf-8")
+    assert "metersPerUnit = 0.01" in text
+    changed = text.replace("metersPerUnit = 0.01", f"metersPerUnit = {stated}")
+    take.write_text(changed, "utf-8")
+    for command in (
+        ("bake", take, "-o", tmp_path / "b.usdc"),
+        ("retarget", take, "--to", rig, "-o", tmp_path / "r.usdc"),
+        ("validate", take),
+    ):
+        done = animtool(*command)
+        text = done.stdout + done.stderr
+        assert text.count("MOT213") == found, text
+        assert "MAP106" not in text
+        assert ("set metersPerUnit = 0.01 in the file" in text) is found
 
 
 def test_root_motion_without_legs_is_scaled_by_the_body(tmp_path: Path) -> None:

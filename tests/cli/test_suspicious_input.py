@@ -215,6 +215,61 @@ def test_a_unit_that_makes_a_giant(tmp_path: Path) -> None:
     assert "with --units cm it would be" in line
 
 
+@pytest.mark.parametrize(
+    ("lengths", "hint"),
+    [
+        ("shortest: 24, longest: 40", "write shortest: 0.8, longest: 1.33"),
+        ("shortest: 30", "for 30 frames write shortest: 1"),
+        ("shortest: 300", "lower shortest:, or raise longest:"),
+        ("shortest: 4.5, longest: 6", "use a longer take, or lower shortest:"),
+    ],
+)
+def test_a_loop_whose_lengths_are_in_frames(
+    tmp_path: Path, lengths: str, hint: str
+) -> None:
+    scene, walk = tmp_path / "a.scene.yaml", shorter(tmp_path / "walk.bvh", 64)
+    scene.write_text(
+        f"scene: animtool/1\nsource: {{file: {walk.name}}}\n"
+        f"passes:\n- loop: {{find: true, {lengths}}}\noutput: {{file: a.usdc}}\n",
+        "utf-8",
+    )
+    (line,) = warnings("bake", scene, code=3)
+    assert "SCN018 passes[0].loop" in line
+    assert line.endswith(hint)
+
+
+def test_a_skeleton_in_decimetres(tmp_path: Path) -> None:
+    """In no unit of --units is it a person."""
+    for factor, words in (
+        (0.1, "in decimetres it would be 2.1 m: export it in cm, at 10 times"),
+        (0.01, "with --units m it would be 2.1 m"),
+        (1e-4, "export it at its true size"),
+        (1.0, None),
+    ):
+        text = "".join(
+            " ".join(scaled_words(line.split(" "), factor))
+            if "OFFSET" in line
+            else line
+            for line in WALK.read_text("utf-8").splitlines(keepends=True)
+        )
+        path = tmp_path / "a.bvh"
+        path.write_text(text, "utf-8")
+        done = animtool("bake", path, "-o", tmp_path / "a.usdc", "--overwrite")
+        lines = [line for line in done.stderr.splitlines() if "RIG217" in line]
+        assert len(lines) == (words is not None)
+        assert words is None or words in lines[0]
+
+
+def scaled_words(words: list[str], factor: float) -> list[str]:
+    """Return the words of a line of a BVH with its three offsets multiplied."""
+    return [
+        f"{float(word) * factor:.6f}" + "\n" * word.endswith("\n")
+        if any(character.isdigit() for character in word)
+        else word
+        for word in words
+    ]
+
+
 def test_a_loop_of_one_frame(tmp_path: Path) -> None:
     one = shorter(tmp_path / "one.bvh", 1)
     (line,) = warnings("loop", one, code=2)

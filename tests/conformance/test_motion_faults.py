@@ -26,8 +26,8 @@ from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.motion.take import Take
+from animtool.rig.body_size import feet_of
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.body import feet_of
 from animtool.validation.motion.size import body_axis
 from animtool.validation.motion.subject import MotionSubject
 

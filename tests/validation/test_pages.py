@@ -60,6 +60,9 @@ def test_the_form_of_pages() -> None:
         assert max(map(len, outside.splitlines()[1:])) <= 88, code
 
 
+KINDS = "batch|cameras|rig|clip|map|markers|scene|targets"
+
+
 @pytest.fixture
 def stage(tmp_path: Path) -> Path:
     """Return a folder with what the examples refer to."""
@@ -81,7 +84,7 @@ def codes(text: str, stage: Path, props: Set[str] = frozenset()) -> set[str]:
 
     Targets are then asked of a rig, and of a clip, until something is found.
     """
-    kind = re.match("(batch|cameras|rig|clip|map|scene|targets): animtool", text)
+    kind = re.match(f"({KINDS}): animtool", text)
     path = stage / f"page.{kind[1] if kind else 'rig'}.yaml"
     head = "" if kind else "rig: animtool/1\n"
     if not kind and not re.search("^name:", text, re.M):

@@ -21,7 +21,7 @@ from animtool.capture.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
-from animtool.capture.cameras.plausible import warn_of_spread
+from animtool.capture.cameras.plausible import warn_of_focals, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, excerpt, listed
@@ -121,6 +121,7 @@ def parse_calibration(
     document.check()
     source: Location = () if stated_unit is None else ("units",)
     warn_of_spread(document, source, cameras, unit, stated=stated_unit is not None)
+    warn_of_focals(document, [location for location, _, _ in entries], cameras)
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 

@@ -17,7 +17,7 @@ from animtool.capture.cameras.camera import (
     Cameras,
     nearest_rotation,
 )
-from animtool.capture.cameras.plausible import warn_of_spread
+from animtool.capture.cameras.plausible import warn_of_focals, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
@@ -145,6 +145,8 @@ def parse_cameras(
     document.check()
     location = ("units", "length") if states_unit else ("views", 0, "translation")
     warn_of_spread(document, location, cameras, unit, stated=states_unit)
+    focals = [("views", i, "focal") for i in range(len(cameras))]
+    warn_of_focals(document, focals, cameras)
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up, str(document.path), notices)
 

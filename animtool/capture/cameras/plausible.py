@@ -1,4 +1,4 @@
-"""Plausibility of calibrated cameras: how far apart they are."""
+"""Plausibility of calibrated cameras: distances and focal lengths."""
 
 from __future__ import annotations
 
@@ -17,6 +17,43 @@ from animtool.documents.document import Document, Location
 MIN_SPREAD, MAX_SPREAD = 0.01, 300.0
 # That of the cameras of a typical capture [m].
 TYPICAL_SPREAD = 6.0
+
+# Widest view that a lens without fisheye projection has [deg].
+MAX_VIEW = 150.0
+# Focal lengths below are a fraction of the image's width, not millimetres.
+MAX_FRACTION = 3.0
+# Width of the sensor that focal lengths in millimetres are usually stated for [mm].
+FULL_FRAME = 36.0
+
+
+def warn_of_focals(
+    document: Document, locations: Sequence[Location], cameras: Sequence[Camera]
+) -> None:
+    """Warn of focal lengths that are not in pixels (CAM114).
+
+    locations: Where each camera states its focal lengths.
+    """
+    wide = []
+    for location, camera in zip(locations, cameras, strict=True):
+        width = camera.size[0] if camera.size else 2 * camera.centre[0]
+        view = math.degrees(2 * math.atan2(width / 2, camera.focal[0]))
+        if width > 1 and view > MAX_VIEW:
+            wide.append((location, camera.focal[0], width, view))
+    if not wide:
+        return
+    location, focal, width, view = wide[0]
+    message = f"a focal length of {focal:.4g} px for an image of {width:.5g} px is a "
+    message += f"field of view of {view:.0f}°"
+    if len(wide) > 1:
+        message += f"; the same holds for {len(wide) - 1} more"
+    number = f"{focal:.4g} * {width:.5g}"
+    hint = f"focal lengths are in pixels: {focal:.4g} mm on a sensor of "
+    hint += f"{FULL_FRAME:g} mm is {number} / {FULL_FRAME:g} = "
+    hint += f"{focal * width / FULL_FRAME:.0f}"
+    if focal <= MAX_FRACTION:
+        hint = "focal lengths are in pixels: as a fraction of the image's width it is "
+        hint += f"{number} = {focal * width:.0f}"
+    document.warn("CAM114", location, message, hint)
 
 
 def warn_of_spread(

@@ -326,6 +326,17 @@ class _TriangulationRun:
 
     def _refuse_cameras(self, message: str) -> NoReturn:
         """Raise because cameras and observations may not belong together."""
+        for notice in self.cameras.notices:
+            if notice.code == "CAM114":
+                message = f"{message}: {notice.message}"
+                raise OptionError(
+                    replace(
+                        notice,
+                        code="CAM014",
+                        message=message,
+                        severity=Severity.ERROR,
+                    )
+                )
         hint = "is this the calibration of these cameras, in this order, for images of "
         hint += "this size?"
         path = self.cameras.path or None

@@ -344,15 +344,17 @@ def _notices(
     counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
     is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(counts, 1)
-    for names, problem in (
-        (list(compress(model.names, counts == 0)), "are never seen: "),
+    for names, verbs, problem in (
+        (list(compress(model.names, counts == 0)), ("is", "are"), "never seen"),
         (
             list(compress(model.names, is_misplaced)),
-            "do not match the face in most frames: ",
+            ("does", "do"),
+            "not match the face in most frames",
         ),
     ):
         if names:
-            message = f"{counted(len(names), 'landmark')} {problem}"
+            verb = verbs[len(names) > 1]
+            message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
     return notices

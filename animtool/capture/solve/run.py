@@ -238,7 +238,7 @@ def solve_markers(
     notices += static_notices(model.template.names, positions)
     noise = estimate_noise(model, sample, options.noise)
     side_notices = swapped_side_notices(model, sample, noise, options.noise)
-    if all(notice.code != "MKT003" for notice in notices):
+    if all(notice.code not in {"MKT003", "MKT005"} for notice in notices):
         notices += side_notices or _residual_notices(model.template.names, noise)
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)

@@ -12,6 +12,7 @@ from pydantic import Field
 
 from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
 from animtool.core.config import project_roots
+from animtool.core.errors import counted, listed
 from animtool.core.files.reading import exists
 from animtool.core.options import key
 from animtool.core.quantities import length_text
@@ -20,6 +21,7 @@ from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
 from animtool.documents.references import missing_hint, resolve_reference
+from animtool.rig.sides import pair_sides
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
 MAX_OFFSET = 10.0
@@ -121,6 +123,7 @@ def parse_template(document: Document) -> MarkerTemplate:
     rig = _referred_rig(document, model.rig)
     document.check()
     _warn_of_offsets(document, markers, LengthUnit(model.units.length))
+    _warn_of_sides(document, markers)
     return MarkerTemplate(tuple(markers), rig, document)
 
 
@@ -155,6 +158,35 @@ def _warn_of_offsets(
     else:
         return
     document.warn("MKT003", ("marker_set", i, "offset"), message, hint)
+
+
+def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> None:
+    """Warn of pairs of markers that are on the joints of the other side (MKT005)."""
+    joints = list(dict.fromkeys(marker.joint for marker in markers))
+    joint_pairs, pairs = (
+        pair_sides(joints),
+        pair_sides([marker.name for marker in markers]),
+    )
+    left_joints = {joints[j] for j in joint_pairs.left}
+    partner_of = {name: joints[p] for name, p in zip(
+        joints, joint_pairs.partners.tolist(), strict=True)}  # fmt: skip
+    crossed: list[int] = []
+    for left in pairs.left:
+        right = int(pairs.partners[left])
+        joint = markers[left].joint
+        on_pair = partner_of[joint] == markers[right].joint != joint
+        if on_pair and joint not in left_joints:
+            crossed += [left, right]
+    if not crossed:
+        return
+    first = min(crossed)
+    marker = markers[first]
+    other = partner_of[marker.joint]
+    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(crossed)]
+    message = f"{len(crossed)} of {counted(len(markers), 'marker')} are on joints of "
+    message += f"the other side: {listed(names, 4)}"
+    hint = f"for {marker.name} write joint: {other}"
+    document.warn("MKT005", ("marker_set", first, "joint"), message, hint)
 
 
 def _in_unit(size: float, unit: LengthUnit, other: LengthUnit) -> float:

@@ -35,6 +35,7 @@ from animtool.rig.skeleton import Joint, JointType, Rig
 # Plausible extent at rest of any character, and of a person [m].
 LIKELY_METERS = (0.3, 6.0)
 PERSON_METERS = (1.0, 2.6)
+DECIMETRE = 0.1  # [m]
 # Skeletons with fewer joints may be props; their size is not judged.
 MIN_JOINTS = 8
 MAX_LISTED_JOINTS = 4
@@ -134,19 +135,30 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
     if len(rig.joints) < MIN_JOINTS or smallest <= meters <= largest:
         return []
     file_extent = meters / rig.meters_per_unit
-    smallest, largest = PERSON_METERS
-    fitting_units = [
-        unit for unit in LengthUnit if smallest <= file_extent * unit.meters <= largest
-    ]
     unit = stated_unit or LengthUnit.CM
     message = f"the skeleton spans {file_extent:.4g}, which is not plausible for a "
     message += f"character in {unit}"
-    hint = f"set the unit with {argument('source.unit')}"
-    if fitting_units:
-        hint = f"with {argument('source.unit', fitting_units[0])} it would be "
-        hint += f"{file_extent * fitting_units[0].meters:.2g} m"
+    hint = _unit_hint(file_extent)
     severity = Severity.NOTE if stated_unit is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), hint, severity)]
+
+
+def _unit_hint(extent: float) -> str:
+    """Return the unit in which a person or an animal has an extent.
+
+    >>> _unit_hint(22.5)
+    'in decimetres it would be 2.2 m: export it in cm, at 10 times the size'
+    """
+    for smallest, largest in (PERSON_METERS, LIKELY_METERS):
+        for unit in LengthUnit:
+            if smallest <= extent * unit.meters <= largest:
+                choice = argument("source.unit", unit)
+                return f"with {choice} it would be {extent * unit.meters:.2g} m"
+        # No option has decimetres, in which MakeHuman exports.
+        if smallest <= extent * DECIMETRE <= largest:
+            hint = f"in decimetres it would be {extent * DECIMETRE:.2g} m"
+            return f"{hint}: export it in cm, at 10 times the size"
+    return "export it at its true size, or ignore this if it is meant"
 
 
 def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:

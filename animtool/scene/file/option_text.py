@@ -67,11 +67,30 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
             message = f"{excerpt(text)} is not a list of offsets such as -.25,0,.25"
             raise ValueError(message) from error
         if not -1 < offset < 1:
-            raise ValueError(f"offset {number_text.strip()} is not within a frame")
+            message = f"offset {number_text.strip()} is not between -1 and 1"
+            raise ValueError(f"{message}: offsets are in frames{_unit_hint(text)}")
         offsets.append(offset)
     if len(set(offsets)) < len(offsets) or max(offsets) - min(offsets) >= 1:
         raise ValueError(f"offsets {text!r} overlap those of the next frame")
     return tuple(sorted(offsets))
+
+
+def _unit_hint(text: str) -> str:
+    """Return how to write offsets that are given in degrees or percent.
+
+    >>> _unit_hint("-90,0,90"), _unit_hint("-20,20")
+    ('; for degrees of a shutter write -0.25,0,0.25', '; for percent write -0.2,0.2')
+    """
+    try:
+        numbers = [exact_number(number) for number in text.split(",")]
+    except (ValueError, ArithmeticError):
+        return ""
+    largest = max(map(abs, numbers))
+    full, unit = (360, "degrees of a shutter") if largest >= 45 else (100, "percent")
+    if not 2 <= largest < full:
+        return ""
+    offsets_text = ",".join(f"{float(number / full):.4g}" for number in numbers)
+    return f"; for {unit} write {offsets_text}"
 
 
 def parse_frame(text: FractionLike) -> Fraction:

@@ -17,7 +17,15 @@ from animtool.capture.face.solve import fit_face
 from animtool.capture.options import FaceOptions
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, OptionError, Severity, faults_in
+from animtool.core.errors import (
+    Fault,
+    OptionError,
+    Severity,
+    faults_in,
+    listed,
+    warning,
+)
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import multiply, rotate
@@ -40,6 +48,13 @@ if TYPE_CHECKING:
 
 # Rotation from a world with Z up to one with Y up.
 _Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+# A neutral frame adds its own noise to all others, which is up to 1.4 times that of the
+# landmarks; a fit that is so much worse has another cause [1].
+MAX_NEUTRAL_RATIO = 2.0
+# Frames that are fitted without it for comparison.
+MAX_COMPARED = 24
+# Shapes of a face that is not neutral, as named in a message.
+MAX_NAMED_SHAPES, MIN_EXPRESSION = 3, 0.1
 # A larger mean head rotation indicates that axes differ from the rig's.
 MAX_MEAN_ROTATION = np.radians(75)
 
@@ -145,6 +160,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     camera, landmark_points = _undistort(job, capture, landmark_points)
     read_end_time = time.perf_counter()
     with faults_in(job.capture):
+        rig_face = model
         model = _with_neutral_proportions(
             job.options, model, landmark_points, camera is not None
         )
@@ -156,6 +172,13 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             camera=camera,
             progress=progress,
         )
+        neutral_warnings = _neutral_warnings(
+            job.options, rig_face, fit, landmark_points
+        )
+    if neutral_warnings:
+        # Landmarks of a face with other proportions do not match it.
+        kept = [notice for notice in fit.notices if notice.code != "FAC105"]
+        fit = replace(fit, notices=(*kept, *neutral_warnings))
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
         message = f"{rig.name!r} has no face shape"
@@ -252,6 +275,39 @@ def _with_neutral_proportions(
         )
         raise OptionError(Fault("FAC011", message))
     return model.with_proportions(points[options.neutral])
+
+
+def _neutral_warnings(
+    options: FaceOptions, rig_face: FaceModel, fit: FaceFit, points: FloatArray
+) -> list[Fault]:
+    """Return a warning if landmarks fit much worse with a neutral frame (FAC111).
+
+    Args:
+        options: Options of the solve.
+        rig_face: The face of the rig, with its own proportions.
+        fit: The fit with the proportions of the neutral frame.
+        points: Landmarks ``(F, N, 3)`` [m].
+    """
+    if options.neutral is None:
+        return []
+    frames = np.linspace(0, len(points) - 1, MAX_COMPARED).astype(int)
+    frames = np.unique([*frames, options.neutral])
+    rig_fit = fit_face(rig_face, points[frames], 1.0, smooth=0.0)
+    if fit.rms < MAX_NEUTRAL_RATIO * rig_fit.rms:
+        return []
+    weights = rig_fit.weights[int(np.searchsorted(frames, options.neutral))]
+    largest = np.argsort(-weights, kind="stable")[:MAX_NAMED_SHAPES]
+    shapes = [
+        f"{rig_face.shapes[i]} {weights[i]:.2g}"
+        for i in largest.tolist()
+        if weights[i] > MIN_EXPRESSION
+    ]
+    message = f"with {argument('neutral', options.neutral)} landmarks fit within "
+    message += f"{length_text(fit.rms)}, without it within {length_text(rig_fit.rms)}: "
+    message += "that frame is not neutral"
+    message += f" ({listed(shapes)})" if shapes else ""
+    hint = "choose a frame with a relaxed, closed face, or leave it out"
+    return [warning("FAC111", message, hint)]
 
 
 def _rotate_to_y_up(fit: FaceFit) -> FaceFit:

@@ -9,12 +9,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.quantities import length_text
+from animtool.core.errors import percent_text
+from animtool.core.quantities import length_text, vector_text
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.scene.file.entries import SceneSystem
 from animtool.scene.systems.suspicious_forces import EARTH_GRAVITY
-from animtool.sim.colliders import Box, Collider, Colliders, Plane
+from animtool.scene.systems.suspicious_gravity import warn_of_weak_gravity
+from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Plane, Sphere
+from animtool.sim.colliders.shapes import shape_bounds
 
 # A system that falls freely by more leaves the picture [m].
 MIN_FALL = 2.0
@@ -22,6 +25,11 @@ MIN_FALL = 2.0
 MIN_DEPTH = 0.05
 # Thickness over width of a slab, and the sine of its slope when it is upright.
 SLAB, UPRIGHT = 0.1, 0.1
+# A box of which half or more is cut was placed by a corner, or beyond a wall; half of a
+# sphere may be meant as a dome [1]. Placed as meant, hardly anything is cut [1].
+MAX_CUT, MAX_ROUND_CUT, MAX_MOVED_CUT = 0.45, 0.55, 0.1
+# Points along each side at which it is measured.
+FILL_SAMPLES = 12
 # Height above the ground that no position of a crowd needs [m].
 MAX_HEIGHT = 2.0
 # Names of pins of each kind, in hints.
@@ -58,11 +66,16 @@ def warn_of_layout(
         if system.kind == "crowds":
             _warn_of_z_up(document, at, spec)
             continue
+        if system.kind == "nbody":
+            warn_of_weak_gravity(document, at, spec, system.setup.parts, seconds)
+            continue
         starts = list(_starts(system.kind, at, spec))
         if not system.setup.carriers and spec.resume is None:
             _warn_of_planes(document, at, starts, around.colliders, "colliders")
             kills = system.setup.parts.get("kill") or ()
             _warn_of_planes(document, at, starts, kills, "kill")
+            if system.kind == "fluid":
+                _warn_of_cut_fills(document, system)
         fall = _fall(system.kind, spec) * seconds**2 / 2
         others = around.needs or around.characters or around.meshes or around.tied
         if fall <= MIN_FALL or others or system.name in used_names:
@@ -197,6 +210,62 @@ def _warn_of_planes(
             hint += "normal"
         document.warn("SIM202", start.location, message, hint)
         return
+
+
+def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
+    """Warn of fills of which a container or a plane cuts half or more (SIM202)."""
+    at, around = system.setup.location, system.setup.around
+    spec: Any = system.setup.spec
+    walls = [
+        (c, Colliders([collider]))
+        for c, collider in enumerate(around.colliders)
+        if collider.container or isinstance(collider.shape, Plane)
+    ]
+    parts = system.setup.parts.get("fills") or ()
+    for i, (fill, data) in enumerate(zip(spec.fills, parts, strict=False)):
+        shape = (data or {}).get("shape")
+        if not walls or fill.prim or not isinstance(shape, Box | Sphere | Capsule):
+            continue
+        points, pose = _fill_samples(shape), data["poses"].at(0.0)
+        points = so3.rotate(pose[3:], points) + pose[:3]
+        limit = MAX_CUT if isinstance(shape, Box) else MAX_ROUND_CUT
+        for c, wall in walls:
+            cut = _inside_fraction(wall, points)
+            # A fill without any particle is refused, and one below a plane reported.
+            if cut < limit or cut == 1.0:
+                continue
+            side = "outside the container" if wall[0].container else "inside"
+            name = repr(wall[0].name) if wall[0].name else f"colliders[{c}]"
+            label = repr(fill.name) if fill.name else f"fill {i}"
+            message = f"{percent_text(cut)} of {label} is {side} "
+            message += f"{name}, and is not filled"
+            hint = "move it inside, or make it smaller"
+            half_size = np.ptp(shape_bounds(shape), axis=0) / 2
+            offset = so3.rotate(pose[3:], half_size)
+            if _inside_fraction(wall, points + offset) < MAX_MOVED_CUT:
+                unit = 1.0 if system.unit is None else system.unit.meters
+                corner, centre = (
+                    vector_text(point / unit, 4)
+                    for point in (pose[:3], pose[:3] + offset)
+                )
+                hint = f"at is its centre: for a corner at {corner} write at: {centre}"
+            document.warn("SIM202", (*at, "fills", i, "at"), message, hint)
+            break
+
+
+def _fill_samples(shape: Box | Sphere | Capsule) -> FloatArray:
+    """Return points evenly inside a shape ``(N, 3)`` [m]."""
+    low, high = shape_bounds(shape)
+    axis = (np.arange(FILL_SAMPLES) + 0.5) / FILL_SAMPLES
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    points = low + (high - low) * grid.reshape(-1, 3)
+    is_inside = Colliders([Collider(shape)]).sample(points, 0.0).distances[0] < 0
+    return np.asarray(points[is_inside])
+
+
+def _inside_fraction(wall: Colliders, points: FloatArray) -> float:
+    """Return the fraction of points ``(N, 3)`` inside a collider at the start [1]."""
+    return float((wall.sample(points, 0.0).distances[0] < 0).mean())
 
 
 def _starts(kind: str, at: Location, spec: Any) -> Iterator[_Start]:

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, refuse, warning
+from animtool.core.quantities import length_text
 from animtool.maths.faces import triangulate
 from animtool.sim.colliders import Mesh
 from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, Agents, separate_agents
@@ -51,8 +52,47 @@ def clear_starts(
     return positions, notices
 
 
+def _blocking_obstacle(
+    obstacles: Obstacles, grid: NavGrid, position: FloatArray, t: float
+) -> tuple[str, str] | None:
+    """Return what is at x and z of a goal ``(1, 2)``, and a hint; None if it is free.
+
+    Nodes deep inside a low obstacle count as free, since the nearest face is its top.
+    """
+    depths = obstacles.collider_depths(t, position)
+    depth = float(depths.max(initial=-np.inf))
+    if depth > 0:
+        name = obstacles.collider_name(int(depths.argmax()))
+        problem = f"inside the collider {name}, {length_text(depth, 2)} deep"
+        return problem, "move the goal or the collider"
+    if not is_blocked(grid, position)[0]:
+        return None
+    radius = float(obstacles.agents.radii.max(initial=0.0))
+    if -depth > radius:
+        return "off the ground, or on a slope that is too steep", "move the goal"
+    name = obstacles.collider_name(int(depths.argmax()))
+    problem = f"{length_text(-depth, 2)} from the collider {name}, nearer than the "
+    return f"{problem}radius of agents, {length_text(radius)}", "move the goal"
+
+
+def _nearest_reachable(
+    grid: NavGrid, position: FloatArray, components: IntArray
+) -> FloatArray:
+    """Return x and z of the node of some components nearest to a goal ``(2,)``."""
+    nodes = np.flatnonzero(np.isin(grid.components.ravel(), components))
+    if not len(nodes):
+        nodes = grid.nearest_free_node(position)
+    points = grid.node_positions(nodes)
+    return np.asarray(points[int(((points - position) ** 2).sum(axis=1).argmin())])
+
+
 def unreachable_goal_warnings(
-    spec: CrowdsModel, agents: Agents, steering: Steering, start: FloatArray
+    spec: CrowdsModel,
+    agents: Agents,
+    steering: Steering,
+    obstacles: Obstacles,
+    start: FloatArray,
+    begin: float,
 ) -> list[Fault]:
     """Return warnings about goals that agents cannot reach (SIM146)."""
     grid, faults = steering.grid, list[Fault]()
@@ -62,10 +102,15 @@ def unreachable_goal_warnings(
     start_components = components[grid.nearest_free_node(start)]
     for goal_index, goal in enumerate(spec.goals):
         position = steering.goal_points[goal_index : goal_index + 1]
-        if is_blocked(grid, position)[0]:
-            message = f"the goal {goal.name!r} is in an obstacle or off the ground: "
-            message += "agents go to the nearest free position"
-            faults.append(warning("SIM146", message, "move the goal"))
+        obstacle = _blocking_obstacle(obstacles, grid, position, begin)
+        if obstacle is not None:
+            problem, hint = obstacle
+            nearest = _nearest_reachable(grid, position, start_components)
+            message = f"the goal {goal.name!r} is {problem}: agents go to "
+            message += f"{obstacles.world_text(nearest)} instead"
+            where = f"goals[{goal_index}].at"
+            faults.append(warning("SIM146", message, hint, where))
+            continue
         goal_component = components[grid.nearest_free_node(position)[0]]
         for population_index, population in enumerate(spec.populations):
             is_cut_off = start_components != goal_component

@@ -44,7 +44,9 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
-    notices += unreachable_goal_warnings(spec, agents, steering, start)
+    notices += unreachable_goal_warnings(
+        spec, agents, steering, obstacles, start, begin
+    )
     prototypes = [part.get("shows") for part in parts]
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
     sources = list(meshes_by_prototype)

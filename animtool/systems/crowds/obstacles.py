@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.core.quantities import vector_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
@@ -99,6 +100,38 @@ class Obstacles:
                 self.colliders, self.frame, x, base, radii, body_heights, t, dt
             )
         ]
+
+    def collider_depths(self, t: float, position: FloatArray) -> FloatArray:
+        """Return the depth of each collider at x and z ``(1, 2)`` of an agent ``(C,)``.
+
+        It is that of the largest agent's axis [m], negative outside. Moving colliders,
+        which block no paths, have minus infinity.
+        """
+        radius = float(self.agents.radii.max(initial=0.0))
+        height = float(self.agents.heights.max(initial=radius))
+        ground_heights, _ = self.ground(position)
+        base = float(ground_heights[0]) if np.isfinite(ground_heights[0]) else 0.0
+        low, high = base + radius, base + max(height - radius, radius)
+        x, z = position[0]
+        points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
+        if not len(self.colliders):
+            return np.zeros(0)
+        samples = self.colliders.sample(self.frame.to_world(points), t, t)
+        depths = -samples.distances[: len(self.colliders)].min(axis=1)
+        is_fixed = [collider.poses.is_fixed for collider in self.colliders]
+        return np.where(is_fixed, depths, -np.inf)
+
+    def collider_name(self, c: int) -> str:
+        """Return the name of a collider, or its key."""
+        name = self.colliders[c].name
+        return repr(name) if name else f"colliders[{c}]"
+
+    def world_text(self, x: FloatArray) -> str:
+        """Return the position of x and z on the ground ``(2,)`` as text."""
+        heights, _ = self.ground(x[None])
+        height = float(heights[0]) if np.isfinite(heights[0]) else 0.0
+        point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
+        return f"{vector_text(point)} m"
 
     def _doors(
         self, t: float, x: FloatArray

@@ -227,10 +227,11 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     species_data = context.parts["species"]
     members = Members.of(spec, species_data, context.begin)
     spacing = Spacing.of(members, spec.domain)
-    points, notices = members.clear_positions(colliders)
+    points, notices = members.clear_positions(colliders, spec.domain)
     if spacing is not None:
         points, overlap = spacing.separate(points, START_PASSES)
-        notices += members.separation_notices(points, overlap)
+        # Members that were moved to a surface are close to each other there.
+        notices = notices or members.separation_notices(points, overlap)
         points, _ = replace(members, points=points).clear_positions(colliders)
     system = FlockForces(
         members,

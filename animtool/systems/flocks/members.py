@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import (
     Fault,
     Problem,
@@ -18,6 +18,7 @@ from animtool.core.errors import (
     refuse,
     warning,
 )
+from animtool.core.quantities import vector_text
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
@@ -80,10 +81,13 @@ class Members(Groups):
             hint,
         )
 
-    def clear_positions(self, colliders: Colliders) -> tuple[FloatArray, list[Fault]]:
+    def clear_positions(
+        self, colliders: Colliders, domain: DomainModel | None = None
+    ) -> tuple[FloatArray, list[Fault]]:
         """Return start positions outside of all colliders ``(N, 3)`` [m].
 
-        Members that start inside are moved out with a warning (SIM124).
+        Members that start inside a collider, or outside of a domain with walls, are
+        moved with a warning (SIM124).
         """
         points, is_moved = self.points, np.zeros(len(self), bool)
         for _ in range(MAX_CLEARING_PASSES if colliders.rigid else 0):
@@ -105,12 +109,48 @@ class Members(Groups):
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"
                 refuse("SIM060", message, "species", hint)
-        if not is_moved.any():
-            return points, []
-        message = f"{counted(int(is_moved.sum()), 'member')} would start inside a "
-        message += f"collider, {self.label(int(np.argmax(is_moved)))} first: moved out"
-        hint = "begin elsewhere"
-        return points, [warning("SIM124", message, hint)]
+        notices, is_outside = [], np.zeros(len(self), bool)
+        if domain is not None and not domain.wrap:
+            low, high = _bounds(domain)
+            reach = self.radii[:, None]
+            is_outside = (self.points < low + reach) | (self.points > high - reach)
+            is_outside = np.asarray(is_outside.any(axis=1))
+        if is_outside.any():
+            assert domain is not None
+            notices.append(self._outside_notice(domain, is_outside))
+        is_inside = is_moved & ~is_outside
+        if is_inside.any():
+            message = f"{counted(int(is_inside.sum()), 'member')} would start inside a "
+            message += f"collider, {self.label(int(np.argmax(is_inside)))} first: moved"
+            message += " out"
+            notices.append(warning("SIM124", message, "begin elsewhere"))
+        return points, notices
+
+    def _outside_notice(self, domain: DomainModel, is_outside: BoolArray) -> Fault:
+        """Return a warning about members that start outside of the domain (SIM124)."""
+        low, high = _bounds(domain)
+        reach = self.radii[:, None]
+        first, last = (
+            (self.points - reach).min(axis=0),
+            (self.points + reach).max(axis=0),
+        )
+        axis = int(np.maximum(low - first, last - high).argmax())
+        count = int(is_outside.sum())
+        message = f"{count} of {counted(len(self), 'member')} "
+        message += f"{'starts' if count == 1 else 'start'} outside of the domain, "
+        message += f"{self.label(int(np.argmax(is_outside)))} first, and "
+        message += f"{'is' if count == 1 else 'are'} moved into it: it is from "
+        message += f"{low[axis]:.3g} to {high[axis]:.3g} m along {'xyz'[axis]}, they "
+        message += f"start from {first[axis]:.3g} to {last[axis]:.3g} m"
+        size, centre = np.array(domain.size), np.array(domain.at)
+        sides = np.maximum(size, 2 * np.maximum(last - centre, centre - first))
+        hint = f"a size of {vector_text(_ceiled(sides))} m holds all"
+        if (last - first <= size).all():
+            # Along the other axes it stays where it is.
+            is_beyond = (first < low) | (last > high)
+            centre = np.where(is_beyond, (first + last) / 2, centre)
+            hint = f"with its centre `at` {vector_text(centre)} m it holds all"
+        return warning("SIM124", message, hint, "domain")
 
     def separation_notices(self, points: FloatArray, overlap: float) -> list[Fault]:
         """Return warnings about members that were moved apart to ``points`` ``(N, 3)``.
@@ -137,6 +177,18 @@ class Members(Groups):
             hint = "use a larger region, fewer members, or a smaller repulsion.least"
             faults.append(warning("SIM147", message, hint))
         return faults
+
+
+def _bounds(domain: DomainModel) -> tuple[FloatArray, FloatArray]:
+    """Return the lowest and the highest corner of a domain ``(3,)`` [m]."""
+    centre, size = np.array(domain.at), np.array(domain.size)
+    return centre - size / 2, centre + size / 2
+
+
+def _ceiled(lengths: FloatArray) -> FloatArray:
+    """Return lengths rounded up to two digits."""
+    steps = 10.0 ** (np.floor(np.log10(lengths)) - 1)
+    return np.asarray(np.ceil(lengths / steps - 1e-9) * steps)
 
 
 def _start_motion(

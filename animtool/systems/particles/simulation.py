@@ -19,6 +19,7 @@ from animtool.sim.checks import (
     step_warnings,
     stop_warning,
 )
+from animtool.sim.colliders import Plane
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
 from animtool.sim.equations import Equations
@@ -357,9 +358,19 @@ class ParticleSimulation:
             )
         ]
         if killing:
-            message += f": kill[{killing[0]}] contains all emitters"
-            hint = "a plane removes what is below it: lower its offset"
-            return warning("SIM188", message, hint, f"kill[{killing[0]}]")
+            k = killing[0]
+            region = self.setup.kills[k].region
+            message += f": kill[{k}] contains all emitters, and removes what is "
+            if isinstance(region.shape, Plane):
+                message += "above it" if region.container else "below it"
+                hint = "lower its offset, or turn its normal"
+            elif region.container:
+                message += "outside it"
+                hint = "move or enlarge it, so that the emitters are inside"
+            else:
+                message += "inside it"
+                hint = "to remove what leaves it, write container: true"
+            return warning("SIM188", message, hint, f"kill[{k}]")
         begins = [
             min([*(time for time, _ in one.bursts), one.start if one.rate else np.inf])
             for one in emitters

@@ -15,7 +15,7 @@ from animtool.core.quantities import angle_text, length_text, plain_number
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
-from animtool.motion.motion import Channel
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.take import Take
 from animtool.rig.joints import (
@@ -25,7 +25,7 @@ from animtool.rig.joints import (
 )
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.limits import RangeLimit
-from animtool.rig.skeleton import JointType
+from animtool.rig.skeleton import JointType, Rig
 from animtool.sim.colliders import Capsule, Collider, Colliders
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.rigid.ragdoll import (
@@ -46,6 +46,8 @@ ANGLE_TOLERANCE = math.radians(1.0)
 SLIDE_TOLERANCE = 0.001  # the same for prismatic joints [m]
 # Denser than the densest metal, 22 600 [kg/m³].
 MAX_DENSITY = 30000.0
+# A body that is below its motion by more has left the picture [m].
+MIN_FALL = 2.0
 # Bodies that are wholly inside a collider, and deeper, are there by mistake [m].
 MIN_DEPTH = 0.02
 
@@ -112,6 +114,8 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         rotations=Channel.from_dense(so3.align_signs(blended[1])),
     )
     context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
+    if options.end is None and not len(colliders):
+        context.notices.extend(_free_fall_notices(rig, world, motion, codes))
     first_frame = float(codes[first_index])
     context.notices.extend(_notices(ragdoll, run, fall_transforms, first_frame))
     return replace(take, motion=motion)
@@ -221,6 +225,31 @@ def _start_notices(
     message += f"{length_text(float(depths.max()))} deep, and are pushed out"
     hint = "move it away from the rig; the ground is usually at 0"
     return [*notices, warning("SIM126", message, hint, f"colliders[{c}]")]
+
+
+def _free_fall_notices(
+    rig: Rig, world: WorldTransforms, motion: Motion, codes: FloatArray
+) -> list[Fault]:
+    """Return a warning about a body that falls far below its motion (SIM201).
+
+    Args:
+        rig: The rig.
+        world: World transforms of the take before the fall.
+        motion: Its motion with the fall.
+        codes: Numbers of the frames ``(F,)``.
+    """
+    up = np.array(rig.up.vector, np.float64)
+    last = motion.select(slice(motion.frames - 1, motion.frames))
+    translations, rotations, scales = last.dense()
+    end = forward_kinematics(rig, translations, rotations, scales).positions[0] @ up
+    lowest = float((world.positions @ up).min())
+    if lowest - end.max() < MIN_FALL:
+        return []
+    message = "there are no colliders: the body falls freely, to "
+    message += f"{rig.up.lower()} = {end.max():.3g} m at frame {codes[-1]:g}"
+    plane = "" if rig.up is UpAxis.Y else "normal: [0, 0, 1]"
+    hint = f"add a floor: colliders: [{{shape: {{plane: {{{plane}}}}}}}]"
+    return [warning("SIM201", message, hint)]
 
 
 def _notices(

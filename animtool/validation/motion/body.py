@@ -2,35 +2,17 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 
 from animtool.core.array_types import BoolArray, IntArray
+from animtool.rig.body_size import feet_of
 from animtool.validation.motion.subject import MotionSubject
 
-# Words for feet, alone or in compounds, but not as in flyWHEEL.
-_FOOT_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
-_FOOT_PATTERN = re.compile(
-    rf"(?<![A-Za-z])(?:{_FOOT_WORDS})"
-    rf"|{'|'.join(word.capitalize() for word in _FOOT_WORDS.split('|'))}"
-    rf"|(?<![A-Za-z])(?:{_FOOT_WORDS.upper()})"
-)
 # Fraction of the joints below the one that carries the body; targets and props next to
 # it have fewer [1].
 BODY_FRACTION = 0.6
 # Fraction of these that are below a joint of the trunk [1].
 TRUNK_FRACTION = 0.4
-
-
-def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of foot joints.
-
-    >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
-    [1, 2, 4]
-    """
-    feet = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
-    return np.array(feet, np.int64)
 
 
 def body_carriers(subject: MotionSubject) -> tuple[int, ...]:

@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.record import dataclass
-from animtool.validation.motion.body import body_joints, feet_of
+from animtool.rig.body_size import feet_of
+from animtool.validation.motion.body import body_joints
 from animtool.validation.motion.subject import MotionSubject
 
 Scalar = TypeVar("Scalar", np.float64, np.bool_)

@@ -9,7 +9,8 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.maths.runs import runs
-from animtool.validation.motion.body import body_joints, feet_of, hips_of
+from animtool.rig.body_size import feet_of
+from animtool.validation.motion.body import body_joints, hips_of
 from animtool.validation.motion.contacts import (
     MIN_CONTACTS,
     PLANTED_HEIGHT,

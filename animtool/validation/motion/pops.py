@@ -17,6 +17,7 @@ from animtool.validation.motion.subject import MotionSubject
 # Visible displacement of joints against their parents, where rigs may slide and stretch
 # intentionally, and of a root, which is visible sooner [size].
 MIN_POP_SHIFT, MIN_ROOT_SHIFT = 0.2, 0.02
+CORRECT_HINT = "correct the frames around it, or cut the take there"
 # Displacement of joints by capture noise [size].
 SHIFT_NOISE = 0.002
 
@@ -46,14 +47,16 @@ class _PopSteps:
 
 def joint_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield non-root joints that pop in one frame (MOT202)."""
-    hint = "correct the frames around it; for an intended cut, write interp: step"
+    hint = CORRECT_HINT
+    if subject.intended_cuts is not None:
+        hint = "correct the frames around it; for an intended cut, write interp: step"
     pops = _find_pops(subject, MIN_POP_SHIFT, roots=False)
     yield from _pop_fault(subject, "MOT202", pops, hint)
 
 
 def root_pops(subject: MotionSubject) -> Iterator[Fault]:
     """Yield roots that pop in one frame, moving the complete character (MOT203)."""
-    hint = "correct the frames around it, or cut the take there"
+    hint = CORRECT_HINT
     pops = _find_pops(subject, MIN_ROOT_SHIFT, roots=True)
     yield from _pop_fault(subject, "MOT203", pops, hint)
 

@@ -3,19 +3,31 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, counted, listed
+from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
-from animtool.validation.motion.body import body_carriers, feet_of
+from animtool.rig.body_size import feet_of
+from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
 # Shorter takes only show a pose, in which a foot may be static [frame].
 POSE_FRAMES = 2
+# Files of a bind pose often have two equal frames, since players need two, and some
+# last two seconds: from a longer take the recording is missing [frame], [s].
+BIND_FRAMES, MAX_BIND_SECONDS = 2, 2.0
+# Joints that move a rigid mesh or hold something, and so need no weights.
+RIGID_NAMES = re.compile(
+    r"eye|jaw|teeth|tongue|lid|prop|weapon|attach|socket|target"
+    r"|(?<![a-z])(end|nub|tip|site|root)(?![a-z])|(?<=[a-z])(End|Nub|Tip|_end|_tip)",
+    re.IGNORECASE,
+)
 # A smaller scale makes geometry invisible [1].
 MIN_SCALE = 1e-4
 # Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
@@ -30,15 +42,17 @@ MIN_BONE_LENGTH = 0.02
 def motionless(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if no joint or shape moves (MOT201)."""
     motion = subject.take.motion
-    if motion.frames < POSE_FRAMES:
+    if motion.frames <= BIND_FRAMES:
         return
     channels = (motion.translations, motion.rotations, motion.scales, motion.weights)
     if any(channel is not None and len(channel.animated) for channel in channels):
         return
     message = f"nothing moves in {motion.frames} frames"
-    hint = "export the take again; a pose needs one frame"
+    hint = "if it is a pose, one frame is enough; else export the take again"
     joint = 0 if subject.take.rig.joints else None
-    yield subject.fault("MOT201", joint, None, message, hint)
+    fault = subject.fault("MOT201", joint, None, message, hint)
+    is_short = (motion.frames - 1) * subject.interval <= MAX_BIND_SECONDS
+    yield replace(fault, severity=Severity.NOTE) if is_short else fault
 
 
 def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
@@ -145,7 +159,11 @@ def no_influence(subject: MotionSubject) -> Iterator[Fault]:
     if subject.influencing is None:
         return
     rig = subject.take.rig
-    idle_names = [name for name in rig.names if name not in subject.influencing]
+    idle_names = [
+        name
+        for name in rig.names
+        if name not in subject.influencing and not RIGID_NAMES.search(name)
+    ]
     if not idle_names:
         return
     message = (

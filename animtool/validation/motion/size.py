@@ -16,11 +16,17 @@ from animtool.core.quantities import plain_number
 from animtool.motion.quaternion_order import ORDER_HINT, find_swapped_order
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.standing import Stance, measure_stance
+from animtool.rig.body_size import (
+    MIN_JOINTS,
+    feet_of,
+    fitting_unit,
+    is_character,
+    unit_texts,
+)
 from animtool.rig.kinematics import rest_world
 from animtool.rig.skeleton import JointType
 from animtool.validation.motion.body import (
     body_joints,
-    feet_of,
     hips_of,
     positioned_joints,
 )
@@ -41,17 +47,13 @@ ZERO_HEIGHT, MIN_ZERO_FRACTION = 0.06, 0.5
 MIN_TREAD_FRACTION, TREAD_SPEED, STATIC_TREAD_FRACTION = 0.05, 0.12, 0.4
 # Fraction of animated bones that must share one factor [1].
 MIN_BONE_FRACTION = 0.8
-# Plausible diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
-CHARACTER_SIZE = (0.1, 25.0)
-# Size of people and most animals [m]; a corrected unit must give such a size.
-LIKELY_SIZE = (0.3, 5.0)
+# How a file states its up axis.
+UP_REMEDIES = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
 # A rig with a larger fraction of finger joints is a hand, not a body [1].
 DIGIT_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
 HAND_FRACTION = 0.8
 # Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
 SKELETON_SIZE = (0.004, 400.0)
-# With fewer joints, a rig is a prop of any size.
-MIN_JOINTS = 10
 # With fewer frames, a take is a pose, which may lie.
 MIN_FRAMES = 8
 
@@ -149,30 +151,13 @@ def other_units(subject: MotionSubject) -> Iterator[Fault]:
         hint = "convert the root's translations to the unit of the rig"
         yield subject.fault("MOT213", root, 0, message, hint)
         return
-    smallest, largest = CHARACTER_SIZE
-    size = subject.size
-    if (
-        not subject.has_units
-        or not _is_character(subject)
-        or smallest <= size <= largest
-    ):
+    size, unit = subject.size, subject.take.rig.meters_per_unit
+    fitting = fitting_unit(subject.take.rig.names, size, unit)
+    # The reader of a file reports its unit when it is baked, too.
+    is_reported = any(notice.code == "MOT213" for notice in subject.take.notices)
+    if fitting is None or is_reported or not subject.has_units:
         return
-    fitting_units = [
-        factor
-        for factor in (
-            *UNIT_FACTORS[:3],
-            *(1.0 / factor for factor in UNIT_FACTORS[:3]),
-        )
-        if LIKELY_SIZE[0] <= size * factor <= LIKELY_SIZE[1]
-    ]
-    if not fitting_units:
-        return
-    message = (
-        f"the character spans {_length_text(size)}; {_factor_text(fitting_units[0])} "
-        f"the size it would span {_length_text(size * fitting_units[0])}"
-    )
-    unit = subject.take.rig.meters_per_unit
-    hint = f"its unit is {unit:g} m; probably {unit * fitting_units[0]:g} m is meant"
+    message, hint = unit_texts(size, unit, fitting, subject.file_format)
     yield subject.fault("MOT213", None, None, message, hint)
 
 
@@ -181,7 +166,7 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
 
     If the rig rests at its hips, their height is the length of its legs.
     """
-    if not subject.has_rest or not _is_character(subject):
+    if not subject.has_rest or not is_character(subject.take.rig.names):
         return None
     rig = subject.take.rig
     moving_roots = set(subject.translating_joints.tolist())
@@ -253,12 +238,6 @@ def _height_factor(ratio: float) -> float | None:
     return min(UNIT_FACTORS, key=lambda factor: abs(math.log(ratio / factor)))
 
 
-def _is_character(subject: MotionSubject) -> bool:
-    """Return whether a rig has the feet and joint count of a person or animal."""
-    rig = subject.take.rig
-    return len(rig.joints) >= MIN_JOINTS and len(feet_of(rig.names)) > 0
-
-
 def _factor_text(factor: float) -> str:
     """Return a factor as text.
 
@@ -290,7 +269,10 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     smallest = min(smallest, subject.take.rig.meters_per_unit)
     if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
         return
-    if _is_character(subject) and next(other_units(subject), None) is not None:
+    if (
+        is_character(subject.take.rig.names)
+        and next(other_units(subject), None) is not None
+    ):
         return
     if subject.size * 1e3 < smallest * 1e-3:
         # All joints are at one position: a rig of controls, or a single joint.
@@ -339,10 +321,8 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     )
     hint = "rotate the root"
     if axis.axis is not None:
-        hint = (
-            f"set upAxis {axis.axis}, or read the file with "
-            f"{argument('source.up', axis.axis)}"
-        )
+        hint = UP_REMEDIES.get(subject.file_format, "").format(axis.axis)
+        hint = hint or f"read the file with {argument('source.up', axis.axis)}"
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file without an up axis is read with the default one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

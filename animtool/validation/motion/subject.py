@@ -56,6 +56,9 @@ class MotionSubject:
     bind: FloatArray | None = None
     # Frame rate of the file, if it differs from its time codes.
     shown_rate: float | None = None
+    # ``USD``, or ``clip`` for a clip on a rig; empty for formats that only options of
+    # reading give another unit or up axis.
+    file_format: str = ""
     # Whether samples were intentionally left out, to be restored by interpolation.
     reduced: bool = False
 

@@ -128,5 +128,6 @@ def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
         influencing=take.influencing_joints,
         bind=take.bind_positions,
         shown_rate=take.frames_per_second,
+        file_format="USD",
         reduced=take.is_reduced,
     )

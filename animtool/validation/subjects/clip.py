@@ -104,6 +104,11 @@ def open_clip_document(document: Document) -> CheckedFile:
     checked_file.faults += take.notices
     take = replace(take, notices=(*take.notices, *clip.notices))
     subject = ClipSubject(document, clip, rig, take, file_units(file.model, rig))
-    motion = MotionSubject(take, subject.fault_at, intended_cuts=subject.cuts)
+    motion = MotionSubject(
+        take,
+        subject.fault_at,
+        intended_cuts=subject.cuts,
+        file_format="clip",
+    )
     checked_file.subject, checked_file.takes = subject, (motion,)
     return checked_file

@@ -287,6 +287,29 @@ def test_a_quaternion_that_is_nearly_of_length_1_is_a_rotation(tmp_path: Path) -
         np.testing.assert_allclose(found, to_matrix(np.roll(unit, -1)), atol=1e-12)
 
 
+@pytest.mark.parametrize(
+    ("focal", "size", "hint"),
+    [
+        (24, "[1920, 1080]", "24 * 1920 / 36 = 1280"),
+        (85, "", "85 * 1920 / 36 = 4533"),
+        (0.7, "[1280, 1080]", "0.7 * 1280 = 896"),
+        (300, "[1920, 1080]", None),
+        (1300, "", None),
+    ],
+)
+def test_focal_lengths_in_millimetres(
+    tmp_path: Path, focal: float, size: str, hint: str | None
+) -> None:
+    text = GOOD.replace("1300", str(focal))
+    text = text.replace("name: a,", f"name: a, size: {size}," if size else "name: a,")
+    notices = load_cameras(written(tmp_path / "a.cameras.yaml", text)).notices
+    assert [one.code for one in notices] == ["CAM114"] * (hint is not None)
+    for notice in notices:
+        assert notice.where == "views[0].focal"
+        assert hint is not None
+        assert hint in str(notice.hint)
+
+
 def spread_warnings(path: Path, unit: LengthUnit | None = None) -> list[str]:
     notices = load_cameras(path, unit=unit).notices
     assert {notice.code for notice in notices} <= {"CAM113"}

@@ -148,3 +148,39 @@ def test_a_template_of_another_rig_is_one_fault(tmp_path: Path) -> None:
     with pytest.raises(FormatError) as caught:
         load_template(path).joints(other)
     assert len(caught.value.faults) > 2
+
+
+SIDES = """\
+markers: animtool/1
+marker_set:
+- {name: C7, joint: spine, offset: [0, 0.1, 0]}
+- {name: LKNE, joint: LEFT, offset: [0.05, 0, 0]}
+- {name: RKNE, joint: RIGHT, offset: [-0.05, 0, 0]}
+- {name: LASI, joint: hips, offset: [0.1, 0, 0]}
+- {name: RASI, joint: hips, offset: [-0.1, 0, 0]}
+"""
+
+
+@pytest.mark.parametrize(
+    ("left", "right", "found"),
+    [
+        ("knee_r", "knee_l", True),
+        ("RightLeg", "LeftLeg", True),
+        ("knee_l", "knee_r", False),
+        ("LeftLeg", "RightLeg", False),
+        ("knee_l", "knee_l", False),
+        ("a", "b", False),
+    ],
+)
+def test_markers_on_the_joints_of_the_other_side(
+    tmp_path: Path, left: str, right: str, found: bool
+) -> None:
+    path = tmp_path / "a.markers.yaml"
+    path.write_text(SIDES.replace("LEFT", left).replace("RIGHT", right), "utf-8")
+    document = load_template(path).document
+    assert document is not None
+    assert [one.code for one in document.notices] == ["MKT005"] * found
+    for notice in document.notices:
+        assert notice.where == "marker_set[1].joint"
+        assert notice.message.startswith("2 of 5 markers")
+        assert notice.hint == f"for LKNE write joint: {right}"

@@ -353,7 +353,7 @@ def test_keys_off_the_frame_late_keys_and_idle_joints_are_found(
     tmp_path: Path, plain: Path
 ) -> None:
     made = Maker()
-    joints = chain(made, ["hips", "chest", "head", "prop"])
+    joints = chain(made, ["hips", "chest", "head", "helper"])
     skinned(made, joints[:3], "body")
     made.json["skins"][0]["joints"].append(joints[3])
     inverse = np.tile(np.eye(4), (4, 1, 1))
@@ -372,7 +372,7 @@ def test_keys_off_the_frame_late_keys_and_idle_joints_are_found(
     found = animtool("validate", path).stdout
     for code in ("MOT216", "MOT217", "MOT220", "MOT221"):
         assert f"{code} /animations/0" in found
-    assert "prop" in found
+    assert "helper" in found
     assert "MOT2" not in animtool("validate", plain).stdout
 
 

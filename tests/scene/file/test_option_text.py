@@ -80,3 +80,18 @@ def test_where_the_rest_pose_comes_from() -> None:
     assert (parse_rest("offsets"), parse_rest("frame:-3")) == (None, -3)
     with pytest.raises(ValueError, match="neither"):
         parse_rest("frame:")
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("-90,0,90", "for degrees of a shutter write -0.25,0,0.25"),
+        ("-25,0,25", "for percent write -0.25,0,0.25"),
+        ("0,1.5", ""),
+        ("-900,900", ""),
+    ],
+)
+def test_offsets_in_other_units(text: str, hint: str) -> None:
+    with pytest.raises(ValueError, match="not between -1 and 1") as error:
+        parse_offsets(text)
+    assert str(error.value).endswith(hint or "offsets are in frames")

@@ -169,3 +169,71 @@ def test_a_crowd_with_z_up(tmp_path: Path, old: str, new: str, found: bool) -> N
     assert [one.code for one in said] == ["SIM200"] * found
     flat = CROWD.replace("15, 0", "0, 15").replace("-10, 0", "1.7, 0")
     assert notices(tmp_path, flat) == []
+
+
+TANK = "{name: tank, shape: {box: {size: [2, 2, 2]}}, at: [1, 1, 1], container: true}"
+
+
+@pytest.mark.parametrize(
+    ("at", "shape", "percent"),
+    [
+        ("[0, 0, 0]", "box: {size: [0.4, 0.8, 0.4]}", "88%"),
+        ("[0, 0.4, 1]", "box: {size: [0.4, 0.8, 0.4]}", "50%"),
+        ("[0.2, 0.4, 0.2]", "box: {size: [0.4, 0.8, 0.4]}", None),
+        ("[1, 0.9, 1]", "box: {size: [2.4, 2, 2.4]}", None),  # up to the walls
+        ("[1, 0, 1]", "sphere: {radius: 0.5}", None),  # a dome
+        ("[0, 0, 1]", "sphere: {radius: 0.5}", "75%"),
+    ],
+)
+def test_fills_that_a_tank_cuts(
+    tmp_path: Path, at: str, shape: str, percent: str | None
+) -> None:
+    water = WATER.replace("[0, 1, 0]", at).replace(
+        "box: {size: [0.4, 0.4, 0.4]}", shape
+    )
+    said = notices(tmp_path, water.replace("OTHERS", f"colliders: [{TANK}]"))
+    assert [one.code for one in said] == ["SIM202"] * (percent is not None)
+    if percent is not None:
+        assert said[0].where == "systems[0].fluid.fills[0].at"
+        assert said[0].message.startswith(f"{percent} of")
+    if percent == "88%":
+        assert "for a corner at [0, 0, 0] write at: [0.2, 0.4, 0.2]" in said[0].hint
+
+
+def test_a_fill_half_in_the_floor(tmp_path: Path) -> None:
+    for height, found in (("0", True), ("0.2", False), ("0.15", False)):
+        water = WATER.replace("[0, 1, 0]", f"[0, {height}, 0]")
+        said = notices(tmp_path, water.replace("OTHERS", FLOOR))
+        assert [one.code for one in said] == ["SIM202"] * found
+
+
+STARS = """\
+- nbody:
+    name: stars
+    KEYS
+    galaxies:
+    - {name: large, disc: {count: 30, mass: MASS, radius: 0.8}}
+    - {name: small, at: [7, 0, 0], disc: {count: 30, mass: MASS, radius: 0.5}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("constant", "mass", "hint"),
+    [
+        ("gravity_constant: 6.674e-11", "1", "write gravity_constant: 0.2"),
+        ("gravity_constant: 6.674e-11", "1e12", None),
+        ("gravity_constant: 1e-7", "2", "raise it, such as to gravity_constant: 0.1"),
+        ("gravity_constant: 0", "1", None),
+        ("gravity_constant: 10", "1", None),
+        ("method: rk4", "1", None),
+    ],
+)
+def test_gravity_that_moves_nothing(
+    tmp_path: Path, constant: str, mass: str, hint: str | None
+) -> None:
+    text = STARS.replace("KEYS", constant).replace("MASS", mass)
+    said = notices(tmp_path, text)
+    assert [one.code for one in said] == ["SIM200"] * (hint is not None)
+    if hint is not None:
+        assert hint in (said[0].hint or "")
+        assert said[0].where == "systems[0].nbody.gravity_constant"

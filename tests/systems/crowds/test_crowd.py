@@ -550,3 +550,30 @@ def test_who_fell_stays_and_who_left_is_out(
     monkeypatch.setattr(crowds._kernels, "crowd_step", spy)
     made.simulation.step(replace(begun, progress=progress, falls=fell), 0.0, 0.05)
     assert seen == [[0, 1, 2]]
+
+
+@pytest.mark.parametrize(
+    ("x", "message"),
+    [
+        (5.0, "inside the collider 'block', 1 m deep"),
+        (3.95, "50 mm from the collider 'block', nearer than the radius"),
+        (0.0, None),
+    ],
+)
+def test_a_goal_in_an_obstacle_names_it(
+    simulator: Simulator, x: float, message: str | None
+) -> None:
+    systems = crowd(
+        [{"count": 1, "at": [-7, 0, 0], "route": ["g"]}],
+        goals=[goal("far", -5, 0), goal("g", x, 0)],
+        colliders=[{**box(5, 0, 2, 2), "name": "block"}],
+    )
+    scene = simulator.scene(systems)
+    run = SystemRun(scene.systems, 0.0, None, None)
+    list(run.rows([scene.bake.frame_range.first], 1, FPS))  # type: ignore[union-attr]
+    assert [one.code for one in run.notices] == ["SIM146"] * (message is not None)
+    for notice in run.notices:
+        assert str(notice.where).endswith("goals[1].at")
+        assert message is not None
+        assert message in notice.message
+        assert "agents go to [" in notice.message

@@ -144,6 +144,32 @@ def test_who_begins_in_a_collider_is_moved_out(simulator: Simulator) -> None:
     assert "member" in notice.message
 
 
+@pytest.mark.parametrize(
+    ("domain", "count", "hint"),
+    [
+        ({"size": [20, 6, 20], "at": [0, 9, 0]}, 12, "with its centre `at` [0, "),
+        ({"size": [20, 2.1, 20], "at": [0, 9, 0]}, 12, "a size of [20, 21, 20] m"),
+        ({"size": [20, 20, 20]}, 0, ""),
+        ({"size": [20, 6, 20], "at": [0, 9, 0], "wrap": True}, 0, ""),
+    ],
+)
+def test_members_outside_of_the_domain_are_one_warning(
+    simulator: Simulator, domain: dict[str, Any], count: int, hint: str
+) -> None:
+    place = {"box": {"size": [2, 2, 2]}}
+    bird = {**BIRD, "count": 12, "at": [0, 0, 0], "place": place, "radius": 0.2}
+    vision = {"vision": {"radius": 0.8}}
+    scene = simulator.scene(flock({**bird, **vision}, domain=domain))
+    run = SystemRun(scene.systems, 0.0)
+    list(run.rows([0], 0, 1))
+    assert [one.code for one in run.notices] == ["SIM124"] * bool(count)
+    for notice in run.notices:
+        assert notice.message.startswith(f"{count} of 12 members start outside")
+        assert "along y" in notice.message
+        assert str(notice.where).endswith("domain")
+        assert hint in str(notice.hint)
+
+
 def test_who_finds_no_way_out_of_colliders_is_named(simulator: Simulator) -> None:
     """The second of three, where two boxes overlap: each moves it into the other."""
     boxes = [{"shape": {"box": {"size": [9, 9, 9]}}, "at": [x, 0, 0]} for x in (-4, 4)]

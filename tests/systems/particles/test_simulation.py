@@ -11,7 +11,7 @@ from support.faults import raises
 
 from animtool.core.errors import OptionError, Severity
 from animtool.sim import IntegrateOptions
-from animtool.sim.colliders import Collider, Plane, Poses, Sphere
+from animtool.sim.colliders import Box, Collider, Plane, Poses, Sphere
 from animtool.systems.particles import (
     Emitter,
     KillRegion,
@@ -130,6 +130,25 @@ def test_energy_is_told_where_nothing_takes_or_brings_any() -> None:
         assert (None if energy is None else energy.kinetic) == kinetic
     nobody = simulation(Emitter(rate=1.0)).diagnostics(own.initial(), 0.0)
     assert [fault.code for fault in nobody.if_empty] == ["SIM188"]
+
+
+@pytest.mark.parametrize(
+    ("shape", "container", "words"),
+    [
+        (Box((4, 4, 4)), False, "write container: true"),
+        (Plane(offset=2.0), False, "lower its offset"),
+        (Box((4, 4, 4)), True, None),
+        (Plane(offset=-2.0), False, None),
+    ],
+)
+def test_kill_regions_around_the_emitters(
+    shape: Any, container: bool, words: str | None
+) -> None:
+    kill = KillRegion(Collider(shape, container=container))
+    own = simulation(Emitter(rate=1.0), kills=[kill])
+    (notice,) = own.diagnostics(own.initial(), 9.0).if_empty
+    assert (notice.code, notice.where) == ("SIM188", words and "kill[0]")
+    assert words is None or words in str(notice.hint)
 
 
 def test_steps_are_judged_again_where_motions_are_faster_by_a_twentieth(

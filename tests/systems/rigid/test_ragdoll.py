@@ -111,6 +111,21 @@ def test_a_mass_in_grams() -> None:
         assert "e+" not in take.notices[-1].message
 
 
+def test_a_fall_without_ground() -> None:
+    """Past 2 m below the lowest joint, at -0.5 m or so, after a second."""
+    for frames, options, codes in (
+        (37, {}, ["SIM201", "SIM128"]),
+        (13, {}, ["SIM128"]),
+        (37, {"colliders": [GROUND]}, ["SIM128"]),
+        (37, {"end": 30.0}, ["SIM128"]),
+    ):
+        take = fallen(still(chain(), frames), **options)
+        assert [one.code for one in take.notices] == codes
+        if "SIM201" in codes:
+            low = hips(take)[-1, 1]
+            assert f"to y = {low:.3g} m at frame 37" in take.notices[0].message
+
+
 def test_before_it_begins_all_stays() -> None:
     before = still(chain(), speed=1.0)
     after = fallen(before, start=12.0)

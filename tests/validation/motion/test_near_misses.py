@@ -16,14 +16,17 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity
 from animtool.core.rules import builtin_rules, find_rule, replaced_codes
+from animtool.core.units import UpAxis
 from animtool.edit.resample import resampled
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
-from animtool.rig.skeleton import JointType, Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.sources.open import open_source
 from animtool.validation.motion.sampling import frozen_frames, repeated_frames
+from animtool.validation.motion.sides import no_influence
+from animtool.validation.motion.size import mismatched_up_axis
 from animtool.validation.motion.subject import MotionSubject
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import findings_in, validate
@@ -258,7 +261,10 @@ def test_codes_of_earlier_versions_are_accepted(walk: Path, tmp_path: Path) -> N
     lines[first + 30] = " ".join([*row[:20], str(float(row[20]) + 90.0), *row[21:]])
     path = tmp_path / "take.bvh"
     path.write_text("\n".join(lines) + "\n", "utf-8")
-    assert {fault.code for fault in validate(path)} == {"MOT202"}
+    (fault,) = validate(path)
+    assert fault.code == "MOT202"
+    # A BVH has no keys with an interpolation.
+    assert "interp" not in str(fault.hint)
     assert validate(path, ValidateOptions(ignore=("BVH203",))) == []
     assert [f.code for f in validate(path, ValidateOptions(select=("BVH204",)))] == [
         "MOT202"
@@ -314,3 +320,40 @@ def test_repeated_frames_of_a_long_take_are_found_in_one_look(
     )
     assert "MOT207" in [f.code for f in repeated_frames(subject(twice))]
     assert len(calls) < 10
+
+
+@pytest.mark.parametrize(
+    ("file_format", "hint"),
+    [
+        ("USD", 'set upAxis = "Y"'),
+        ("clip", "write up: Y in the rig"),
+        ("", "read the file with up="),
+    ],
+)
+def test_hints_on_the_up_axis_name_what_the_format_has(
+    walking: Take, file_format: str, hint: str
+) -> None:
+    rig = replace(walking.rig, up=UpAxis.Z)
+    seen = replace(subject(replace(walking, rig=rig)), file_format=file_format)
+    (fault,) = mismatched_up_axis(seen)
+    assert fault.code == "MOT214"
+    assert str(fault.hint).startswith(hint)
+
+
+def test_eyes_and_ends_need_no_weights(walking: Take) -> None:
+    """An arm does, and so does a finger."""
+    idle = ("eye_l", "Jaw", "LeftToeEnd", "head_end", "prop_r")
+    for names, found in ((idle, 0), ((*idle, "forearm_l", "index_3_l"), 2)):
+        joints = [replace(walking.rig.joints[0], name="hips")]
+        joints += [Joint(name, 0) for name in names]
+        rig = Rig("body", tuple(joints))
+        shape = (2, len(joints))
+        motion = Motion(
+            Channel.from_dense(np.zeros((*shape, 3))),
+            Channel.from_dense(np.broadcast_to([0.0, 0, 0, 1], (*shape, 4))),
+        )
+        clock = Clock(Fraction(24), Fraction(1), Fraction(1), 2)
+        seen = subject(Take(rig, clock, motion))
+        faults = list(no_influence(replace(seen, influencing=frozenset({"hips"}))))
+        assert len(faults) == bool(found)
+        assert all(f"{found} joints of" in fault.message for fault in faults)

@@ -64,10 +64,7 @@ class Outcomes:
         if isinstance(case, Planted):
             return findings(case.edit(self.take(case.sample)))
         path = self.folder / f"planted{len(self.known)}.usdc"
-        found = findings_in(open_file(planted(case, self.layer(case.sample), path)))
-        # Eyes of the biped carry no mesh, which is noted of the clean sample too.
-        clean = {"MOT221"} - {case.code}
-        return [fault for fault in found if fault.code not in clean]
+        return findings_in(open_file(planted(case, self.layer(case.sample), path)))
 
     def others(self, case: Case) -> list[Fault]:
         """Return what is found besides the fault and what follows from it."""

@@ -39,7 +39,8 @@ CASES = {
     "one turned over": (np.where(RAMP < 9, RAMP, RAMP + 180.0), ["MOT202"]),
     "too few frames to tell": (np.array([0.0, 1, 170, 171]), []),
     "one frame": (np.array([0.0]), []),
-    "two that are alike": (np.array([5.0, 5.0]), ["MOT201"]),
+    "two that are alike": (np.array([5.0, 5.0]), []),
+    "three that are alike": (np.array([5.0, 5.0, 5.0]), ["MOT201"]),
 }
 
 

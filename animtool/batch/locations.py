@@ -1,0 +1,83 @@
+"""Locations in a batch of values that its scene refuses or does not use."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from animtool.batch.spec import BatchSpec
+from animtool.batch.variants import translate_range
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, FormatError
+from animtool.documents.document import Document, parse_location, read_document
+
+
+def variable_fault(
+    spec: BatchSpec, name: str, code: str, message: str, hint: str | None = None
+) -> Fault:
+    """Return a fault located where a batch gives a variable its value.
+
+    This is a key of the batch file, a column of a table, or an argument.
+    """
+    is_variant = spec.variants is not None and name in spec.variants.names
+    key = "variants" if is_variant else "variables"
+    table = None if spec.variants is None or not is_variant else spec.variants.path
+    if table is not None:
+        return Fault(code, message, str(table), (1,), hint, where=name)
+    if spec.path is None:
+        where = argument("vary" if is_variant else "variables")
+        return Fault(code, f"{where}: {message}", hint=hint)
+    document = read_document(spec.path)
+    entries = document.value.get(key)
+    has_rows = isinstance(entries, list)
+    if not has_rows and name not in (entries or {}):
+        # An override, or a value of the command line beside the batch.
+        return Fault(code, f"{name}: {message}", str(spec.path), hint=hint)
+    return document.fault(code, (key, *([0] if has_rows else []), name), message, hint)
+
+
+@contextmanager
+def located_values(spec: BatchSpec) -> Iterator[None]:
+    """Locate faults of a scene in values of the batch where the batch gives them."""
+    try:
+        yield
+    except FormatError as error:
+        raise FormatError(_located(spec, error.faults)) from error
+
+
+def _located(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
+    """Return the faults of a scene, those in values of the batch located there."""
+    values = {**spec.variables, **spec.rows[0]}
+    documents: dict[str, Document] = {}
+    located = []
+    for fault in faults:
+        name = None
+        if fault.path and fault.where and values:
+            path = fault.path
+            if path not in documents:
+                documents[path] = read_document(Path(path))
+            text = _text_at(documents[path].value, fault.where)
+            name = next((n for n in values if text == f"${{{n}}}"), None)
+        if name is None:
+            located.append(fault)
+            continue
+        message = f"{fault.message}, for {fault.where} of {Path(str(fault.path)).name}"
+        hint = fault.hint
+        suggested_range = translate_range(values[name])
+        if suggested_range is not None:
+            numbers = suggested_range.replace("..", " to ", 1)
+            hint = f"for the numbers {numbers} write {suggested_range}"
+        located.append(variable_fault(spec, name, fault.code, message, hint))
+    return located
+
+
+def _text_at(value: Any, where: str) -> Any:
+    """Return the value at a location of a document; None if there is none."""
+    for step in parse_location(where):
+        try:
+            value = value[step]
+        except (KeyError, IndexError, TypeError):
+            return None
+    return value

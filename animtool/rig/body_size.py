@@ -1,0 +1,97 @@
+"""Sizes of bodies that suggest another unit than the one a file states."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+import numpy as np
+
+from animtool.core.arguments import argument
+from animtool.core.array_types import IntArray
+from animtool.core.quantities import length_text
+from animtool.core.units import LengthUnit, unit_name
+
+# Words for feet, alone or in compounds, but not as in flyWHEEL.
+_FOOT_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
+_FOOT_PATTERN = re.compile(
+    rf"(?<![A-Za-z])(?:{_FOOT_WORDS})"
+    rf"|{'|'.join(word.capitalize() for word in _FOOT_WORDS.split('|'))}"
+    rf"|(?<![A-Za-z])(?:{_FOOT_WORDS.upper()})"
+)
+# With fewer joints, a rig is a prop of any size.
+MIN_JOINTS = 10
+# Plausible diagonal of the joints of rigs with feet, from a bird to a dinosaur [m].
+CHARACTER_SIZE = (0.1, 25.0)
+# Size of people and most animals [m]; a corrected unit must give such a size.
+LIKELY_SIZE = (0.3, 5.0)
+# Ratios of units that are often confused [1].
+UNIT_RATIOS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
+
+
+def feet_of(names: tuple[str, ...] | list[str]) -> IntArray:
+    """Return the indices of foot joints.
+
+    >>> feet_of(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
+    [1, 2, 4]
+    """
+    feet = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
+    return np.array(feet, np.int64)
+
+
+def is_character(names: Sequence[str]) -> bool:
+    """Return whether a rig has the feet and joint count of a person or animal."""
+    return len(names) >= MIN_JOINTS and len(feet_of(list(names))) > 0
+
+
+def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None:
+    """Return a unit [m] in which an implausible character has a likely size, or None.
+
+    Args:
+        names: Joints of its rig.
+        size: Its size [m].
+        unit: Unit in which it is read [m].
+
+    >>> body = ["hips", "foot_l", *"abcdefgh"]
+    >>> fitting_unit(body, 214.0, 1.0), fitting_unit(body, 2.14, 1.0)
+    (0.01, None)
+    """
+    smallest, largest = CHARACTER_SIZE
+    if smallest <= size <= largest or not is_character(names):
+        return None
+    for ratio in UNIT_RATIOS:
+        if LIKELY_SIZE[0] <= size * ratio <= LIKELY_SIZE[1]:
+            return unit * ratio
+    return None
+
+
+def unit_texts(
+    size: float, unit: float, fitting: float, file_format: str = ""
+) -> tuple[str, str]:
+    """Return a message about a size that fits another unit, and a hint.
+
+    Args:
+        size: The size [m].
+        unit: Unit in which the file is read [m].
+        fitting: Unit in which the size is likely [m].
+        file_format: ``USD``, ``clip`` for the rig of a clip, or another one.
+
+    >>> unit_texts(214.2, 1.0, 0.01, "USD")[1]
+    'if its numbers are in cm, set metersPerUnit = 0.01 in the file'
+    """
+    sizes = length_text(size, 4), length_text(size * fitting / unit, 4)
+    name, fitting_name = unit_name(unit), unit_name(fitting)
+    condition = f"if its numbers are in {fitting_name}"
+    if file_format == "USD":
+        message = f"metersPerUnit = {unit:g}: the character spans {sizes[0]}; at "
+        message += f"metersPerUnit = {fitting:g} it would span {sizes[1]}"
+        return message, f"{condition}, set metersPerUnit = {fitting:g} in the file"
+    message = f"the character spans {sizes[0]}, with lengths in {name}; in "
+    message += f"{fitting_name} it would span {sizes[1]}"
+    if fitting_name not in set(LengthUnit):
+        return message, "export it again at its true size"
+    if file_format == "clip":
+        remedy = f"write units: {{length: {fitting_name}}} in the rig"
+        return message, f"{condition}, {remedy}"
+    choice = argument("source.unit", fitting_name)
+    return message, f"{condition}, read it with {choice}"

@@ -1,0 +1,107 @@
+"""Warnings about N-body systems whose gravity moves nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from animtool.core.array_types import FloatArray
+from animtool.core.quantities import length_text, plain_number
+from animtool.documents.document import Document, Location
+
+# Gravity that moves bodies by less of their distances than a pixel of a picture does
+# nothing [1], in this time or in the range if it is longer [s].
+MIN_MOVE, MIN_SECONDS = 1e-3, 10.0
+# The constant of nature [m³/(kg s²)], and the tolerance for it [1].
+NEWTON_CONSTANT, CONSTANT_TOLERANCE = 6.674e-11, 0.01
+# Bodies whose accelerations are computed.
+MAX_BODIES = 200
+
+
+def warn_of_weak_gravity(
+    document: Document,
+    location: Location,
+    spec: Any,
+    parts: Mapping[str, Any],
+    seconds: float,
+) -> None:
+    """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
+
+    Args:
+        document: The scene.
+        location: Location of the system.
+        spec: Its keys, in metres.
+        parts: Its parsed entries, by key.
+        seconds: Time from the first to the last frame [s].
+    """
+    constant = float(spec.gravity_constant)
+    mass, distance, acceleration = _strongest_pull(spec, parts)
+    if not constant * acceleration * distance > 0:
+        return  # nothing attracts, or arrays that are refused are not finite
+    seconds = max(seconds, MIN_SECONDS)
+    move = constant * acceleration * seconds**2 / 2
+    if move >= MIN_MOVE * distance:
+        return
+    message = f"with a constant of {constant:.3g}, masses of {plain_number(mass)} kg "
+    message += (
+        f"in all and distances of {length_text(distance)}, gravity moves bodies by "
+    )
+    message += f"at most {length_text(move)} in {seconds:.3g} s"
+    # Bodies then move by their distance in about a second.
+    fitting = float(f"{2 * distance / acceleration:.0e}")
+    hint = f"raise it, such as to gravity_constant: {fitting:g}"
+    if math.isclose(constant, NEWTON_CONSTANT, rel_tol=CONSTANT_TOLERANCE):
+        hint = f"{constant:.3g} is that of nature, for kg, m and s; for these numbers "
+        hint += f"write gravity_constant: {fitting:g}"
+    stated = "gravity_constant" in spec.model_fields_set
+    where = (*location, "gravity_constant") if stated else location
+    document.warn("SIM200", where, message, hint)
+
+
+def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, float]:
+    """Return the total mass, and distance and acceleration where gravity does most.
+
+    The acceleration is per unit of the gravitational constant [kg/m²].
+    """
+    pulls = []
+    points, masses = [np.zeros((0, 3))], [np.zeros(0)]
+    for body, data in zip(spec.bodies, parts.get("bodies") or (), strict=False):
+        body_points, stated = ((data or {}).get(key) for key in ("points", "masses"))
+        if body_points is None or np.shape(body_points)[1:] != (3,):
+            continue
+        body_masses = np.full(len(body_points), body.mass)
+        if np.shape(stated) == np.shape(body_masses):
+            body_masses = np.asarray(stated, np.float64)
+        points.append(np.asarray(body_points, np.float64))
+        masses.append(body_masses)
+    for galaxy in spec.galaxies:
+        points.append(np.array([galaxy.at], np.float64))
+        mass = sum(part.mass for part in galaxy.parts)
+        radius = max((part.radius for part in galaxy.parts), default=0.0)
+        masses.append(np.array([mass]))
+        pulls += [(radius, mass / radius**2)] if radius else []
+    for attractor in spec.attractors:
+        points.append(np.array([attractor.at], np.float64))
+        masses.append(np.array([attractor.mass]))
+    all_points, all_masses = np.concatenate(points), np.concatenate(masses)
+    extent = float(np.linalg.norm(np.ptp(all_points, axis=0))) if len(all_points) else 0
+    if extent:
+        accelerations = _accelerations(all_points, all_masses, float(spec.softening))
+        pulls.append((extent, float(accelerations.max())))
+    total_mass = float(all_masses.sum())
+    distance, acceleration = max(pulls, key=lambda p: p[1] / p[0], default=(0.0, 0.0))
+    return total_mass, float(distance), float(acceleration)
+
+
+def _accelerations(
+    points: FloatArray, masses: FloatArray, softening: float
+) -> FloatArray:
+    """Return accelerations of some of N points, per unit of the constant."""
+    step = max(1, len(points) // MAX_BODIES)
+    offsets = points[None] - points[::step, None]
+    squares = (offsets**2).sum(axis=2) + max(softening, 1e-9) ** 2
+    pulls = (masses / squares**1.5)[..., None] * offsets
+    return np.asarray(np.linalg.norm(pulls.sum(axis=1), axis=1))
