@@ -73,7 +73,7 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
         if body_points is None or np.shape(body_points)[1:] != (3,):
             continue
         body_masses = np.full(len(body_points), body.mass)
-        if np.shape(stated) == np.shape(body_masses):
+        if stated is not None and np.shape(stated) == np.shape(body_masses):
             body_masses = np.asarray(stated, np.float64)
         points.append(np.asarray(body_points, np.float64))
         masses.append(body_masses)
