@@ -52,6 +52,8 @@ MIN_CHANNELS = 5
 MIN_WOUND = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
 MIN_LARGEST = 1.0
+# Knees and elbows that a few keys pose bend by more than a few degrees.
+MAX_POSES = 12
 # Fraction of keys at multiples of 15 degrees in radians that is more than chance.
 MIN_EXACT = 0.2
 # Radians with three decimals are that near to a whole degree by chance in 6 % [deg], so
@@ -265,6 +267,13 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
         return True
     if not MIN_LARGEST <= largest <= HALF_REVOLUTION:
         return False
+    if any(
+        HINGE_NAMES.search(name)
+        and len(channel_values) <= MAX_POSES
+        and np.ptp(channel_values, axis=0).max() >= MIN_LARGEST
+        for name, channel_values in angles
+    ):
+        return True
     moving = [name for name, v in angles if np.ptp(v, axis=0).max() > MIN_SPAN]
     return len(moving) >= MIN_CHANNELS and any(map(HINGE_NAMES.search, moving))
 
@@ -409,7 +418,10 @@ def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> Non
     if largest < MIN_PERCENT_WEIGHT:
         return
     name = channels[i].target.removeprefix("shape/")
+    others = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in weights) - 1
     message = f"shape {name!r} is keyed up to {largest:.4g}, but 1 is its full effect"
+    if others:
+        message += f"; weights of {counted(others, 'other shape')} are in percent too"
     hint = percent_hint(largest)
     k = int(channels[i].values[:, 0].argmax())
     document.warn("CLIP121", (*_key_location(i, k), "v"), message, hint)

@@ -241,7 +241,8 @@ def crossed_notices(solved_take: TakeIk) -> list[Fault]:
         message = f"{names[0]!r} and {names[1]!r} cross in all frames, with joints on "
         message += "their limits"
         notice = _goal_warning(solved_take, "TGT111", min(left, right), message)
-        hint = "if the targets of left and right are exchanged, swap the effectors"
+        hint = "if the targets of left and right are exchanged, swap the effectors, or "
+        hint += "their offsets"
         notices.append(replace(notice, hint=hint))
     return notices
 

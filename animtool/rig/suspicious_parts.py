@@ -137,6 +137,8 @@ def _degrees_reason(rig: Rig, name: str) -> str | None:
         if control.name != name or control.low is None or control.high is None:
             continue
         low, high = control.low, control.high
+        if low == -high and high > math.pi:
+            return f"the range of {name!r} is ±{high:g}, as in degrees"
         is_round = all(math.fmod(end, _DEGREE_STEP) == 0 for end in (low, high))
         if is_round and high > low and math.fmod(high - low, _QUARTER) == 0:
             return f"the range of {name!r} is {low:g} to {high:g}, as in degrees"

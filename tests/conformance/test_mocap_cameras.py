@@ -22,6 +22,7 @@ from animtool.capture.cameras import (
 )
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.maths import so3
+from animtool.validation.run import validate
 
 # Against the root mean square of a solve that knows which observations are wrong.
 MAX_RATIO = 1.005
@@ -69,6 +70,11 @@ def test_points_are_as_near_as_clean_observations(
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("path", data_files("mocap", "*.cameras.json"))
+def test_cameras_of_other_tools_are_checked(path: Path) -> None:
+    assert "DOC009" not in {fault.code for fault in validate(path)}
+
+
 @pytest.mark.parametrize("path", data_files("mocap", "cam_*.cameras.json"))
 def test_a_camera_that_is_stale_is_named(path: Path, tmp_path: Path) -> None:
     observations = path.with_name(path.name.replace(".cameras.json", ".npz"))

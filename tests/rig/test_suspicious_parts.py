@@ -39,6 +39,8 @@ def test_stretch_in_percent(tmp_path: Path, stretch: float, found: bool) -> None
         ("[0, 360]", "sin(x) * 20", True),
         ("[-180, 180]", "20 * cos(x)", True),
         ("[-360, 720]", "sin(x) * 20", True),
+        ("[-17, 17]", "sin(x) * 20", True),
+        ("[-3, 3]", "sin(x) * 20", False),
         ("[0, 360]", "sin(x * pi / 180) * 20", False),
         ("[0, 6.2832]", "sin(x) * 20", False),
         ("[0, 100]", "sin(x) * 20", False),  # a time

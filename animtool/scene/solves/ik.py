@@ -386,8 +386,7 @@ def _map_motion(
     """Return the motion of the joints common to both rigs, and notices of the rest."""
     names = map_names(rig, take.rig)
     transfer_hint = (
-        f"first move it to this rig: animtool retarget {path.name} {flag('to')} "
-        f"{rig_path.name}"
+        f"first move it to this rig: animtool retarget {path} {flag('to')} {rig_path}"
     )
     if (names.joints < 0).all():
         message = f"has no joint of {rig.name!r}"

@@ -10,6 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.options import Checked, inherits_docs
+from animtool.core.quantities import angle_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.collider import Poses
@@ -191,7 +192,9 @@ class Emitter(Emission, Checked):
         problems += [("poses", message) for message in self.poses.faults()]
         problems += super().problems()
         if not 0 <= self.spread <= math.pi:
-            problems.append(("spread", "its spread must be from 0 to 180 degrees"))
+            degrees = math.degrees(self.spread)
+            message = f"its spread must be from 0 to 180°, not {angle_text(degrees)}"
+            problems.append(("spread", message))
         if self.radius_spread >= self.radius > 0:
             message = "its radius_spread must be below its radius"
             problems.append(("radius_spread", message))

@@ -17,6 +17,7 @@ from animtool.documents.document import Location
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import IkChain, Mesh, Shape
+from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, JointType
 from animtool.validation.subjects.rig import RigSubject
 
@@ -196,6 +197,9 @@ MIN_SKIN_POINTS = 4
 # Where another pose is meant, the points that follow a joint most are farther from its
 # bones than this many times their own spread, and this fraction of the rig's size.
 MAX_SKIN_SPREADS, MAX_SKIN_DISTANCE = 2.0, 0.05
+# Skins of left and right are exchanged if both are nearer to the other side's bones
+# than this fraction of the distance to their own [1].
+MAX_OTHER_DISTANCE = 0.5
 # A single joint may have a prop that is elsewhere.
 MIN_DISTANT_JOINTS = 2
 
@@ -209,12 +213,19 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
         for mesh in rig.rig.meshes:
             if mesh.skin is None or mesh.geom_bind is not None:
                 continue
+            points_by_joint = _points_by_joint(rig, mesh, archives)
+            location = (*rig.at("meshes", mesh.name), "skin")
+            exchanged = _exchanged_skins(rig, points_by_joint, positions)
+            if exchanged:
+                left, right = (rig.rig.names[joint] for joint in exchanged)
+                message = f"the skin of {left!r} is at {right!r}, and vice versa"
+                yield rig.fault("RIG225", location, message, "exchange the two joints")
+                continue
             distances = {}
-            for joint, points in _points_by_joint(rig, mesh, archives).items():
+            for joint, points in points_by_joint.items():
                 centre = points.mean(axis=0)
                 spread = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
-                ends = positions[[joint, *rig.children[joint]]]
-                distance = _distance_to_bones(centre, ends)
+                distance = _distance_to_joint(rig, centre, joint, positions)
                 limit = max(MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size)
                 if distance > limit:
                     distances[rig.rig.names[joint]] = distance
@@ -227,10 +238,41 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
             )
             hint = "write the pose in which the mesh was made under bind"
             if rig.rig.bind:
-                hint = "make rest and bind those in which the mesh was made"
-            yield rig.fault(
-                "RIG225", (*rig.at("meshes", mesh.name), "skin"), message, hint
-            )
+                hint = "remove bind if the mesh was made at rest, or write the pose in "
+                hint += "which it was made"
+            yield rig.fault("RIG225", location, message, hint)
+
+
+def _exchanged_skins(
+    rig: RigSubject, points_by_joint: dict[int, FloatArray], positions: FloatArray
+) -> tuple[int, int] | None:
+    """Return the first left and right joint whose points are at each other's bones."""
+    pairs = pair_sides(rig.rig.names, rig.rig.parents)
+    for left in pairs.left:
+        right = int(pairs.partners[left])
+        if left not in points_by_joint or right not in points_by_joint:
+            continue
+        centres = [points_by_joint[joint].mean(axis=0) for joint in (left, right)]
+        same_side, other_side = (
+            [
+                _distance_to_joint(rig, centre, joint, positions)
+                for centre, joint in zip(centres, joints, strict=True)
+            ]
+            for joints in ((left, right), (right, left))
+        )
+        if all(
+            other < MAX_OTHER_DISTANCE * distance
+            for distance, other in zip(same_side, other_side, strict=True)
+        ):
+            return left, right
+    return None
+
+
+def _distance_to_joint(
+    rig: RigSubject, point: FloatArray, joint: int, positions: FloatArray
+) -> float:
+    """Return the distance of a point to the bones from a joint to its children."""
+    return _distance_to_bones(point, positions[[joint, *rig.children[joint]]])
 
 
 def _points_by_joint(

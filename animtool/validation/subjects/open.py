@@ -110,9 +110,13 @@ def open_remap(document: Document) -> CheckedFile:
 
 def open_cameras(document: Document) -> CheckedFile:
     """Return the subject of a camera file."""
+    from animtool.capture.cameras.calibrations import parse_calibration
     from animtool.capture.cameras.file import parse_cameras
 
-    cameras = parse_cameras(document)
+    is_list = not isinstance(document.value.get("cameras"), str)
+    cameras = (
+        parse_calibration(document, None, None) if is_list else parse_cameras(document)
+    )
     return CheckedFile(Kind.CAMERAS, list(document.notices), cameras)
 
 
@@ -176,7 +180,13 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     """
     reader = reader_of(path)
     if reader is DOCUMENT:
-        return open_document(read_document(path), values)
+        document = read_document(path)
+        if has_kind_suffix(path, "cameras") and not isinstance(
+            document.value.get("cameras", ""), str
+        ):
+            # A list of cameras, as other tools write it.
+            return _call_opener(Kind.CAMERAS, document)
+        return open_document(document, values)
     if reader is not None:
         return _call_opener(_KINDS_BY_READER.get(reader, Kind.TAKE), path)
     if not path.exists():

@@ -216,3 +216,31 @@ def test_names_with_spaces_are_one_warning(tmp_path: Path) -> None:
     assert (fault.code, fault.severity) == ("RIG109", "warning")
     assert fault.message == "2 of 3 joint names contain a space: 'lower arm'"
     assert "lower_arm" in str(fault.hint)
+
+
+@pytest.mark.parametrize(
+    ("joints", "found"), [("[arm_l, arm_r]", []), ("[arm_r, arm_l]", ["RIG225"])]
+)
+def test_skins_of_left_and_right(tmp_path: Path, joints: str, found: list[str]) -> None:
+    sleeve = np.random.default_rng(7).normal(0, 0.02, (8, 3))
+    sleeve[:, 0] = np.linspace(0.2, 0.5, 8)
+    points = np.concatenate([sleeve, sleeve * [-1, 1, 1]])
+    np.savez(
+        tmp_path / "body.npz",
+        points=points,
+        faces=[[0, 1, 2]],
+        indices=np.repeat([0, 1], 8)[:, None],
+        weights=np.ones((16, 1)),
+    )
+    path = tmp_path / "page.rig.yaml"
+    path.write_text(
+        f"{HEAD}{ROOT}"
+        "- {name: arm_l, parent: root, type: ball, translate: [0.2, 0, 0]}\n"
+        "- {name: hand_l, parent: arm_l, type: ball, translate: [0.3, 0, 0]}\n"
+        "- {name: arm_r, parent: root, type: ball, translate: [-0.2, 0, 0]}\n"
+        "- {name: hand_r, parent: arm_r, type: ball, translate: [-0.3, 0, 0]}\n"
+        "meshes: [{name: body, points: body.npz, faces: body.npz, skin: "
+        f"{{joints: {joints}, indices: body.npz, weights: body.npz}}}}]\n",
+        "utf-8",
+    )
+    assert [fault.code for fault in validate(path)] == found
